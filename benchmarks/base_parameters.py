@@ -14,13 +14,13 @@ from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import _found, find_base_parameters
+from asbuilt.dynamics.base.base_parameters import _find_cached, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.kernels.recursion import layout_of
-from asbuilt.dynamics.regressor import _plan
+from asbuilt.dynamics.kernels.recursion import build_layout
+from asbuilt.dynamics.regressor import _make_plan
 
 DRIVE = "armature,viscous,coulomb,offset"
-REMEMBERING = (_found, _plan, layout_of)
+REMEMBERING = (_find_cached, _make_plan, build_layout)
 """Functions whose earlier answers would be timed instead of the work."""
 COLD = (
     "import time; from asbuilt import load_robot, find_base_parameters; m ="

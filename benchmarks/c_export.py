@@ -9,7 +9,7 @@ from pathlib import Path
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues
-from asbuilt.writers.models.c.c_code import c_code, write_c
+from asbuilt.writers.models.c.c_code import generate_c_code, write_c
 
 ROBOTS = ("kuka-iiwa7-r800", "franka-panda", "ur10e")
 CALLS = 200_000
@@ -58,7 +58,7 @@ def measure() -> dict[str, float | str]:
         model = load_robot(name)
         drive = DriveValues(armature=0.1, viscous=1.0, coulomb=2.0, offset=0.1)
         model = replace(model, joints=tuple(replace(joint, drive=drive) for joint in model.joints))
-        code = c_code(model)
+        code = generate_c_code(model)
         with tempfile.TemporaryDirectory() as place:
             source, header = write_c(Path(place) / "robot.c", model)
             p = int(header.read_text().split("_BASE_PARAMETERS ")[1].split()[0])

@@ -22,7 +22,7 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.calibration.delay import find_delays
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.calibration.torque_gains import identify_gains
 from outside_robot import FINE, Engine, Logged, OutsideRobot, Sensors, other_bodies, with_body
 
@@ -79,7 +79,7 @@ def gain_errors(
     """Yield the relative errors of the gains (n,), NaN where undetermined, and standard errors."""
     for seed in range(repetitions):
         rng, (model, bare) = np.random.default_rng(seed), _robot(setting, seed, engine)
-        frame, link, placement = payload_frame(model)
+        frame, link, placement = choose_payload_frame(model)
         tool = LinkInertia(shift_matrix(placement) @ TOOL.parameters)
         loaded = replace(bare, bodies=with_body(bare.bodies, link, tool))
         gains = rng.uniform(*LARGEST_GAINS, model.n_joints)

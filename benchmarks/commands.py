@@ -23,7 +23,7 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
@@ -125,7 +125,7 @@ def _differences(fit: str, refine: str | None) -> dict[str, float]:
 def _fitted(trained: Sequence[str], others: Sequence[str], refine: str | None) -> Study:
     """Return the study of the SO-101 from some motions, its jaw held, rolled out on others."""
     folder = SHARED / "data" / "so101_sage"
-    model, (training, validation) = fitted_recordings(
+    model, (training, validation) = read_fitted_recordings(
         load_robot(SHARED / "models" / "so101" / "so101_new_calib.xml"),
         ([folder / each for each in trained], [folder / each for each in others]),
         options=ReadingOptions(torque_source="command", sheet={"joints": JOINTS}, lock="gripper=0"),

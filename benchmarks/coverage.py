@@ -32,9 +32,9 @@ from asbuilt.executor import open_workers
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
-from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
+from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
@@ -160,9 +160,12 @@ def shares(
         estimate = fit(information)
         error = np.abs(estimate.beta - truth)
         drawn = redraw(information, estimate, n_draws=draws, rng=repetition)
-        held[""].append(error < NORMAL_95 * block_uncertainty(information, estimate).std_errors)
+        held[""].append(
+            error < NORMAL_95 * estimate_block_uncertainty(information, estimate).std_errors
+        )
         held["_bootstrap"].append(
-            error < NORMAL_95 * bootstrap_uncertainty(information, estimate, drawn).std_errors
+            error
+            < NORMAL_95 * estimate_bootstrap_uncertainty(information, estimate, drawn).std_errors
         )
         held["_textbook"].append(error < NORMAL_95 * estimate.std_errors)
     found = {}
@@ -205,7 +208,7 @@ def coverage_of_bodies(
     other bodies than CAD's, every other one near what is possible.
     """
     model = load_robot(robot)
-    base, prior = find_base_parameters(model, DRIVE), cad_prior(model, DRIVE)
+    base, prior = find_base_parameters(model, DRIVE), build_cad_prior(model, DRIVE)
     machine = off_from_cad(model, base, prior, edge)
     return shares(
         recordings(machine, model, correlation_time, duration, noise, repetitions),

@@ -22,7 +22,7 @@ import numpy as np
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
@@ -146,7 +146,7 @@ def swept(name: str, model: RobotModel, recording: Recording, method: str) -> Ro
     default = resolve_chain(SignalChain(), recording).cutoff
     assert default is not None
     sweep = sweep_cutoffs(
-        model, [recording], drive=usual_drive(model, recording.torque_source), method=method
+        model, [recording], drive=choose_usual_drive(model, recording.torque_source), method=method
     )
     return Row(
         name,

@@ -26,7 +26,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.presets import perturbed_links
+from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
 from asbuilt.identification.identify import identify_samples
@@ -85,7 +85,7 @@ def study(name: str, seed: int) -> tuple[Array, Ensemble]:
     design = replace(
         described, joints=tuple(replace(joint, drive=drive) for joint in described.joints)
     )
-    true = perturbed_links(described, 0.1, rng)
+    true = perturb_links(described, 0.1, rng)
     friction = np.tile(FRICTION, true.n_joints) * np.exp(0.1 * rng.normal(size=3 * true.n_joints))
     machine = VirtualRobot.ideal(true).with_drive(DRIVE, friction)
     motion = random_fourier(described, rng=seed, duration=20.0, n_harmonics=8)

@@ -14,12 +14,12 @@ from scipy.optimize import minimize
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.batches import available_cores
+from asbuilt.dynamics.batches import count_cores
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
-from asbuilt.excitation.design.fixed_duration import sized
+from asbuilt.excitation.design.fixed_duration import choose_size
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import (
@@ -51,7 +51,7 @@ class Problem:
         self.options = DesignOptions(
             duration=DURATION, size=HARMONICS, fraction=FRACTION, torque_fraction=TORQUE_FRACTION
         )
-        self.family = sized(self.options, self.bounds)[1]
+        self.family = choose_size(self.options, self.bounds)[1]
         torque = TorqueLimit((self.model,), TORQUE_FRACTION * MotionBounds.of(self.model).torque)
         scale = parameter_scale(self.information, self.bounds)
         objective = Objective(
@@ -169,9 +169,9 @@ def measure(search_s: float = 240.0) -> dict[str, float | str]:
     )
     random_seconds = time.perf_counter() - begin
     methods: dict[str, Callable[[Problem, float], Array]] = {"slsqp": slsqp, "cma": cma_es}
-    with one_blas_thread():
+    with use_one_blas_thread():
         for name, method in methods.items():
-            found[name] = problem.log_det(method(problem, seconds * available_cores()))
+            found[name] = problem.log_det(method(problem, seconds * count_cores()))
     patient = replace(problem.options, seed=1, starts=10**6, time_limit=search_s)
     search = design_motion(problem.model, patient, with_bound=False)
     found["long_search"] = float(np.linalg.slogdet(search.mean_information)[1])

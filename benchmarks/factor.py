@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
@@ -73,7 +73,7 @@ def peer_solve(
         w[:, k, len(chosen) + 3 * k : len(chosen) + 3 * k + 3] = np.column_stack(
             [qd[:, k], np.sign(qd[:, k]), np.ones(len(q))]
         )
-    with one_blas_thread():
+    with use_one_blas_thread():
         return np.linalg.lstsq(w.reshape(len(q) * n, -1), tau.ravel(), rcond=None)[0]
 
 

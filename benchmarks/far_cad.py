@@ -13,7 +13,7 @@ import numpy as np
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -60,7 +60,7 @@ def errors(name: str, seed: int, duration: float, factor: float) -> dict[str, fl
     ]
     chain = resolve_chain(SignalChain(), logs[0])
     used, held = (prepare_samples(log, chain) for log in logs)
-    drive = usual_drive(cad, logs[0].torque_source)
+    drive = choose_usual_drive(cad, logs[0].torque_source)
     found: dict[str, float] = {}
     for method in METHODS:
         result = identify_samples(cad, [used], drive=drive, method=method)

@@ -26,7 +26,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
-from asbuilt.description.rotation import axes_across
+from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque
@@ -34,7 +34,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns
-from asbuilt.workflow.fleet.drift.drift import FleetDrift, conclude_drift, type_drift
+from asbuilt.workflow.fleet.drift.drift import FleetDrift, conclude_drift, scan_type
 from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
@@ -74,7 +74,7 @@ class VirtualType:
             base, tuple(plan.support), model.joint_names, ("N m",) * n, model.tool_link
         )
         tilted = [
-            model.with_gravity(np.cross(model.gravity, a)) for a in axes_across(model.gravity)
+            model.with_gravity(np.cross(model.gravity, a)) for a in find_axes_across(model.gravity)
         ]
         chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
         effort = np.array([min(joint.limits.torque, 500.0) for joint in model.joints])
@@ -184,9 +184,7 @@ def found_in(members: dict[str, VirtualMember]) -> FleetDrift:
     rows, types = [], []
     for kind in {id(each.kind): each.kind for each in members.values()}.values():
         ids = [name for name, each in members.items() if each.kind is kind]
-        some, variation = type_drift(
-            kind.name, kind.columns, ids, lambda name: members[name].days()
-        )
+        some, variation = scan_type(kind.name, kind.columns, ids, lambda name: members[name].days())
         rows += some
         types.append(variation)
     return conclude_drift("virtual", None, rows, types, FleetDriftOptions())

@@ -33,9 +33,9 @@ from asbuilt.identification.information.square_root_information import (
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.workflow.fleet.siblings import (
     SiblingPrior,
+    derive_posterior_uncertainty,
+    estimate_prior,
     estimate_with_siblings,
-    posterior_uncertainty,
-    prior_of,
 )
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
@@ -116,7 +116,7 @@ def scores_of(
     found, _ = estimate_with_siblings("new", information, prior)
     if found is None:
         return []
-    covariance = posterior_uncertainty(information, found, prior).covariance
+    covariance = derive_posterior_uncertainty(information, found, prior).covariance
     return list((found.beta - kind.base.values(chi)) / np.sqrt(np.diag(covariance)))
 
 
@@ -126,7 +126,7 @@ def study(name: str, n_siblings: int, n_new: int) -> dict[str, object]:
     siblings = {
         f"s{i}": kind.information(kind.drawn(kind.type), 100 + i, LONG) for i in range(n_siblings)
     }
-    prior = prior_of(kind.model, kind.base, siblings)
+    prior = estimate_prior(kind.model, kind.base, siblings)
     errors: dict[str, list[float]] = {
         key: []
         for key in ("siblings 10 s", "wls 10 s", "consistent 10 s", "wls 60 s", "consistent 60 s")

@@ -18,7 +18,7 @@ import numpy as np
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,13 +198,13 @@ def _solo() -> Element:
 
 
 def _go2() -> Element:
-    robot = fromstring(urdf_text(load_robot("go2")))
+    robot = fromstring(format_urdf(load_robot("go2")))
     _inertial(_link(robot, "trunk"), *GO2_TRUNK)
     return robot
 
 
 def _g1() -> Element:
-    robot = fromstring(urdf_text(load_robot("g1-arms")))
+    robot = fromstring(format_urdf(load_robot("g1-arms")))
     _link(robot, "torso").set("name", "torso_link")
     for joint in robot.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")

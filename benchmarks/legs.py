@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from asbuilt.description.model import RobotModel
 from asbuilt.workflow.study import Study, identify
-from asbuilt.writers.models.mjcf import exported_mjcf
+from asbuilt.writers.models.mjcf import export_mjcf
 from legged_robots import LEGGED, SOLE, Legged, standing
 from outside_robot import Sensors, other_bodies
 
@@ -118,7 +118,7 @@ def recorded(
 
 def staged(legged: Legged, model: RobotModel) -> Stage:
     """Return a robot that stands on a floor, with balls or the corners of soles at its contacts."""
-    root = fromstring(exported_mjcf(model))
+    root = fromstring(export_mjcf(model))
     for geom in root.iter("geom"):
         geom.set("contype", "0")
         geom.set("conaffinity", "0")

@@ -22,14 +22,14 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.causal_filter import largest_velocity_error
-from asbuilt.monitoring.contact import frame_jacobian, smallest_forces
+from asbuilt.monitoring.contact import find_smallest_forces, frame_jacobian
 from asbuilt.monitoring.events import find_events
 from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.thresholds import Thresholds, bounded, set_thresholds
+from asbuilt.monitoring.thresholds import Thresholds, bound_residual, set_thresholds
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.watching.watched_log import ELSEWHERE
@@ -81,7 +81,7 @@ class Site:
         """Count events; the model's error, which is most of the work, only where it matters."""
         least = limits.of_log(seen, ModelError.of(self.observer.model))[1]
         near = (np.abs(seen.residual) > least).any(axis=1)
-        known = bounded(seen)[near]
+        known = bound_residual(seen)[near]
         model = self.error.std(seen.q[near], seen.qd[near], seen.qdd[near])
         added = limits.level * limits.model_part * model
         limit = known + np.hypot(least[near] - known, added)
@@ -92,8 +92,10 @@ class Site:
         """Return the median of the smallest forces [N] at the tool that alarm within 20 ms."""
         seen = self.observed(log)
         limit = self.thresholds[rate].of_log(seen, self.error)[1]
-        tool = payload_frame(self.observer.model)[1:]
-        return float(np.median(smallest_forces(self.observer, seen, limit, tool, filtered=False)))
+        tool = choose_payload_frame(self.observer.model)[1:]
+        return float(
+            np.median(find_smallest_forces(self.observer, seen, limit, tool, filtered=False))
+        )
 
 
 def virtual(
@@ -220,7 +222,7 @@ def contacts(names: Sequence[str], minutes: float) -> None:
         robot, result, quiet = _watched_robot(name, minutes)
         site, rng = Site(result, quiet), np.random.default_rng(1)
         observer, model = site.observer, result.model
-        tool = payload_frame(model)[1:]
+        tool = choose_payload_frame(model)[1:]
         log = _moves(robot, 999, 10.0 * CONTACTS)
         usual = site.smallest_force(log)
         external, forces = np.zeros(log.q.shape), rng.normal(size=(CONTACTS, 3))

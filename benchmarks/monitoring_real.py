@@ -23,17 +23,17 @@ from scipy.stats import chi2
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.momentum import lagged
+from asbuilt.dynamics.momentum import apply_lag
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.monitoring.contact import WITHIN, frame_jacobian
 from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.observer import BANDWIDTH, Observer
-from asbuilt.monitoring.thresholds import HALF, Thresholds, set_thresholds, velocities_before
+from asbuilt.monitoring.thresholds import HALF, Thresholds, delay_velocities, set_thresholds
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.observation import doubtful_speed, uses_logged_velocities
+from asbuilt.workflow.watching.observation import estimate_doubtful_speed, uses_logged_velocities
 from drive_terms import UR10E_SHEET
 
 SIZES = (10.0, 20.0, 40.0, 80.0, 160.0)
@@ -83,7 +83,7 @@ class Detector:
     @classmethod
     def of(cls, robot: Any, quiet: Sequence[Recording], *, velocities: bool) -> Detector:
         """Return the momentum observer of a robot."""
-        error = doubtful_speed(quiet, BANDWIDTH, measured=velocities)
+        error = estimate_doubtful_speed(quiet, BANDWIDTH, measured=velocities)
         observer = Observer(robot, velocity_error=error)
 
         def observe(log: Recording) -> Observed:
@@ -140,7 +140,7 @@ class Detector:
         """Return what makes the thresholds, RMS over the logs, a line per joint."""
         limits, seen = self.thresholds, [self.observe(log) for log in logs]
         slow = [
-            lagged(each.share, limits.slow(velocities_before(each), each.qd)) ** 0.5
+            apply_lag(each.share, limits.slow(delay_velocities(each), each.qd)) ** 0.5
             for each in seen
         ]
         known = {
@@ -169,7 +169,7 @@ class Detector:
 def touched(model: RobotModel, log: Recording, start: float, force: Array) -> Recording:
     """Return the log around a contact: a force (3,) [N] at the tool from `start` [s] on."""
     near = log.between(start - BEFORE, start + LASTS)
-    _, link, placement = payload_frame(model)
+    _, link, placement = choose_payload_frame(model)
     external = np.zeros(near.tau.shape)
     for k in np.flatnonzero(near.t >= start):
         external[k] = frame_jacobian(model, near.q[k], link, placement)[3:].T @ force

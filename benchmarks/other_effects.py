@@ -20,7 +20,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
@@ -31,7 +31,7 @@ from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.delays import settle_delays
-from asbuilt.workflow.prepare import digest
+from asbuilt.workflow.prepare import digest_recording
 from asbuilt.writers.tables.mass_tables import exported_masses
 from drive_terms import SHARED, UR10E_SHEET
 from other_motions import ROBOTS, Robot
@@ -100,8 +100,12 @@ def cases(names: Sequence[str], data: Path = SHARED) -> Iterator[Case]:
         for train in (*single, *robot.sets):
             heads = [logs[k] for k in train]
             chain = resolve_chain(SignalChain(), *heads)
-            late = settle_delays(model, heads, [digest(head) for head in heads], chain, None)
-            samples = [prepare_samples(each, late.chain_of(digest(each))) for each in logs]
+            late = settle_delays(
+                model, heads, [digest_recording(head) for head in heads], chain, None
+            )
+            samples = [
+                prepare_samples(each, late.chain_of(digest_recording(each))) for each in logs
+            ]
             label = "+".join(Path(logs[k].source).stem for k in train)
             others = [samples[k] for k in range(len(logs)) if k not in train]
             yield Case(name, label, model, [samples[k] for k in train], others)
@@ -138,7 +142,7 @@ def errors(case: Case, model: RobotModel, drive: DriveSet) -> tuple[list[float],
 def report(names: Sequence[str]) -> None:
     """Print the table."""
     for case in cases(names):
-        drive = usual_drive(case.model, case.used[0].torque_source)
+        drive = choose_usual_drive(case.model, case.used[0].torque_source)
         began = time.process_time()
         effects = find_effects(case.model, drive, case.used)
         seconds = time.process_time() - began

@@ -25,7 +25,7 @@ from scipy.special import stdtr
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
@@ -33,10 +33,10 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.generalisation.repeated_motion import repeated_share
+from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
 from asbuilt.validation.prediction import Validation, validate_samples
 from asbuilt.workflow.delays import settle_delays
-from asbuilt.workflow.prepare import digest
+from asbuilt.workflow.prepare import digest_recording
 from asbuilt.writers.tables.mass_tables import exported_masses
 from drive_terms import SHARED, UR10E_SHEET
 
@@ -190,16 +190,16 @@ def _row(
     for cutoff, methods in ((None, METHODS), (PLAIN_CUTOFF, ("plain", "auto"))):
         chain = resolve_chain(SignalChain(cutoff=cutoff, delay=delay), *(logs[k] for k in train))
         heads = [logs[k] for k in train]
-        late = settle_delays(model, heads, [digest(head) for head in heads], chain, None)
+        late = settle_delays(model, heads, [digest_recording(head) for head in heads], chain, None)
         used, held = (
             [
                 late.applied(prepare_samples(logs[k], late.chain_of(own)), own)
                 for k in which
-                for own in (digest(logs[k]),)
+                for own in (digest_recording(logs[k]),)
             ]
             for which in (train, others)
         )
-        drive = usual_drive(model, logs[0].torque_source)
+        drive = choose_usual_drive(model, logs[0].torque_source)
         tilted = {"tilt"} if tilt else set()
         own = find_effects(model, drive, used, keys=tilted, stated=tilted).model
         for method in methods:
@@ -219,7 +219,7 @@ def _row(
                 took += result.notes[0].removeprefix("Chosen automatically: ").split(" predicts")[0]
             if label == "auto":
                 best = result
-                repeated = tuple(repeated_share(used, each) for each in held)
+                repeated = tuple(measure_repeated_share(used, each) for each in held)
             found = [validate_samples(result, each) for each in held]
             errors[label] = tuple(100 * each.metrics_as_built.relative_error for each in found)
             masses[label] = mass_text(result)

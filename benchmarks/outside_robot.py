@@ -22,7 +22,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.experiment.recording import Recording, TorqueSource
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 
 Array = NDArray[np.float64]
 Engine = Literal["pinocchio", "mujoco"]
@@ -226,7 +226,7 @@ def _urdf(bodies: RobotModel) -> str:
     bare = replace(
         bodies, frames=(), joints=tuple(replace(j, drive=type(j.drive)()) for j in bodies.joints)
     )
-    return urdf_text(bare)
+    return format_urdf(bare)
 
 
 def pinocchio_robot(bodies: RobotModel, gravity: Array = GRAVITY) -> pin.Model:

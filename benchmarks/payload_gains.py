@@ -17,7 +17,10 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
+from asbuilt.identification.calibration.payload import (
+    choose_payload_frame,
+    identify_payload_samples,
+)
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 
@@ -43,7 +46,7 @@ def measure() -> dict[str, float | str]:
         )
         bare, loaded = (
             recorded(robot, 1),
-            recorded(robot.with_tool(TOOL, at=payload_frame(model)[0]), 3),
+            recorded(robot.with_tool(TOOL, at=choose_payload_frame(model)[0]), 3),
         )
         for common in (0.0, 1.0 / 3.0, 1.0):
             rng = np.random.default_rng(1)

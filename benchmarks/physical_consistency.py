@@ -15,10 +15,10 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.body_bounds import generous_bounds
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.body_bounds import bound_generously
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
-from asbuilt.identification.bodies.standard_parameters import standard_parameters
+from asbuilt.identification.bodies.standard_parameters import find_standard_parameters
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.information.square_root_information import accumulate
 
@@ -30,7 +30,7 @@ def measure() -> dict[str, float | str]:
     """Return milliseconds of processor time, the median of several runs."""
     model = load_robot(ROBOT)
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
-    prior = cad_prior(model, base.drive)
+    prior = build_cad_prior(model, base.drive)
     rng = np.random.default_rng(1)
     motion = random_fourier(model, rng=1, duration=60.0).sample(50.0)
     chi = prior.parameters.copy()
@@ -53,7 +53,7 @@ def measure() -> dict[str, float | str]:
     )
     information = accumulate(model, base, samples)
     estimate = fit_consistent(information, prior)
-    factor, bounds = information.stacked(estimate.weights), generous_bounds(prior)
+    factor, bounds = information.stacked(estimate.weights), bound_generously(prior)
     return {
         "conic_program_ms": _milliseconds(
             lambda: fit_consistent_bodies(prior, base.regrouping, factor=factor, bounds=bounds)
@@ -67,7 +67,7 @@ def measure() -> dict[str, float | str]:
             lambda: fit_toward_cad(information, prior, metric="euclidean")
         ),
         "standard_parameters_ms": _milliseconds(
-            lambda: standard_parameters(model, base, estimate.beta)
+            lambda: find_standard_parameters(model, base, estimate.beta)
         ),
     }
 

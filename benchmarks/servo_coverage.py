@@ -19,16 +19,16 @@ from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import prepare
-from asbuilt.workflow.servo import explained, settle_servo, with_delay_errors
+from asbuilt.workflow.servo import drop_unexplained, settle_servo, with_delay_errors
 
 REPETITIONS = 20
 RATE, DURATION, DELAY = 100.0, 40.0, 0.008
@@ -98,13 +98,13 @@ def _errors(
     truth = replace(described.with_parameters(chi), joints=joints)
     servo = PositionServo(kp=(kp,) * n, kd=(kd,) * n, delay=DELAY)
     recording = _recorded(truth, servo, noise, rng)
-    driven = driven_by_command(recording, replace(servo, delay=None))
+    driven = drive_by_command(recording, replace(servo, delay=None))
     options = StudyOptions(drive=DRIVE, checked=False)
     (item,), _, found, options = settle_servo(described, [driven], [], options)
     if found is None:
         raise ValueError("the recording has no servo")
     prepared = prepare(described, [item], chain=options.chain, checked=False, estimate_delay=False)
-    training = explained(prepared, [item], found).training
+    training = drop_unexplained(prepared, [item], found).training
     base = find_base_parameters(described, DRIVE)
     fit = fit_samples(described, training, base=base, method="auto", expected=found.expected)
     fit = with_delay_errors(fit, found)
@@ -171,7 +171,7 @@ def _simulated(truth: RobotModel, servo: PositionServo, t: Array, u: Array) -> A
         DriveSignal("command", t, u),
         longest_step=STEP,
     )
-    return simulate_windows(robot_as_described(truth, servo), window)[0]
+    return simulate_windows(build_robot_as_described(truth, servo), window)[0]
 
 
 if __name__ == "__main__":

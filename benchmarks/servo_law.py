@@ -27,10 +27,10 @@ from scipy.signal import savgol_filter
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.goal_profile import goal_path
+from asbuilt.dynamics.drives.goal_profile import derive_goal_path
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from commands import JOINTS, OTHERS, TRAINED
 from drive_terms import SHARED
@@ -90,7 +90,7 @@ def _simulated(goal, rate, joint_q, start, speed, rest, inertia, first, ticks, s
 def errors(joint: Joint, law: Mapping[str, float]) -> Array:
     """Return the errors [mrad] of all windows under a law, (W, 25)."""
     limit = joint.limit if np.isfinite(joint.limit) else law.get("goal", np.inf)
-    fine, goal = goal_path(joint.t, joint.command[:, None], limit)
+    fine, goal = derive_goal_path(joint.t, joint.command[:, None], limit)
     ticks = joint.t[0] + STEP * np.arange(round((joint.t[-1] - joint.t[0]) / STEP))
     held = np.clip(
         np.searchsorted(fine, ticks + STEP / 2 - law["delay"], side="right") - 1, 0, None
@@ -160,7 +160,7 @@ def main(asked: list[str]) -> None:
     """Print the laws of some joints."""
     names = sorted((*TRAINED, *OTHERS))
     folder = SHARED / "data" / "so101_sage"
-    model, (recordings,) = fitted_recordings(
+    model, (recordings,) = read_fitted_recordings(
         load_robot(SHARED / "models" / "so101" / "so101_new_calib.xml"),
         ([folder / each for each in names],),
         options=ReadingOptions(torque_source="command", sheet={"joints": JOINTS}, lock="gripper=0"),

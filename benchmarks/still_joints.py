@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -77,7 +77,7 @@ def report(data: Path) -> dict[str, list[float]]:
             result = identify_samples(
                 model,
                 prepare_samples(train, chain),
-                drive=usual_drive(model, train.torque_source),
+                drive=choose_usual_drive(model, train.torque_source),
                 method=method,
             )
             found = [validate_samples(result, each).metrics_as_built for each in held]

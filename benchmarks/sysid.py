@@ -22,12 +22,12 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -141,7 +141,7 @@ def _relative(found: Array, truth: Array) -> float:
 
 def _specification(model: RobotModel, servo: PositionServo) -> Any:
     """Return MuJoCo's description with position actuators and sensors."""
-    spec = mujoco.MjSpec.from_string(mjcf_text(model, actuators=False, shapes=False))
+    spec = mujoco.MjSpec.from_string(format_mjcf(model, actuators=False, shapes=False))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(
         mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -192,7 +192,7 @@ def _recorded(model: RobotModel, servo: PositionServo, seed: int) -> Recording:
     recording = Recording(
         t=t, q=measured, tau=np.zeros_like(u), command=u, joint_names=model.joint_names
     )
-    return driven_by_command(recording, servo)
+    return drive_by_command(recording, servo)
 
 
 def _windows(recording: Recording) -> Windows:

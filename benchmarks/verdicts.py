@@ -27,7 +27,7 @@ import numpy as np
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.validation.generalisation.repeated_motion import repeated_share
+from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
 from asbuilt.workflow.study import Study, identify
 from asbuilt.workflow.validation import validate
 from drive_terms import SHARED
@@ -110,7 +110,7 @@ def recorded_rows(
                 continue
             used = [prepare_samples(logs[k], study.result.chain) for k in train]
             for k in others:
-                near = repeated_share(used, prepare_samples(logs[k], study.result.chain))
+                near = measure_repeated_share(used, prepare_samples(logs[k], study.result.chain))
                 yield _row(label, Path(logs[k].source).stem, study, logs[k], near >= REPEATED)
 
 

@@ -25,8 +25,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 import asbuilt
-from asbuilt.cli.hayat2015.pages import sentences, write_reproduction
-from asbuilt.cli.hayat2015.tables import all_tables
+from asbuilt.cli.hayat2015.pages import describe_outcome, write_reproduction
+from asbuilt.cli.hayat2015.tables import build_all_tables
 
 DOCS = Path(__file__).resolve().parent
 BUILT, KEPT = DOCS / "built", DOCS / "pictures"
@@ -59,9 +59,9 @@ def reproduction() -> None:
     """Write the tables and figures of the 2015 paper."""
     redone = asbuilt.reproduce_paper()
     write_reproduction(BUILT / "reproduction", redone)
-    listed = "\n".join(f"* {sentence}" for sentence in sentences(redone))
+    listed = "\n".join(f"* {sentence}" for sentence in describe_outcome(redone))
     (BUILT / "reproduction" / "sentences.md").write_text(listed + "\n")
-    for name, table in all_tables(redone).items():
+    for name, table in build_all_tables(redone).items():
         (BUILT / "reproduction" / f"{name}.html").write_text(table.as_html() + "\n")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from asbuilt.codec import FieldError, json_text, plain, restored, stored
+from asbuilt.codec import FieldError, format_json, make_plain, restore_dataclass, store_as
 from asbuilt.findings import Cure, Finding
 
 
@@ -28,14 +28,14 @@ class Outer:
     flags: NDArray[np.bool_]
     places: tuple[NDArray[np.int64], ...]
     kind: Literal["one", "two"]
-    ratio: float = field(metadata=stored(missing=np.inf))
+    ratio: float = field(metadata=store_as(missing=np.inf))
     text: str | None
     inner: Inner | None
     several: tuple[Inner, ...]
     pair: tuple[str, float]
     table: Mapping[str, float]
     doubled: int = field(
-        metadata=stored(key="twice", encode=lambda x: 2 * x, decode=lambda x: x // 2)
+        metadata=store_as(key="twice", encode=lambda x: 2 * x, decode=lambda x: x // 2)
     )
     later: float = 1.5
 
@@ -56,9 +56,9 @@ EXAMPLE = Outer(
 
 
 def test_plain_data_are_json_and_come_back_to_the_last_bit() -> None:
-    text = json.dumps(plain(EXAMPLE), allow_nan=False)
-    again = restored(Outer, json.loads(text))
-    assert json.dumps(plain(again)) == text
+    text = json.dumps(make_plain(EXAMPLE), allow_nan=False)
+    again = restore_dataclass(Outer, json.loads(text))
+    assert json.dumps(make_plain(again)) == text
     np.testing.assert_array_equal(again.numbers, EXAMPLE.numbers)
     assert np.signbit(again.numbers[1, 1])
     assert again.flags.dtype == np.bool_
@@ -66,7 +66,7 @@ def test_plain_data_are_json_and_come_back_to_the_last_bit() -> None:
     assert again.ratio == np.inf
     assert (again.inner, again.several) == (EXAMPLE.inner, EXAMPLE.several)
     assert (again.pair, again.table) == (EXAMPLE.pair, EXAMPLE.table)
-    assert plain(EXAMPLE)["twice"] == 14
+    assert make_plain(EXAMPLE)["twice"] == 14
     assert again.doubled == 7
 
 
@@ -74,15 +74,15 @@ def test_findings_come_back_with_their_cures() -> None:
     found = Finding(
         "gap", "info", "a gap", Cure("record again", {"checked": False, "rate": 2.0}), "A1", 1.0
     )
-    assert restored(Finding, json.loads(json_text(found))) == found
+    assert restore_dataclass(Finding, json.loads(format_json(found))) == found
     bare = Finding("gap", "error", "a gap")
-    assert restored(Finding, plain(bare)) == bare
+    assert restore_dataclass(Finding, make_plain(bare)) == bare
 
 
 def test_paths_and_numbers_of_numpy_are_plain() -> None:
     document = {"path": Path("a") / "b", 1: np.float64(2.0), "n": np.int64(3), "no": np.nan}
-    assert plain(document) == {"path": str(Path("a") / "b"), "1": 2.0, "n": 3, "no": None}
-    assert type(plain(np.float64(2.0))) is float
+    assert make_plain(document) == {"path": str(Path("a") / "b"), "1": 2.0, "n": 3, "no": None}
+    assert type(make_plain(np.float64(2.0))) is float
 
 
 @pytest.mark.parametrize(
@@ -99,12 +99,12 @@ def test_paths_and_numbers_of_numpy_are_plain() -> None:
     ],
 )
 def test_what_does_not_fit_is_refused(change: dict[str, object], error: str) -> None:
-    data = plain(EXAMPLE)
+    data = make_plain(EXAMPLE)
     assert isinstance(data, dict)
     with pytest.raises((KeyError, TypeError, ValueError), match=error):
-        restored(Outer, data | change)
+        restore_dataclass(Outer, data | change)
     del data["numbers"]
     with pytest.raises(FieldError, match="numbers: it is missing"):
-        restored(Outer, data)
+        restore_dataclass(Outer, data)
     with pytest.raises(TypeError, match="object"):
-        restored(Outer, [1])  # type: ignore[arg-type]
+        restore_dataclass(Outer, [1])  # type: ignore[arg-type]

@@ -14,10 +14,10 @@ from asbuilt import compilation
 from asbuilt.compilation import (
     Kernel,
     MachineCodeFiles,
-    announced_by,
+    announce_kernels,
     compile_kernels,
+    digest_sources,
     kernel,
-    source_digest,
 )
 
 
@@ -39,7 +39,7 @@ def test_code_is_kept_until_a_source_beside_it_changes(
 ) -> None:
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 0
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 1
-    monkeypatch.setattr(compilation, "source_digest", lambda folder: "another")
+    monkeypatch.setattr(compilation, "digest_sources", lambda folder: "another")
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 0
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 1
 
@@ -64,7 +64,7 @@ def test_every_source_of_kernels_counts_and_no_other(tmp_path: Path, name: str) 
         with (folder / changed).open("a") as file:
             file.write("# a change\n")
         folders.append(folder)
-    as_it_is, changed, elsewhere = map(source_digest, folders)
+    as_it_is, changed, elsewhere = map(digest_sources, folders)
     assert changed != as_it_is
     assert elsewhere == as_it_is
 
@@ -150,12 +150,12 @@ def test_a_kernel_has_one_signature_and_refuses_other_types() -> None:
 
 def test_only_the_first_kernel_that_is_not_on_disk_is_announced(tmp_path: Path) -> None:
     seen = []
-    with announced_by(seen.append):
+    with announce_kernels(seen.append):
         made = fresh_twice(tmp_path)
         assert made.is_on_disk()
         fresh_twice(tmp_path)
     assert seen == [made]
-    with announced_by(seen.append):
+    with announce_kernels(seen.append):
         fresh_twice(tmp_path)
     assert seen == [made]
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from asbuilt.errors import AsbuiltError, UsageError
-from asbuilt.executor import Workers, open_workers, results_in_order
+from asbuilt.executor import Workers, open_workers, run_in_order
 
 
 def square(number: int) -> int:
@@ -84,10 +84,10 @@ def lost(number: int) -> int:
 @pytest.mark.parametrize("count", [None, 0, 2])
 def test_results_come_in_the_order_of_their_tasks(count: int | None) -> None:
     def check(workers: Workers | None) -> None:
-        assert results_in_order(halved, range(0, 12, 2), workers) == [0, 1, None, 3, 4, 5]
-        assert results_in_order(halved, [], workers) == []
+        assert run_in_order(halved, range(0, 12, 2), workers) == [0, 1, None, 3, 4, 5]
+        assert run_in_order(halved, [], workers) == []
         with pytest.raises(UsageError) as caught:
-            results_in_order(halved, [2, 5, 4, 3], workers)
+            run_in_order(halved, [2, 5, 4, 3], workers)
         assert caught.value.fields["value"] == 5
 
     if count is None:
@@ -99,7 +99,7 @@ def test_results_come_in_the_order_of_their_tasks(count: int | None) -> None:
 
 def test_a_task_whose_process_dies_is_an_error() -> None:
     with open_workers(1) as workers, pytest.raises(AsbuiltError, match="killed"):
-        results_in_order(lost, [1, 2, 3], workers)
+        run_in_order(lost, [1, 2, 3], workers)
 
 
 def test_modules_in_the_current_folder_are_not_run(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ from asbuilt.tables import (
     Column,
     Shown,
     Table,
-    deviation,
-    percent,
-    plus_minus,
-    rounded,
-    shortened,
-    significant,
-    stacked,
+    format_deviation,
+    format_percent,
+    format_plus_minus,
+    round_significant,
+    round_with_error,
+    shorten_text,
+    stack_tables,
 )
 
 GOLDEN = """\
@@ -41,9 +41,9 @@ def sample() -> Table:
         (12, "x", 123.0, 21.0, None),
         (13, "y", float("nan"), float("nan"), None),
     ]:
-        shown, uncertainty = rounded(value, error)
+        shown, uncertainty = round_with_error(value, error)
         rows.append(
-            (number, name, Shown(value, shown), Shown(error, uncertainty), deviation(sigmas))
+            (number, name, Shown(value, shown), Shown(error, uncertainty), format_deviation(sigmas))
         )
     heads = (
         Column("id", align="right"),
@@ -58,7 +58,7 @@ def sample() -> Table:
 def test_text_is_golden() -> None:
     assert sample().as_text() == GOLDEN
     assert str(sample()) == GOLDEN
-    assert stacked([sample(), sample()]) == GOLDEN + "\n" + GOLDEN
+    assert stack_tables([sample(), sample()]) == GOLDEN + "\n" + GOLDEN
 
 
 def wide() -> Table:
@@ -93,8 +93,8 @@ def test_full_text_has_everything() -> None:
 
 
 def test_zero_standard_errors_have_no_sign() -> None:
-    assert deviation(-0.04) == deviation(0.04) == "0.0 sigma"
-    assert deviation(-0.06) == "-0.1 sigma"
+    assert format_deviation(-0.04) == format_deviation(0.04) == "0.0 sigma"
+    assert format_deviation(-0.06) == "-0.1 sigma"
 
 
 def test_decimal_points_stand_in_one_column() -> None:
@@ -153,7 +153,7 @@ def test_control_characters_do_not_break_the_lines() -> None:
 
 @given(st.floats(-1e6, 1e6, allow_nan=False), st.floats(1e-12, 1e6))
 def test_rounding_agrees_with_decimal_arithmetic(value: float, error: float) -> None:
-    shown, uncertainty = (Decimal(text) for text in rounded(value, error))
+    shown, uncertainty = (Decimal(text) for text in round_with_error(value, error))
     step = Decimal(1).scaleb(Decimal(f"{error:.1e}").adjusted() - 1)
     expected = (
         Decimal(error).quantize(step, ROUND_HALF_EVEN)
@@ -169,23 +169,23 @@ def test_rounding_agrees_with_decimal_arithmetic(value: float, error: float) -> 
 
 
 def test_rounding_at_the_edges() -> None:
-    assert rounded(1.0, 0.0996) == ("1.00", "0.10")
-    assert rounded(123456.0, 1234.0) == ("123500", "1200")
-    assert rounded(-1e-9, 0.01) == ("0.000", "0.010")
-    assert rounded(1.0, None) == ("1", "-")
-    assert rounded(1.0, 0.0) == ("1", "0")
-    assert rounded(float("nan"), None) == ("-", "-")
-    assert plus_minus(2.0, float("inf")) == "2"
-    assert percent(1.0, None) == "-"
-    assert significant(9.999) == "10.0"
-    assert significant(float("inf")) == "-"
-    assert shortened("abcdefghij", 6) == "abc..."
-    assert shortened("Ixx5 - Iyy5 + Izz6 - 0.1414*my6 + m", 34) == "Ixx5 - Iyy5 + Izz6 ..."
+    assert round_with_error(1.0, 0.0996) == ("1.00", "0.10")
+    assert round_with_error(123456.0, 1234.0) == ("123500", "1200")
+    assert round_with_error(-1e-9, 0.01) == ("0.000", "0.010")
+    assert round_with_error(1.0, None) == ("1", "-")
+    assert round_with_error(1.0, 0.0) == ("1", "0")
+    assert round_with_error(float("nan"), None) == ("-", "-")
+    assert format_plus_minus(2.0, float("inf")) == "2"
+    assert format_percent(1.0, None) == "-"
+    assert round_significant(9.999) == "10.0"
+    assert round_significant(float("inf")) == "-"
+    assert shorten_text("abcdefghij", 6) == "abc..."
+    assert shorten_text("Ixx5 - Iyy5 + Izz6 - 0.1414*my6 + m", 34) == "Ixx5 - Iyy5 + Izz6 ..."
 
 
 @given(st.text(alphabet="ab +-", max_size=30), st.integers(1, 30))
 def test_shortened_texts_fit(text: str, width: int) -> None:
-    cut = shortened(text, width)
+    cut = shorten_text(text, width)
     assert cut == text if len(text) <= width else len(cut) <= max(width, 3)
 
 

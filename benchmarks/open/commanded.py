@@ -17,9 +17,9 @@ from task import Task
 
 from asbuilt.description.load import load_robot
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
-from asbuilt.writers.models.mjcf import exported_mjcf
+from asbuilt.writers.models.mjcf import export_mjcf
 
 
 def commanded_problem(task: Task, data: Path, folder: Path) -> Problem:
@@ -30,7 +30,7 @@ def commanded_problem(task: Task, data: Path, folder: Path) -> Problem:
         torque_source="command", lock=task.settings.get("lock"), sheet=task.sheet or None
     )
     paths = [[data / each for each in names] for names in (task.training, task.test)]
-    model, (training, test) = fitted_recordings(described, paths, options=reading)
+    model, (training, test) = read_fitted_recordings(described, paths, options=reading)
     if "trained" in task.settings:
         (log,) = training
         middle = int(task.settings["trained"] * len(log.t))
@@ -38,7 +38,7 @@ def commanded_problem(task: Task, data: Path, folder: Path) -> Problem:
     gains = {key: task.settings[key] for key in ("kp", "kd") if key in task.settings}
     joints = tuple(replace(each, drive=replace(each.drive, **gains)) for each in model.joints)
     model = replace(model, joints=joints)
-    (folder / "robot.xml").write_text(exported_mjcf(model))
+    (folder / "robot.xml").write_text(export_mjcf(model))
     rate = task.rate or float(round(1.0 / np.median(np.diff(training[0].t)), 3))
     for k, log in enumerate(training):
         np.savez(folder / f"train_{k}.npz", t=log.t, q=log.q, u=log.command)

@@ -18,7 +18,7 @@ from prepare import Array, Problem, write_facts
 from task import Task
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 
 POSE = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
 TWIST = ("base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz")
@@ -49,7 +49,7 @@ def legged_problem(task: Task, data: Path, folder: Path) -> Problem:
         gravity=list(map(float, model.gravity)),
         rate=rate,
         torque_source="motor",
-        armature=any(each.key == "armature" for each in usual_drive(model, "motor").terms),
+        armature=any(each.key == "armature" for each in choose_usual_drive(model, "motor").terms),
         contacts=task.settings["contacts"],
         description=str(source.resolve()),
     )

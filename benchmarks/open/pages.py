@@ -15,7 +15,7 @@ from typing import Any
 from page import MISSING, read_results
 from task import HERE, RESULTS, Task, tasks
 
-from asbuilt.tables import rounded, share
+from asbuilt.tables import format_share, round_with_error
 from asbuilt.validation.letter import LETTERS
 
 DOCS = HERE.parents[1] / "docs" / "robots"
@@ -98,12 +98,14 @@ def robot_document(task: Task, numbers: dict[str, Any], error: float, cad: float
 
 def _verdict(error: float, cad: float | None) -> str:
     letter = LETTERS.letter(error)
-    first = f"**{letter}**: as built it predicts motion that was not fitted to {share(error)}"
+    first = (
+        f"**{letter}**: as built it predicts motion that was not fitted to {format_share(error)}"
+    )
     if cad is None:
         return first + " of the torque. There is no maker's description with masses."
     return (
         f"{first} of the torque. The description as it is: **{LETTERS.letter(cad)}**,"
-        f" {share(cad)} ([the rule](index.md))."
+        f" {format_share(cad)} ([the rule](index.md))."
     )
 
 
@@ -166,7 +168,7 @@ def _drives(numbers: dict[str, Any]) -> str:
 def _interval(each: dict[str, Any] | None) -> str:
     if each is None or not each["determined"] or not each["error"] > 0.0:
         return MISSING
-    value, half = rounded(each["value"], SURE * each["error"])
+    value, half = round_with_error(each["value"], SURE * each["error"])
     return f"{value} ± {half}"
 
 
@@ -187,13 +189,13 @@ def _rests(task: Task, numbers: dict[str, Any]) -> str:
 
 def _index_line(task: Task, numbers: dict[str, Any], error: float, cad: float | None) -> str:
     named = sorted({name for name, *_ in _found(numbers)})
-    described = MISSING if cad is None else f"{LETTERS.letter(cad)} ({share(cad)})"
+    described = MISSING if cad is None else f"{LETTERS.letter(cad)} ({format_share(cad)})"
     masses = numbers["masses"]
     ratio = MISSING
     if masses and masses["cad"]:
         ratio = f"{masses['as_built'] / masses['cad']:.2f}"
     return (
-        f"| [{task.title}]({task.name}.md) | **{LETTERS.letter(error)}** ({share(error)}) |"
+        f"| [{task.title}]({task.name}.md) | **{LETTERS.letter(error)}** ({format_share(error)}) |"
         f" {described} | {ratio} | {', '.join(named) or 'none'} |"
     )
 

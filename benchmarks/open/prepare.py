@@ -20,10 +20,10 @@ from task import Task
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 
 Array = Any
 HIDDEN = ("mass", "ratio")
@@ -93,7 +93,7 @@ def write_problem(
     rate = task.rate or _rate(training[0])
     tree = model.tree
     bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in tree.joints)
-    plain = urdf_text(replace(tree, joints=bare, frames=()))
+    plain = format_urdf(replace(tree, joints=bare, frames=()))
     (folder / "robot.urdf").write_text(with_origins(plain))
     for k, log in enumerate(training):
         values = {"t": log.t, "q": log.q, "tau": log.tau}
@@ -125,7 +125,7 @@ def write_problem(
         gravity=list(map(float, model.gravity)),
         rate=rate,
         torque_source=source,
-        armature=any(each.key == "armature" for each in usual_drive(model, source).terms),
+        armature=any(each.key == "armature" for each in choose_usual_drive(model, source).terms),
         loaded=loaded,
         description=description or str(folder.resolve() / "robot.urdf"),
     )

@@ -20,7 +20,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from outside_robot import OutsideRobot, Sensors, other_bodies
@@ -63,7 +63,7 @@ def _as_urdf(model: RobotModel, folder: Path) -> RobotModel:
     joints = tuple(replace(joint, drive=type(joint.drive)()) for joint in model.joints)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "cad.urdf"
-    path.write_text(urdf_text(replace(model, joints=joints, frames=())))
+    path.write_text(format_urdf(replace(model, joints=joints, frames=())))
     return load_robot(path)
 
 

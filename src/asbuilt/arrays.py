@@ -18,7 +18,7 @@ def read_only(values: ArrayLike) -> Array:
     return array
 
 
-def any_of(mask: Mask) -> Mask:
+def find_true_rows(mask: Mask) -> Mask:
     """Return which rows of (N, m) hold a true value; by columns, as rows are short."""
     found: Mask = np.any(np.ascontiguousarray(mask.T), axis=0)
     return found

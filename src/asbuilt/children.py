@@ -24,7 +24,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from asbuilt.isolation import isolated_command, isolated_environment, trusted_command
+from asbuilt.isolation import (
+    build_isolated_command,
+    build_isolated_environment,
+    build_trusted_command,
+)
 
 PROGRAM = "from asbuilt.children import serve; serve({parent})"
 DIES_WITH_PARENT = 1
@@ -65,13 +69,15 @@ class Child:
     """
 
     def __init__(self, environment: Mapping[str, str], *, trusted: bool = False) -> None:
-        command = trusted_command if trusted else isolated_command
+        command = build_trusted_command if trusted else build_isolated_command
         self._process = subprocess.Popen(
             command(PROGRAM.format(parent=os.getpid())),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, **environment} if trusted else isolated_environment(environment),
+            env={**os.environ, **environment}
+            if trusted
+            else build_isolated_environment(environment),
             process_group=0,  # Ctrl-C is for this process, which ends its children
         )
         self._made_by = (os.getpid(), tuple(sys.path))
@@ -143,7 +149,7 @@ class ChildPool:
     def _run(self, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
         call = import_module("cloudpickle").dumps((function, arguments))
         child = self._child_of_thread()
-        (answer,) = child.call(pickle.dumps((_pickled, (call,))), Limits())
+        (answer,) = child.call(pickle.dumps((_run_pickled_call, (call,))), Limits())
         result, problem = pickle.loads(answer)
         if problem is not None:
             raise problem
@@ -167,7 +173,7 @@ class ChildPool:
         self._threads.shutdown()
 
 
-def _pickled(call: bytes) -> list[bytes]:
+def _run_pickled_call(call: bytes) -> list[bytes]:
     """Return the pickled result of a pickled call and None, or None and what it raised."""
     try:
         function, arguments = pickle.loads(call)

@@ -25,7 +25,7 @@ class FieldError(ValueError):
         self.place, self.reason = place, reason
 
 
-def stored(
+def store_as(
     *,
     key: str = "",
     missing: float = math.nan,
@@ -46,30 +46,32 @@ def stored(
     return {"key": key, "missing": missing, "encode": encode, "decode": decode}
 
 
-def plain(value: Any) -> Any:
+def make_plain(value: Any) -> Any:
     """Return dataclasses, arrays and tuples as dictionaries and lists, NaN and infinities as None.
 
-    >>> plain({"a": np.array([1.0, np.nan]), "b": (True, "x")})
+    >>> make_plain({"a": np.array([1.0, np.nan]), "b": (True, "x")})
     {'a': [1.0, None], 'b': [True, 'x']}
     """
     if is_dataclass(value) and not isinstance(value, type):
         return {
-            _key(item): (item.metadata.get("encode") or plain)(getattr(value, item.name))
+            _choose_key(item): (item.metadata.get("encode") or make_plain)(
+                getattr(value, item.name)
+            )
             for item in fields(value)
         }
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): make_plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return make_plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [make_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, os.PathLike) else value
 
 
-def restored(kind: type[T], data: Mapping[str, Any]) -> T:
-    """Rebuild a dataclass from `plain`; a field that is missing takes its default.
+def restore_dataclass(kind: type[T], data: Mapping[str, Any]) -> T:
+    """Rebuild a dataclass from `make_plain`; a field that is missing takes its default.
 
     Raises
     ------
@@ -78,39 +80,43 @@ def restored(kind: type[T], data: Mapping[str, Any]) -> T:
     TypeError
         If the data are no object.
     """
-    return kind(**decoded(kind, data))
+    return kind(**decode_fields(kind, data))
 
 
-def decoded(kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()) -> dict[str, Any]:
-    """Return the fields of a dataclass, except those in `but`, as `restored` makes them."""
+def decode_fields(
+    kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()
+) -> dict[str, Any]:
+    """Return the fields of a dataclass, except those in `but`, made by `restore_dataclass`."""
     if not isinstance(data, Mapping):
         raise TypeError(f"{kind.__name__} is stored as an object, got {type(data).__name__}")
     hints, given = _hints(kind), {}  # type: ignore[arg-type]
     for item in fields(kind):
         if item.name in but:
             continue
-        if _key(item) in data:
+        if _choose_key(item) in data:
             try:
-                given[item.name] = _decoded(hints[item.name], data[_key(item)], item.metadata)
+                given[item.name] = _decode(hints[item.name], data[_choose_key(item)], item.metadata)
             except FieldError as problem:
-                raise FieldError(f"{_key(item)}.{problem.place}", problem.reason) from None
+                raise FieldError(f"{_choose_key(item)}.{problem.place}", problem.reason) from None
             except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as problem:
-                raise FieldError(_key(item), f"{type(problem).__name__} {problem}"[:200]) from None
+                raise FieldError(
+                    _choose_key(item), f"{type(problem).__name__} {problem}"[:200]
+                ) from None
         elif item.default is MISSING and item.default_factory is MISSING:
-            raise FieldError(_key(item), "it is missing")
+            raise FieldError(_choose_key(item), "it is missing")
     return given
 
 
-def json_text(document: Any) -> str:
+def format_json(document: Any) -> str:
     """Return one JSON document of plain data, indented, with a newline at the end."""
-    return json.dumps(plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    return json.dumps(make_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def _key(item: Field[Any]) -> str:
+def _choose_key(item: Field[Any]) -> str:
     return item.metadata.get("key") or item.name
 
 
-def _decoded(hint: Any, value: Any, how: Mapping[str, Any]) -> Any:
+def _decode(hint: Any, value: Any, how: Mapping[str, Any]) -> Any:
     if how.get("decode") is not None:
         return how["decode"](value)
     return _as(hint, value, how.get("missing", math.nan))
@@ -129,7 +135,7 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
         return value
     if origin is np.ndarray:
         (number,) = get_args(arguments[1])
-        return _array(value, number, missing)
+        return _decode_array(value, number, missing)
     if origin is tuple:
         if not isinstance(value, list):
             raise TypeError(f"expected a list, got {type(value).__name__}")
@@ -139,15 +145,15 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
     if origin is not None and issubclass(origin, Mapping):
         return {key: _as(arguments[1], item) for key, item in value.items()}
     if is_dataclass(hint):
-        return restored(hint, value)  # type: ignore[arg-type]
+        return restore_dataclass(hint, value)  # type: ignore[arg-type]
     if hint is float:
-        return missing if value is None else _finite(value)
+        return missing if value is None else _require_finite(value)
     if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
         raise TypeError(f"expected {hint.__name__}, got {value!r}")
     return value
 
 
-def _array(value: Any, number: Any, missing: float = math.nan) -> Any:
+def _decode_array(value: Any, number: Any, missing: float = math.nan) -> Any:
     """Return an array of finite numbers, `missing` where None is stored."""
     found = np.array(value)
     numeric = found.dtype != object or all(
@@ -164,7 +170,7 @@ def _array(value: Any, number: Any, missing: float = math.nan) -> Any:
     return array
 
 
-def _finite(value: Any) -> float:
+def _require_finite(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"expected a number, got {str(value)[:60]!r}")
     if not math.isfinite(value):

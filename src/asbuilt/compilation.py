@@ -92,11 +92,11 @@ class Kernel(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], signature: str, options: Any) -> None:
         super().__init__(function, targetoptions=options)
-        self.declared = types_of(signature)
+        self.declared = parse_types(signature)
         try:
             self._cache = MachineCode(function)
             own = Path(function.__code__.co_filename).parent
-            sources = [source_digest(folder) for folder in (PACKAGE, SHARED_PARTS, own)]
+            sources = [digest_sources(folder) for folder in (PACKAGE, SHARED_PARTS, own)]
             self._cache._cache_file = MachineCodeFiles(self._cache._cache_file, "".join(sources))
         except (RuntimeError, AttributeError):
             self._cache = NullCache()
@@ -121,7 +121,7 @@ class Kernel(CPUDispatcher):
                 announce, Kernel.announce = Kernel.announce, None
                 announce(self)
             if self._can_compile:
-                with _no_garbage_collected():
+                with _pause_garbage_collection():
                     super().compile(self.declared)
                 self.disable_compile()
 
@@ -181,7 +181,7 @@ def compile_kernels(report: Callable[[float], None]) -> None:
 
 
 @contextmanager
-def announced_by(announce: Callable[[Kernel], None]) -> Iterator[None]:
+def announce_kernels(announce: Callable[[Kernel], None]) -> Iterator[None]:
     """Call `announce` before the first kernel is compiled, if any is."""
     Kernel.announce = announce
     try:
@@ -191,7 +191,7 @@ def announced_by(announce: Callable[[Kernel], None]) -> Iterator[None]:
 
 
 @contextmanager
-def _no_garbage_collected() -> Iterator[None]:
+def _pause_garbage_collection() -> Iterator[None]:
     """Spare the compiler the collector, which finds little and takes a tenth of its time."""
     enabled = gc.isenabled()
     gc.disable()
@@ -202,16 +202,16 @@ def _no_garbage_collected() -> Iterator[None]:
             gc.enable()
 
 
-def types_of(signature: str) -> tuple[Any, ...]:
+def parse_types(signature: str) -> tuple[Any, ...]:
     """Return the types of arguments.
 
-    >>> types_of("i f2 F1")
+    >>> parse_types("i f2 F1")
     (int64, Array(float64, 2, 'C', True, aligned=True), Array(float64, 1, 'C', False, aligned=True))
     """
-    return tuple(map(_type_of, signature.split()))
+    return tuple(map(_parse_type, signature.split()))
 
 
-def _type_of(word: str) -> Any:
+def _parse_type(word: str) -> Any:
     letter, n_axes = word[0], word[1:]
     number: Any = NUMBERS[letter.lower()]
     if not n_axes:
@@ -222,7 +222,7 @@ def _type_of(word: str) -> Any:
 
 
 @cache
-def source_digest(folder: Path) -> str:
+def digest_sources(folder: Path) -> str:
     """Return a digest of all Python files of a folder that compile anything."""
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):

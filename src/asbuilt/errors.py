@@ -42,7 +42,7 @@ class AsbuiltError(Exception):
         return f"{self.message}; {self.cure}" if self.cure else self.message
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (_restored, (type(self), self.message, self.cure, self.fields))
+        return (_restore, (type(self), self.message, self.cure, self.fields))
 
 
 def refuse(
@@ -67,7 +67,7 @@ def without_long_words(text: str) -> str:
     return LONG_WORD.sub(lambda word: f"{word[0][:60]}...", text)
 
 
-def _restored(kind: type[AsbuiltError], message: str, cure: Any, fields: Any) -> AsbuiltError:
+def _restore(kind: type[AsbuiltError], message: str, cure: Any, fields: Any) -> AsbuiltError:
     error = kind.__new__(kind)
     AsbuiltError.__init__(error, message, cure=cure, **fields)
     return error
@@ -105,7 +105,7 @@ class MissingExtraError(AsbuiltError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        needed = " ".join(_packages_of(extra)) or package
+        needed = " ".join(_list_packages(extra)) or package
         super().__init__(
             f"{purpose} needs the package {package}, which is not installed",
             cure=Cure(f"run pip install {needed}, or pip install 'asbuilt[{extra}]'"),
@@ -114,7 +114,7 @@ class MissingExtraError(AsbuiltError, ImportError):
         )
 
 
-def _packages_of(extra: str) -> list[str]:
+def _list_packages(extra: str) -> list[str]:
     """Return the distributions of an extra of asbuilt, as its metadata lists them."""
     from importlib import metadata  # noqa: PLC0415 - slow, rarely needed
 

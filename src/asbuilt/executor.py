@@ -19,7 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from asbuilt.children import ChildEnded, ChildPool
 from asbuilt.errors import AsbuiltError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import reason, shown_path
+from asbuilt.untrusted import describe_problem, shorten_path
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -111,7 +111,7 @@ class Workers:
                     found, seconds = future.result()
                 except Exception as problem:
                     if len(batch) == 1 and not isinstance(problem, ENDED):
-                        yield Outcome(batch[0], problem=_reason(problem))
+                        yield Outcome(batch[0], problem=_describe_failure(problem))
                     else:
                         suspects += batch
                     continue
@@ -127,7 +127,7 @@ class Workers:
             except ENDED:
                 continue
             except Exception as problem:
-                return Outcome(task, problem=_reason(problem))
+                return Outcome(task, problem=_describe_failure(problem))
             return Outcome(task, *found)
         return Outcome(
             task, problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory"
@@ -167,16 +167,20 @@ def _run(function: Callable[[Any], Any], task: Any) -> tuple[Any, ...]:
     try:
         return (function(task),)
     except Exception as problem:
-        return None, _reason(problem), problem if isinstance(problem, AsbuiltError) else None
+        return (
+            None,
+            _describe_failure(problem),
+            problem if isinstance(problem, AsbuiltError) else None,
+        )
 
 
-def _reason(problem: BaseException) -> str:
+def _describe_failure(problem: BaseException) -> str:
     if type(problem).__name__ == "KilledWorker":
         return "its worker was killed again and again"
     return f"{type(problem).__name__}: {problem}"
 
 
-def results_in_order(
+def run_in_order(
     function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers | None = None
 ) -> list[Result]:
     """Return `function(task)` of all tasks, by workers or, if there are none, here.
@@ -190,7 +194,7 @@ def results_in_order(
     if workers is None:
         return [function(task) for task in tasks]
     numbered = list(enumerate(tasks))
-    found = {each.task[0]: each for each in workers.run(partial(_numbered, function), numbered)}
+    found = {each.task[0]: each for each in workers.run(partial(_run_numbered, function), numbered)}
     for number, _ in numbered:
         problem = found[number].problem
         if problem is not None:
@@ -200,7 +204,7 @@ def results_in_order(
     return [found[number].result for number, _ in numbered]  # type: ignore[misc]
 
 
-def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:
+def _run_numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:
     return function(task[1])
 
 
@@ -224,7 +228,7 @@ def open_workers(workers: int | None = None, scheduler: str | None = None) -> It
         If Dask is needed and not installed.
     """
     if scheduler is not None:
-        with _cluster(scheduler) as found:
+        with _open_cluster(scheduler) as found:
             yield found
         return
     count = len(os.sched_getaffinity(0)) if workers is None else workers
@@ -253,14 +257,14 @@ class _Here:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Workers]:
+def _open_cluster(address: str) -> Iterator[Workers]:
     if not ADDRESS.fullmatch(address):
-        raise UsageError(f"{shown_path(address)!r} is no address such as tcp://10.0.0.1:8786")
+        raise UsageError(f"{shorten_path(address)!r} is no address such as tcp://10.0.0.1:8786")
     try:
         distributed = import_module("distributed")
     except ImportError:
         raise MissingExtraError("distributed", "cluster", "a Dask scheduler") from None
-    client, threads = _connected(distributed, address)
+    client, threads = _connect_scheduler(distributed, address)
     try:
         if not threads:
             raise UsageError(
@@ -273,7 +277,7 @@ def _cluster(address: str) -> Iterator[Workers]:
         client.close()
 
 
-def _connected(distributed: Any, address: str) -> tuple[Any, int]:
+def _connect_scheduler(distributed: Any, address: str) -> tuple[Any, int]:
     """Return the client of a scheduler and the number of its threads.
 
     Another thread connects, since what is no scheduler may say nothing for ever, or anything; that
@@ -297,7 +301,7 @@ def _connected(distributed: Any, address: str) -> tuple[Any, int]:
     except TimeoutError:
         why = f"nothing that it says in {GIVEN_UP:.0f} s is of Dask"
     except (Exception, MemoryError) as problem:
-        why = reason(problem)
+        why = describe_problem(problem)
     finally:
         log.level = before
     raise UsageError(f"no Dask scheduler answers at {address}: {why}", cure=cure)

@@ -84,7 +84,7 @@ class Finding:
         >>> finding.brief(30)
         'a gap of 2 s at 4 s (row 9).'
         """
-        message = self.message if len(self.message) < room else _clauses(self.message, room)
+        message = self.message if len(self.message) < room else _cut_to_clauses(self.message, room)
         whole = replace(self, message=message).advised(cure_text)
         return whole if len(whole) <= room else f"{message}."
 
@@ -119,7 +119,7 @@ class Finding:
         }
 
 
-def _clauses(text: str, room: int) -> str:
+def _cut_to_clauses(text: str, room: int) -> str:
     """Return a text up to the last end of a clause outside brackets within the room.
 
     The name of a recording, with which a text may begin, is no clause.
@@ -138,15 +138,15 @@ def _clauses(text: str, room: int) -> str:
     return text[: min(ends)] if ends else text
 
 
-def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+def rank_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Sort findings by severity, errors first; equal severities keep their order."""
     return tuple(sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
-def joined(names: Sequence[str], most: int = 7) -> str:
+def join_names(names: Sequence[str], most: int = 7) -> str:
     """Join names with commas, the last with "and"; a list longer than `most` ends in "n more".
 
-    >>> joined(["A1", "A2", "A3"]), joined(["A1", "A2", "A3"], most=1)
+    >>> join_names(["A1", "A2", "A3"]), join_names(["A1", "A2", "A3"], most=1)
     ('A1, A2 and A3', 'A1 and 2 more')
     """
     listed = [*names[:most], *([f"{len(names) - most} more"] if len(names) > most else [])]

@@ -15,31 +15,31 @@ KEPT = ("DYLD_LIBRARY_PATH", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP", "TM
 """Variables of the environment that a child needs to load libraries and to keep temporary files."""
 
 
-def isolated_command(program: str) -> list[str]:
+def build_isolated_command(program: str) -> list[str]:
     """Return the command that runs a Python program with no more than the modules of this one.
 
     Neither the current folder, nor the environment, nor files of the user are consulted.
     """
-    begin = f"import sys; sys.path[:] = {_modules()!r}; "
+    begin = f"import sys; sys.path[:] = {_list_module_folders()!r}; "
     return [sys.executable, "-I", "-S", "-c", begin + program]
 
 
-def trusted_command(program: str) -> list[str]:
+def build_trusted_command(program: str) -> list[str]:
     """Return the command that runs a Python program with all modules of this one."""
     return [sys.executable, "-I", "-c", f"import sys; sys.path[:] = {sys.path!r}; {program}"]
 
 
-def isolated_environment(more: Mapping[str, str]) -> dict[str, str]:
+def build_isolated_environment(more: Mapping[str, str]) -> dict[str, str]:
     """Return `more` and the few variables of this environment that a child needs."""
     return {name: os.environ[name] for name in KEPT if name in os.environ} | dict(more)
 
 
 def leave_current_folder() -> None:
     """Import nothing further from the current folder, which `python -m` searches first."""
-    sys.path[:] = _modules()
+    sys.path[:] = _list_module_folders()
 
 
-def _modules() -> list[str]:
+def _list_module_folders() -> list[str]:
     """Return the folders of modules without the current one, unless this package lies there."""
     here, home = os.path.realpath(os.curdir), str(Path(__file__).resolve().parents[1])
     return [

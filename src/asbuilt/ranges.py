@@ -53,10 +53,10 @@ def check_ranges(options: Any) -> None:
             continue
         for value in given if isinstance(given, tuple) else (given,):
             if not allowed.holds(value):
-                raise out_of_range(item.name, value, allowed)
+                raise make_range_error(item.name, value, allowed)
 
 
-def out_of_range(name: str, value: Any, allowed: Range) -> UsageError:
+def make_range_error(name: str, value: Any, allowed: Range) -> UsageError:
     """Return the error of a number beyond its range."""
     shown = f"{value:g}" if isinstance(value, float) else str(value)[:60]
     return UsageError(

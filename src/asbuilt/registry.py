@@ -14,49 +14,51 @@ from asbuilt.errors import UsageError
 T = TypeVar("T")
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """Return a question that proposes the nearest of the known names, empty if none is near.
 
-    >>> did_you_mean("metod", ["method", "drive"])
+    >>> suggest_name("metod", ["method", "drive"])
     "did you mean 'method'? "
     """
     near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}? " if near else ""
 
 
-def known_fields(schema: Mapping[str, Any], location: Sequence[int | str]) -> list[str]:
+def list_known_fields(schema: Mapping[str, Any], location: Sequence[int | str]) -> list[str]:
     """Return the fields that a JSON Schema allows at a place, such as `("links", 0, "drive")`.
 
     Steps that name a variant of a union, as pydantic's errors have them, lead nowhere else.
 
     >>> schema = {"properties": {"units": {"properties": {"time": {}}}}}
-    >>> known_fields(schema, ()), known_fields(schema, ("units",))
+    >>> list_known_fields(schema, ()), list_known_fields(schema, ("units",))
     (['units'], ['time'])
     """
-    places = _variants(schema, schema)
+    places = _list_variants(schema, schema)
     for step in location:
-        inner = [_inside(place, step) for place in places]
-        found = [each for place in inner if place is not None for each in _variants(place, schema)]
+        inner = [_enter_place(place, step) for place in places]
+        found = [
+            each for place in inner if place is not None for each in _list_variants(place, schema)
+        ]
         places = found or places
     return [name for place in places for name in place.get("properties", {})]
 
 
-def _variants(place: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _list_variants(place: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return a place of a schema, or the members of its union, with references resolved."""
     if "$ref" in place:
-        return _variants(schema["$defs"][place["$ref"].rpartition("/")[2]], schema)
+        return _list_variants(schema["$defs"][place["$ref"].rpartition("/")[2]], schema)
     members = [*place.get("anyOf", ()), *place.get("allOf", ())]
-    return [each for member in members for each in _variants(member, schema)] or [place]
+    return [each for member in members for each in _list_variants(member, schema)] or [place]
 
 
-def _inside(place: Mapping[str, Any], step: int | str) -> Mapping[str, Any] | None:
+def _enter_place(place: Mapping[str, Any], step: int | str) -> Mapping[str, Any] | None:
     """Return the part of a place at a field or an index, None if there is none."""
     further = place.get("items" if isinstance(step, int) else "additionalProperties")
     inner = place.get("properties", {}).get(step, further)
     return inner if isinstance(inner, Mapping) else None
 
 
-def shared_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dict[str, Any]]:
+def divide_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dict[str, Any]]:
     """Return the settings of each class of options, by the names of their fields.
 
     Texts are read as an interface reads them (`parse` and `choices` in the field's metadata).
@@ -71,7 +73,7 @@ def shared_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dic
     for name, value in settings.items():
         if name not in entries:
             raise UsageError(
-                f"there is no option {name!r}; {did_you_mean(name, entries)}there are"
+                f"there is no option {name!r}; {suggest_name(name, entries)}there are"
                 f" {', '.join(entries)}",
                 value=name,
                 available=[*entries],
@@ -127,7 +129,7 @@ class Registry(Mapping[str, T]):
         if name in self:
             return self[name]
         raise UsageError(
-            f"unknown {self.what} {name!r}; {did_you_mean(name, self)}available: {', '.join(self)}"
+            f"unknown {self.what} {name!r}; {suggest_name(name, self)}available: {', '.join(self)}"
         )
 
     def __getitem__(self, name: str) -> T:

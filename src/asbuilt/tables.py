@@ -40,18 +40,18 @@ class Shown:
 Cell = str | int | float | Shown | None
 
 
-def rounded(value: float, error: float | None) -> tuple[str, str]:
+def round_with_error(value: float, error: float | None) -> tuple[str, str]:
     """Round a value and its standard error to the error's second significant digit.
 
     Both share their last digit, and beyond seven decimals their exponent. Without a usable error
     the value has six significant digits. Source: the usual rule of metrology (GUM, JCGM 100:2008,
     7.2.6).
 
-    >>> rounded(0.0309871, 0.00412)
+    >>> round_with_error(0.0309871, 0.00412)
     ('0.0310', '0.0041')
-    >>> rounded(6.2048, 0.0996)
+    >>> round_with_error(6.2048, 0.0996)
     ('6.20', '0.10')
-    >>> rounded(2.5e-10, 3e-12)
+    >>> round_with_error(2.5e-10, 3e-12)
     ('2.500e-10', '0.030e-10')
     """
     if not math.isfinite(value):
@@ -66,34 +66,38 @@ def rounded(value: float, error: float | None) -> tuple[str, str]:
         kept = decimals + exponent
         lifted, uncertainty = Decimal(value).scaleb(-exponent), Decimal(error).scaleb(-exponent)
         power = f"e{exponent:+03d}" if exponent else ""
-        return f"{_signless(lifted, kept)}{power}", f"{uncertainty:.{kept}f}{power}"
+        return f"{_drop_zero_sign(lifted, kept)}{power}", f"{uncertainty:.{kept}f}{power}"
     if decimals < 0:
         step = 10.0**-decimals
         value, error, decimals = round(value / step) * step, round(error / step) * step, 0
-    return _signless(value, decimals), f"{error:.{decimals}f}"
+    return _drop_zero_sign(value, decimals), f"{error:.{decimals}f}"
 
 
-def plus_minus(value: float, error: float | None) -> str:
+def format_plus_minus(value: float, error: float | None) -> str:
     """Return value and standard error as one text.
 
-    >>> plus_minus(0.0309871, 0.00412)
+    >>> format_plus_minus(0.0309871, 0.00412)
     '0.0310 +/- 0.0041'
     """
-    shown, uncertainty = rounded(value, error)
+    shown, uncertainty = round_with_error(value, error)
     return shown if uncertainty == MISSING else f"{shown} +/- {uncertainty}"
 
 
-def estimated(value: float, error: float | None) -> tuple[Shown, Shown, Shown]:
+def format_estimate(value: float, error: float | None) -> tuple[Shown, Shown, Shown]:
     """Return the cells of a value, its standard error, and this in percent of the value."""
-    shown, uncertainty = rounded(value, error)
+    shown, uncertainty = round_with_error(value, error)
     relative = None if error is None or not value else 100.0 * abs(error / value)
-    return Shown(value, shown), Shown(error, uncertainty), Shown(relative, percent(value, error))
+    return (
+        Shown(value, shown),
+        Shown(error, uncertainty),
+        Shown(relative, format_percent(value, error)),
+    )
 
 
-def percent(value: float, error: float | None) -> str:
+def format_percent(value: float, error: float | None) -> str:
     """Return the relative standard error 100 |error / value|, a dash where it has no meaning.
 
-    >>> percent(0.031, 0.0041), percent(1e-5, 1.0), percent(0.0, 1.0)
+    >>> format_percent(0.031, 0.0041), format_percent(1e-5, 1.0), format_percent(0.0, 1.0)
     ('13.2', '>999', '-')
     """
     if error is None or not math.isfinite(error) or not math.isfinite(value) or value == 0:
@@ -102,38 +106,38 @@ def percent(value: float, error: float | None) -> str:
     return ">999" if share > 999 else f"{share:.1f}"
 
 
-def share(fraction: float | None, digits: int = 1) -> str:
+def format_share(fraction: float | None, digits: int = 1) -> str:
     """Return a fraction as a percentage with its sign.
 
-    >>> share(0.0187)
+    >>> format_share(0.0187)
     '1.9 %'
     """
     return (
         MISSING
         if fraction is None or not math.isfinite(fraction)
-        else f"{_signless(100.0 * fraction, digits)} %"
+        else f"{_drop_zero_sign(100.0 * fraction, digits)} %"
     )
 
 
-def beside(value: float, error: float | None) -> str:
+def round_beside(value: float, error: float | None) -> str:
     """Round a number for printing next to another of standard error `error`.
 
     It keeps four significant digits, fewer if it is far below the error.
 
-    >>> beside(0.023661, 0.4), beside(6.666386, 0.0023), beside(1e-9, 0.4)
+    >>> round_beside(0.023661, 0.4), round_beside(6.666386, 0.0023), round_beside(1e-9, 0.4)
     ('0.02366', '6.666', '0.0000')
     """
     if error is None or not math.isfinite(error) or abs(value) >= 1e-3 * error:
-        return significant(value, 4)
-    return rounded(value, 1e-2 * error)[0]
+        return round_significant(value, 4)
+    return round_with_error(value, 1e-2 * error)[0]
 
 
-def significant(value: float | None, digits: int = 3) -> str:
+def round_significant(value: float | None, digits: int = 3) -> str:
     """Round a number to significant digits; only very large and small ones take an exponent.
 
-    >>> significant(61.2943), significant(0.000123456), significant(69386.0), significant(None)
+    >>> tuple(round_significant(each) for each in (61.2943, 0.000123456, 69386.0, None))
     ('61.3', '0.000123', '69400', '-')
-    >>> significant(1234567.0)
+    >>> round_significant(1234567.0)
     '1.23e+06'
     """
     if value is None or not math.isfinite(value):
@@ -146,10 +150,10 @@ def significant(value: float | None, digits: int = 3) -> str:
     return f"{float(f'{value:.{digits - 1}e}'):.{max(0, digits - 1 - exponent)}f}"
 
 
-def deviation(sigmas: float | None, threshold: float = SIGNIFICANT_SIGMAS) -> str:
+def format_deviation(sigmas: float | None, threshold: float = SIGNIFICANT_SIGMAS) -> str:
     """Return a difference in standard errors, "DIFFERS" from the threshold on.
 
-    >>> deviation(1.83), deviation(-57.0), deviation(-0.01), deviation(None)
+    >>> tuple(format_deviation(each) for each in (1.83, -57.0, -0.01, None))
     ('+1.8 sigma', 'DIFFERS', '0.0 sigma', '-')
     """
     if sigmas is None or math.isnan(sigmas):
@@ -159,10 +163,10 @@ def deviation(sigmas: float | None, threshold: float = SIGNIFICANT_SIGMAS) -> st
     return "0.0 sigma" if abs(sigmas) < 0.05 else f"{sigmas:+.1f} sigma"
 
 
-def shortened(text: str, width: int) -> str:
+def shorten_text(text: str, width: int) -> str:
     """Cut a text at a space so that it fits the width with three dots.
 
-    >>> shortened("mz2 - my3 + 0.4 m3 + 0.4 m4", 23)
+    >>> shorten_text("mz2 - my3 + 0.4 m3 + 0.4 m4", 23)
     'mz2 - my3 + 0.4 m3 ...'
     """
     if len(text) <= width:
@@ -174,7 +178,7 @@ def shortened(text: str, width: int) -> str:
     return head[: head.rindex(" ")].rstrip(" +-") + " ..."
 
 
-def wrapped(text: str, first: str = "", *, lines: int | None = None) -> str:
+def wrap_text(text: str, first: str = "", *, lines: int | None = None) -> str:
     """Break a text at spaces into lines of 80 columns, the later ones indented below the first.
 
     Parameters
@@ -186,10 +190,10 @@ def wrapped(text: str, first: str = "", *, lines: int | None = None) -> str:
     lines
         Most lines; a longer text ends in " ...".
 
-    >>> print(wrapped("Standard errors are from blocks. " * 3, "[1] ", lines=1))
+    >>> print(wrap_text("Standard errors are from blocks. " * 3, "[1] ", lines=1))
     [1] Standard errors are from blocks. Standard errors are from blocks. ...
     """
-    unbroken = _plain(text).replace(" %", "\u00a0%")  # a number stays with its sign
+    unbroken = _replace_unprintable(text).replace(" %", "\u00a0%")  # a number stays with its sign
     return textwrap.fill(
         unbroken,
         WIDTH,
@@ -201,9 +205,9 @@ def wrapped(text: str, first: str = "", *, lines: int | None = None) -> str:
     ).replace("\u00a0", " ")
 
 
-def numbered(notes: Iterable[str]) -> list[str]:
+def number_notes(notes: Iterable[str]) -> list[str]:
     """Return notes as wrapped lines, `[1]`, `[2]` and so on before each."""
-    return [wrapped(note, f"[{number}] ") for number, note in enumerate(notes, start=1)]
+    return [wrap_text(note, f"[{number}] ") for number, note in enumerate(notes, start=1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +251,9 @@ class Column:
             return MISSING
         if isinstance(self.style, str):
             return format(cell + 0.0, self.style)
-        return significant(cell, self.style) if isinstance(self.style, int) else self.style(cell)
+        return (
+            round_significant(cell, self.style) if isinstance(self.style, int) else self.style(cell)
+        )
 
 
 @dataclass(frozen=True)
@@ -334,19 +340,22 @@ class Table:
         )[:most]
         columns = [self.columns[k] for k in kept]
         body = [
-            [_plain(column.shown(row[k])) for k, column in zip(kept, columns, strict=True)]
+            [
+                _replace_unprintable(column.shown(row[k]))
+                for k, column in zip(kept, columns, strict=True)
+            ]
             for row in rows
         ]
         legend = [] if full else _number_names(body, columns)
         if not full:
             body = [
                 [
-                    shortened(text, c.width or len(text))
+                    shorten_text(text, c.width or len(text))
                     for text, c in zip(row, columns, strict=True)
                 ]
                 for row in body
             ]
-        cells = [_aligned([row[k] for row in body], c.align) for k, c in enumerate(columns)]
+        cells = [_align_cells([row[k] for row in body], c.align) for k, c in enumerate(columns)]
         heads = [[column.header for column in columns]]
         if any(column.unit for column in columns):
             heads.append([column.unit for column in columns])
@@ -355,16 +364,16 @@ class Table:
             for k in range(len(columns))
         ]
         if not full:
-            widths = _fitted(widths, columns)
+            widths = _narrow_columns(widths, columns)
         rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-        lines = [self.title if full else wrapped(self.title)] if self.title else []
-        lines += [_line(head, widths, columns) for head in heads]
+        lines = [self.title if full else wrap_text(self.title)] if self.title else []
+        lines += [_format_line(head, widths, columns) for head in heads]
         lines.append(rule)
-        lines += [_line(row, widths, columns) for row in zip(*cells, strict=True)]
+        lines += [_format_line(row, widths, columns) for row in zip(*cells, strict=True)]
         if len(rows) < len(self.rows):
             lines.append(f"... {len(self.rows) - len(rows)} more rows")
         lines += legend
-        lines += numbered((*self.notes, *(self.details if full else ())))
+        lines += number_notes((*self.notes, *(self.details if full else ())))
         return "".join(f"{line.rstrip()}\n" for line in lines)
 
     def as_html(self, identifier: str = "") -> str:
@@ -380,7 +389,7 @@ class Table:
             for each in self.columns
         ]
         head = "".join(
-            f'<th scope="col"{_html_class(column)}>{text}'
+            f'<th scope="col"{_write_html_class(column)}>{text}'
             + (f' <span class="unit">{html.escape(column.unit)}</span>' if column.unit else "")
             + "</th>"
             for column, text in zip(self.columns, heads, strict=True)
@@ -388,7 +397,8 @@ class Table:
         body = "".join(
             "<tr>"
             + "".join(
-                _html_cell(column, cell) for column, cell in zip(self.columns, row, strict=True)
+                _write_html_cell(column, cell)
+                for column, cell in zip(self.columns, row, strict=True)
             )
             + "</tr>\n"
             for row in self.rows
@@ -414,16 +424,16 @@ class Table:
             ]
         )
         for row in self.rows:
-            writer.writerow([_in_full(c.value if isinstance(c, Shown) else c) for c in row])
+            writer.writerow([_write_in_full(c.value if isinstance(c, Shown) else c) for c in row])
         return stream.getvalue()
 
 
-def stacked(tables: Iterable[Table], full: bool = False) -> str:
+def stack_tables(tables: Iterable[Table], full: bool = False) -> str:
     """Return the texts of several tables with an empty line between them."""
     return "\n".join(table.as_text(full) for table in tables)
 
 
-def _signless(value: float | Decimal, decimals: int) -> str:
+def _drop_zero_sign(value: float | Decimal, decimals: int) -> str:
     text = f"{value:.{decimals}f}"
     return (
         text[1:]
@@ -432,7 +442,7 @@ def _signless(value: float | Decimal, decimals: int) -> str:
     )
 
 
-def _plain(text: str) -> str:
+def _replace_unprintable(text: str) -> str:
     return "".join(character if character.isprintable() else " " for character in text)
 
 
@@ -445,7 +455,7 @@ def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]
         max(len(column.header), len(column.unit), *(len(row[k]) for row in body), 0)
         for k, column in enumerate(columns)
     ]
-    fitted, legend = _fitted(widths, columns), list[str]()
+    fitted, legend = _narrow_columns(widths, columns), list[str]()
     for k, column in enumerate(columns):
         room = min(fitted[k], column.width or WIDTH)
         names = list(dict.fromkeys(row[k] for row in body))
@@ -455,7 +465,7 @@ def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]
         for row in body:
             row[k] = number.get(row[k], row[k])
         listed = ", ".join(f"{at} {name}" for name, at in number.items())
-        legend.append(wrapped(listed, f"{column.header}: "))
+        legend.append(wrap_text(listed, f"{column.header}: "))
     return legend
 
 
@@ -467,7 +477,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _aligned(cells: Sequence[str], align: Alignment) -> list[str]:
+def _align_cells(cells: Sequence[str], align: Alignment) -> list[str]:
     """Pad numbers so that their decimal points are in one column."""
     numbers = [cell for cell in cells if _is_number(cell)]
     if align != "decimal" or not numbers:
@@ -481,7 +491,7 @@ def _aligned(cells: Sequence[str], align: Alignment) -> list[str]:
     ]
 
 
-def _fitted(widths: Sequence[int], columns: Sequence[Column]) -> list[int]:
+def _narrow_columns(widths: Sequence[int], columns: Sequence[Column]) -> list[int]:
     """Narrow the widest columns of text until the table fits 80 columns, where possible."""
     fitted = list(widths)
     places = [k for k, column in enumerate(columns) if column.align == "left"]
@@ -494,25 +504,25 @@ def _fitted(widths: Sequence[int], columns: Sequence[Column]) -> list[int]:
     return fitted
 
 
-def _line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]) -> str:
+def _format_line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]) -> str:
     return "  ".join(
-        shortened(cell, width).ljust(width) if column.align == "left" else cell.rjust(width)
+        shorten_text(cell, width).ljust(width) if column.align == "left" else cell.rjust(width)
         for cell, width, column in zip(cells, widths, columns, strict=True)
     )
 
 
-def _html_class(column: Column) -> str:
+def _write_html_class(column: Column) -> str:
     return "" if column.align == "left" else ' class="number"'
 
 
-def _html_cell(column: Column, cell: Cell) -> str:
+def _write_html_cell(column: Column, cell: Cell) -> str:
     value = cell.value if isinstance(cell, Shown) else cell
-    full = "" if isinstance(value, str) else _in_full(value)
+    full = "" if isinstance(value, str) else _write_in_full(value)
     data = f' data-value="{full}"' if full else ""
-    return f"<td{_html_class(column)}{data}>{html.escape(column.shown(cell))}</td>"
+    return f"<td{_write_html_class(column)}{data}>{html.escape(column.shown(cell))}</td>"
 
 
-def _in_full(value: str | float | None) -> str:
+def _write_in_full(value: str | float | None) -> str:
     """Return a number with all its digits, a text as it is, nothing where there is neither."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""

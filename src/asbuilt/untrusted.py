@@ -30,7 +30,7 @@ _TRUSTED: ContextVar[bool] = ContextVar("whether xacro files may run any Python"
 
 
 @contextmanager
-def xacro_trusted(trusted: bool = True) -> Iterator[None]:
+def allow_xacro_python(trusted: bool = True) -> Iterator[None]:
     """Let xacro files run any Python that their expressions hold, if `trusted`."""
     token = _TRUSTED.set(trusted or _TRUSTED.get())
     try:
@@ -40,7 +40,7 @@ def xacro_trusted(trusted: bool = True) -> Iterator[None]:
 
 
 @contextmanager
-def inputs_kept() -> Iterator[None]:
+def protect_inputs() -> Iterator[None]:
     """Remember every file that is read, so that none of them is replaced."""
     token = _INPUTS.set(set())
     try:
@@ -52,11 +52,11 @@ def inputs_kept() -> Iterator[None]:
 def note_input(path: Path) -> None:
     """Remember a file that is read by another way than this module."""
     with suppress(OSError, ValueError):
-        _note(path.stat())
+        _note_input(path.stat())
 
 
 def is_input(path: Path) -> bool:
-    """Return whether a file has been read inside `inputs_kept`, whatever its name."""
+    """Return whether a file has been read inside `protect_inputs`, whatever its name."""
     try:
         state = path.stat()
     except (OSError, ValueError):
@@ -64,7 +64,7 @@ def is_input(path: Path) -> bool:
     return (state.st_dev, state.st_ino) in (_INPUTS.get() or ())
 
 
-def _note(state: os.stat_result) -> None:
+def _note_input(state: os.stat_result) -> None:
     inputs = _INPUTS.get()
     if inputs is not None:
         inputs.add((state.st_dev, state.st_ino))
@@ -93,11 +93,12 @@ def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float)
         state = path.stat()
     except FileNotFoundError:
         raise kind(
-            f"{what} {shown_path(path)} cannot be read: it does not exist", file=str(path)
+            f"{what} {shorten_path(path)} cannot be read: it does not exist", file=str(path)
         ) from None
     except (OSError, ValueError) as problem:
         raise kind(
-            f"{what} {shown_path(path)} cannot be read: {reason(problem)}", file=str(path)
+            f"{what} {shorten_path(path)} cannot be read: {describe_problem(problem)}",
+            file=str(path),
         ) from None
     if not stat.S_ISREG(state.st_mode):
         raise kind(
@@ -114,7 +115,7 @@ def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float)
             value=state.st_size,
             upper=limit,
         )
-    _note(state)
+    _note_input(state)
 
 
 def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = TEXT_LIMIT) -> bytes:
@@ -131,11 +132,13 @@ def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = T
         with os.fdopen(descriptor, "rb") as stream:
             return stream.read(int(limit))
     except OSError as problem:
-        raise kind(f"{what} {path} cannot be read: {reason(problem)}", file=str(path)) from None
+        raise kind(
+            f"{what} {path} cannot be read: {describe_problem(problem)}", file=str(path)
+        ) from None
 
 
 @contextmanager
-def file_named(path: str | os.PathLike[str]) -> Iterator[None]:
+def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     """Let every error name the file whose content is at fault."""
     try:
         yield
@@ -159,13 +162,13 @@ def read_text(path: Path, what: str, kind: type[AsbuiltError], limit: float = TE
         return content.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as problem:
         raise kind(
-            f"{what} {path} cannot be read as text: {reason(problem)}",
+            f"{what} {path} cannot be read as text: {describe_problem(problem)}",
             cure=Cure("save it as UTF-8"),
             file=str(path),
         ) from None
 
 
-def parsed_toml(text: str) -> dict[str, Any]:
+def parse_toml(text: str) -> dict[str, Any]:
     """Return the content of a TOML text.
 
     Raises
@@ -182,12 +185,12 @@ def parsed_toml(text: str) -> dict[str, Any]:
         content = tomllib.loads(text)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {DEEPEST} levels") from None
-    if depth(content) > DEEPEST:
+    if measure_depth(content) > DEEPEST:
         raise ValueError(f"it is nested deeper than {DEEPEST} levels")
     return content
 
 
-def parsed_json(text: str | bytes) -> Any:
+def parse_json(text: str | bytes) -> Any:
     """Return the content of a JSON text.
 
     Raises
@@ -197,25 +200,25 @@ def parsed_json(text: str | bytes) -> Any:
         finite.
     """
     try:
-        content = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        content = json.loads(text, parse_constant=_parse_finite, parse_float=_parse_finite)
     except RecursionError:
         content = None
-    if content is None or depth(content) > DEEPEST:
+    if content is None or measure_depth(content) > DEEPEST:
         raise ValueError(f"it is empty, or nested deeper than {DEEPEST} levels")
     return content
 
 
-def _finite(text: str) -> float:
+def _parse_finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"it holds the number {text[:20]}, which is not finite")
     return value
 
 
-def depth(content: Any) -> int:
+def measure_depth(content: Any) -> int:
     """Return the levels of nesting of dictionaries and lists.
 
-    >>> depth({"a": [1, {"b": 2}]})
+    >>> measure_depth({"a": [1, {"b": 2}]})
     3
     """
     level, layer = 0, [content]
@@ -229,19 +232,19 @@ def depth(content: Any) -> int:
     return level
 
 
-def reason(problem: BaseException, most: int = 200) -> str:
+def describe_problem(problem: BaseException, most: int = 200) -> str:
     """Return why something failed in one short line, without the path, which the caller gives."""
     text = getattr(problem, "strerror", None) or str(problem).strip()
-    return shortened(str(text), most) or type(problem).__name__
+    return shorten_line(str(text), most) or type(problem).__name__
 
 
-def shortened(text: str, most: int = 200) -> str:
+def shorten_line(text: str, most: int = 200) -> str:
     """Return a text on one line, cut if it is very long."""
     line = " ".join(text.split())
     return line if len(line) <= most else f"{line[:most]}..."
 
 
-def shown_path(path: Path | str) -> str:
+def shorten_path(path: Path | str) -> str:
     """Return a path for a message, cut if it is very long."""
     text = str(path)
     return text if len(text) < 200 else f"{text[:60]}..."

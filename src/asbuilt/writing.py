@@ -18,7 +18,7 @@ from pathlib import Path
 
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import is_input, shown_path
+from asbuilt.untrusted import is_input, shorten_path
 
 _HOST = re.sub(r"[^\w-]", "-", platform.node()) or "local"
 _OWNER = f"{_HOST}.{os.getpid()}"
@@ -72,13 +72,13 @@ def atomic_write(
             prefix=f".{target.name[:16]}.{_OWNER}.", suffix=".part", dir=target.parent
         )
     except (OSError, ValueError) as error:
-        raise _unwritable(shown_path(target), error) from error
+        raise _make_unwritable_error(shorten_path(target), error) from error
     try:
         with os.fdopen(descriptor, "wb") as stream:
             stream.writelines(pieces)
             stream.flush()
             os.fsync(stream.fileno())
-        Path(temporary).chmod(_permissions(target) if mode is None else mode)
+        Path(temporary).chmod(_read_permissions(target) if mode is None else mode)
         pending = _PENDING.get()
         if create:
             _create(Path(temporary), target)
@@ -110,7 +110,7 @@ def check_replaceable(target: Path, *, own: bool = False) -> None:
     except FileNotFoundError:
         return
     except (OSError, ValueError) as error:
-        raise _unwritable(shown_path(target), error) from None
+        raise _make_unwritable_error(shorten_path(target), error) from None
     if stat.S_ISDIR(state.st_mode):
         why, cure = "it is a folder", "give the name of a file in it"
     elif stat.S_ISLNK(state.st_mode):
@@ -151,7 +151,7 @@ def file_set(folder: Path, mark: str, members: Sequence[str], keep: str = "") ->
             for path in (folder / name for name in members):
                 if path in pending or not path.is_file():
                     continue
-                if not (_same(path, keep) or is_input(path)):
+                if not (_is_same_file(path, keep) or is_input(path)):
                     path.unlink()
         for target in sorted(pending, key=lambda path: path.name == mark):
             pending.pop(target).replace(target)
@@ -168,7 +168,7 @@ def check_writable(folder: Path) -> None:
     try:
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     except (OSError, ValueError) as error:
-        raise _unwritable(f"into {shown_path(folder)}", error) from None
+        raise _make_unwritable_error(f"into {shorten_path(folder)}", error) from None
     if not nearest.is_dir():
         raise UsageError(
             f"cannot write into {folder}: {nearest} is a file; choose a folder you may write to"
@@ -182,14 +182,14 @@ def check_writable(folder: Path) -> None:
         )
 
 
-def _unwritable(place: str, problem: OSError | ValueError) -> UsageError:
+def _make_unwritable_error(place: str, problem: OSError | ValueError) -> UsageError:
     return UsageError(
         f"cannot write {place}: {getattr(problem, 'strerror', None) or problem}",
         cure=Cure("choose a folder you may write to"),
     )
 
 
-def _same(path: Path, other: str) -> bool:
+def _is_same_file(path: Path, other: str) -> bool:
     return bool(other) and os.path.exists(other) and path.samefile(other)
 
 
@@ -224,7 +224,7 @@ def _create(temporary: Path, target: Path) -> None:
         temporary.replace(target)
 
 
-def _permissions(target: Path) -> int:
+def _read_permissions(target: Path) -> int:
     """Return the mode of the file that is replaced, or rw-rw-rw- less the umask."""
     if target.exists():
         return target.stat().st_mode & 0o777

@@ -22,7 +22,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.effects.families.elastic import elastic_columns as of_joint
 from asbuilt.identification.effects.families.presliding import presliding_column
-from asbuilt.identification.result.torque_prediction import all_parameters
+from asbuilt.identification.result.torque_prediction import expand_parameters
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from lacking import COULOMB, LACKING, NOISE, logged, trial
@@ -60,7 +60,7 @@ def fitted(model: RobotModel, log: Recording, further: Columns) -> tuple[np.ndar
     for _ in range(3):
         beta = np.linalg.lstsq((W / sigma).reshape(-1, base.n_base), (tau / sigma.T).ravel())[0]
         sigma = np.sqrt(np.mean((tau - W @ beta) ** 2, axis=0))[:, None]
-    extra = further(samples, all_parameters(base, beta))
+    extra = further(samples, expand_parameters(base, beta))
     A = np.concatenate([W, parallel.apply(extra, axis=0)], axis=2)
     scaled = (A / sigma).reshape(-1, A.shape[2])
     x = np.linalg.lstsq(scaled, (tau / sigma.T).ravel())[0]

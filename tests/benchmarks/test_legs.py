@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from legged_robots import LEGGED
 from legs import Walk, described, parameter_errors, recorded
 
@@ -31,7 +31,7 @@ def test_feet_roll_on_their_balls(robot: str, motion: str, radius: float) -> Non
     cad, rng = described(robot), np.random.default_rng(4)
     log = recorded(LEGGED[robot], cad, motion, 4.0, rng)
     unstated = replace(cad, contacts=tuple(replace(each, radius=None) for each in cad.contacts))
-    for contact in fitted_recordings(unstated, [log])[0].contacts:
+    for contact in read_fitted_recordings(unstated, [log])[0].contacts:
         assert contact.radius == pytest.approx(radius, abs=1.5e-3)
 
 

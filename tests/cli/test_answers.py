@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from asbuilt import compilation
-from asbuilt.cli.answers import COMPILING, Screen, cure_text, finding_text
+from asbuilt.cli.answers import COMPILING, Screen, describe_cure, format_finding
 from asbuilt.findings import Cure, Finding
 
 
@@ -24,12 +24,12 @@ class Terminal:
 
 def test_cures_name_options_and_commands() -> None:
     cure = Cure("find the gains", {"gain": (1.0, 2.0), "checked": False}, call="find_gains")
-    assert cure_text(cure) == "find the gains (--gain 1.0,2.0, --unchecked, asbuilt gains)"
-    assert cure_text(Cure("record longer")) == "record longer"
-    assert cure_text(None) == ""
+    assert describe_cure(cure) == "find the gains (--gain 1.0,2.0, --unchecked, asbuilt gains)"
+    assert describe_cure(Cure("record longer")) == "record longer"
+    assert describe_cure(None) == ""
     finding = Finding("flipped_torque", "error", "the torque of A2 has the other sign", cure)
-    assert finding_text(finding).startswith("ERROR flipped_torque: the torque of A2 has")
-    assert finding_text(finding).endswith("asbuilt gains).")
+    assert format_finding(finding).startswith("ERROR flipped_torque: the torque of A2 has")
+    assert format_finding(finding).endswith("asbuilt gains).")
 
 
 def test_a_bar_pulses_until_a_fraction_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.writers.models.robot_toml import robot_toml
+from asbuilt.writers.models.robot_toml import format_robot_toml
 from command_line import call, document
 
 DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
@@ -230,7 +230,7 @@ def coupled(
     coupling = np.eye(n)
     coupling[n - 1, n - 2] = 1.0
     path = tmp_path_factory.mktemp("coupled") / "robot.toml"
-    path.write_text(robot_toml(replace(model, joints=joints, motor_coupling=coupling)))
+    path.write_text(format_robot_toml(replace(model, joints=joints, motor_coupling=coupling)))
     return path, n
 
 

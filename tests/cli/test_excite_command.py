@@ -14,7 +14,7 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.collision.constraint import constraints_of
+from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motions.motion_csv import read_motion
 from command_line import call
@@ -286,7 +286,7 @@ def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path:
     ]
     model = load_robot("ur10e")
     motion = read_motion(file, model)
-    (guard,) = constraints_of(model, collision="skeleton")
+    (guard,) = build_constraints(model, collision="skeleton")
     distance = guard.smallest_distance(motion.at(motion.sample_times(100.0))[0])
     stated = int(note.split()[-2])
     assert ("overlaps itself" in note) == (distance < 0)

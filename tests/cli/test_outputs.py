@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from asbuilt.errors import UsageError
-from asbuilt.untrusted import inputs_kept, read_bytes
+from asbuilt.untrusted import protect_inputs, read_bytes
 from asbuilt.workflow.study import identify
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 from asbuilt.writers.reports.study_files import write_result
 from asbuilt.writing import atomic_write, check_replaceable
 from command_line import call
@@ -24,7 +24,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a robot, a log and a result."""
     folder = tmp_path_factory.mktemp("study")
     shape = '</inertial><visual><geometry><box size="1 .2 .2"/></geometry></visual>'
-    (folder / "r.urdf").write_text(urdf_text(MODEL).replace("</inertial>", shape))
+    (folder / "r.urdf").write_text(format_urdf(MODEL).replace("</inertial>", shape))
     write_result(folder / "result.json", identify(MODEL, [recording(1)]).result)
     return folder
 
@@ -126,7 +126,7 @@ def test_outside_of_commands_a_file_that_was_read_may_be_replaced(tmp_path: Path
     path.write_text("old")
     read_bytes(path, "file", UsageError)
     atomic_write(path, "new")
-    with inputs_kept():
+    with protect_inputs():
         atomic_write(path, "newer")
         read_bytes(path, "file", UsageError)
         with pytest.raises(UsageError, match="this command reads it"):

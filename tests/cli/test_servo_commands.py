@@ -21,8 +21,8 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import robot_as_built
-from asbuilt.identification.trajectories.windows import cut_windows, driving_signal
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
+from asbuilt.identification.trajectories.windows import choose_driving_signal, cut_windows
 from asbuilt.workflow.result_files import read_result
 from asbuilt.writers.models.simulators.simulator_format import SIMULATOR_FORMATS
 from command_line import call, document
@@ -180,8 +180,10 @@ def test_the_exported_mjcf_moves_as_the_rollout(
     assert result.servo is not None
     recording = read_recording(study, model=result.model)
     samples = prepare_samples(recording, SignalChain(cutoff=10.0, rests=True))
-    windows = cut_windows(recording, samples, 0.5, driving_signal(recording)).some(slice(0, 6))
-    own = simulate_windows(robot_as_built(result, result.servo), windows)
+    windows = cut_windows(recording, samples, 0.5, choose_driving_signal(recording)).some(
+        slice(0, 6)
+    )
+    own = simulate_windows(build_robot_as_built(result, result.servo), windows)
     robot = mujoco.MjModel.from_xml_path(str(place))
     assert robot.opt.timestep == windows.step
     for w, controls in enumerate(windows.inputs(result.servo.delay or 0.0)):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
@@ -41,7 +41,7 @@ def test_every_bundled_robot_is_cited_and_consistent_or_says_why_not(name):
     assert "\\" not in model.citation
     assert "\n" not in model.citation
     assert model.source == f"bundled robot {name}"
-    assert inconsistencies(model) == INCONSISTENT.get(name, ())
+    assert find_inconsistencies(model) == INCONSISTENT.get(name, ())
     if name in INCONSISTENT:
         assert any("no real body has these parameters" in note for note in model.notes)
     assert all(link.inertia_known for link in model.links)
@@ -231,7 +231,7 @@ def test_files_are_told_apart_by_content(tmp_path):
 
 def test_zero_inertia_links_are_reported_only_if_given():
     model = load_robot("two-link")
-    assert inconsistencies(
+    assert find_inconsistencies(
         model.with_parameters(
             np.concatenate(
                 [LinkInertia.from_com(1, [0, 0, 0], np.diag([1, 1, 3])).parameters, np.zeros(10)]

@@ -11,7 +11,7 @@ from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
-from asbuilt.writers.models.robot_toml import robot_toml
+from asbuilt.writers.models.robot_toml import format_robot_toml
 
 LINKS = "".join(
     f'[[links]]\nname = "l{k}"\njoint = "j{k}"\norigin = {{ xyz = [0.3, 0, 0] }}\n'
@@ -60,7 +60,7 @@ def test_followers_of_several_joints_and_of_followers() -> None:
 @pytest.mark.parametrize("more", [MOTORS + WRIST, "[[couplings]]\nj3 = { j1 = -1.0, j2 = -2.0 }\n"])
 def test_the_robot_file_holds_couplings(more: str) -> None:
     arm = robot(more)
-    again = robot_from_toml(robot_toml(arm))
+    again = robot_from_toml(format_robot_toml(arm))
     assert again.joint_names == arm.joint_names
     assert again.link_names == arm.link_names
     np.testing.assert_array_equal(again.link_shares, arm.link_shares)

@@ -12,10 +12,10 @@ from asbuilt.description.formats.document import model_document, model_from_docu
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.locking import lock_findings, locks_from_text
+from asbuilt.description.structure.locking import locks_from_text, report_locks
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, UsageError
-from asbuilt.writers.models.robot_toml import robot_toml
+from asbuilt.writers.models.robot_toml import format_robot_toml
 
 GRIPPER = """<robot name="hand">
 <link name="base"/>
@@ -106,8 +106,8 @@ def test_mimics_and_locks_are_stored() -> None:
     locked = model.locked(["finger"])
     again = model_from_document(json.loads(json.dumps(model_document(locked))))
     assert again.locked_joints == locked.locked_joints
-    assert robot_from_toml(robot_toml(model)).followers[0].mimic == model.followers[0].mimic
-    assert not robot_from_toml(robot_toml(model)).drives_by_design
+    assert robot_from_toml(format_robot_toml(model)).followers[0].mimic == model.followers[0].mimic
+    assert not robot_from_toml(format_robot_toml(model)).drives_by_design
 
 
 def test_coupled_motors_are_left_over_or_refused() -> None:
@@ -138,8 +138,8 @@ def test_what_cannot_be_locked_is_refused() -> None:
 
 def test_a_finding_names_the_locked_joints() -> None:
     model = bundled_robot("two-link")
-    assert lock_findings(model.locked_joints) == ()
-    (finding,) = lock_findings({"joint_2": 0.5})
+    assert report_locks(model.locked_joints) == ()
+    (finding,) = report_locks({"joint_2": 0.5})
     assert finding.code == "joints_locked"
     assert "joint_2 at 0.5" in finding.message
     assert finding.cure is not None

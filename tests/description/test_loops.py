@@ -10,21 +10,21 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.formats.sdf import read_sdf
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.kinematics import random_postures
+from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, MotionError
-from asbuilt.writers.models.robot_toml import robot_toml
+from asbuilt.writers.models.robot_toml import format_robot_toml
 from closed_chains import NAMES, TEXTS, robot_with_loops
 
-BAR = robot_toml(bundled_robot("four-bar"))
+BAR = format_robot_toml(bundled_robot("four-bar"))
 
 
 def torques(model: RobotModel, like: RobotModel):
-    q = random_postures(like, np.random.default_rng(1), 10)
+    q = draw_postures(like, np.random.default_rng(1), 10)
     q = np.vstack([q, np.tile(q[:1], (1, 1))])
     return inverse_dynamics(model, q, 2.0 * np.cos(q), 3.0 * np.sin(q))
 
@@ -33,9 +33,9 @@ def torques(model: RobotModel, like: RobotModel):
 def test_formats_keep_loops(name: str) -> None:
     model = robot_with_loops(name)
     expected = torques(model, model)
-    ways = [robot_from_toml(robot_toml(model)), model_from_document(model_document(model))]
+    ways = [robot_from_toml(format_robot_toml(model)), model_from_document(model_document(model))]
     if name not in ("delta", "ankle"):
-        ways.append(read_mjcf(mjcf_text(model)))
+        ways.append(read_mjcf(format_mjcf(model)))
     for read in ways:
         assert read.joint_names == model.joint_names
         np.testing.assert_allclose(
@@ -46,7 +46,7 @@ def test_formats_keep_loops(name: str) -> None:
 @pytest.mark.parametrize("name", ["delta", "ankle"])
 def test_mjcf_keeps_loops_of_links_without_mass(name: str) -> None:
     model = robot_with_loops(name)
-    read = read_mjcf(mjcf_text(model))
+    read = read_mjcf(format_mjcf(model))
     assert read.joint_names == model.joint_names
     expected = torques(model, model)
     np.testing.assert_allclose(torques(read, model), expected, atol=1e-8)
@@ -166,9 +166,9 @@ def test_a_hinge_may_be_two_points_on_its_axis_and_a_weld_a_whole_link() -> None
     text = BAR[: BAR.index("[[loops]]")] + pin + BAR[end:]
     welded = robot_from_toml(text.replace('"rocker_joint"]', '"rocker_joint", "pin_joint"]'))
     np.testing.assert_allclose(torques(welded, once), torques(once, once), rtol=1e-9)
-    assert read_mjcf(mjcf_text(welded)).joint_names == ("crank_joint",)
+    assert read_mjcf(format_mjcf(welded)).joint_names == ("crank_joint",)
     np.testing.assert_allclose(
-        torques(read_mjcf(mjcf_text(welded)), once), torques(once, once), rtol=1e-6
+        torques(read_mjcf(format_mjcf(welded)), once), torques(once, once), rtol=1e-6
     )
 
 
@@ -187,7 +187,7 @@ def test_a_joint_follows_a_polynomial_of_another() -> None:
     expected = slope * 0.5 * qd[:, 0] - 0.2 * qd[:, 0] ** 2
     np.testing.assert_allclose(moved.qdd[:, 2], expected)
     np.testing.assert_allclose(moved.q[:, 1], 0.7)
-    np.testing.assert_allclose(torques(read_mjcf(mjcf_text(model)), model), torques(model, model))
+    np.testing.assert_allclose(torques(read_mjcf(format_mjcf(model)), model), torques(model, model))
 
 
 def test_a_file_extends_another_by_a_loop(tmp_path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, RobotModel
-from asbuilt.description.rotation import axes_across, placement, rotation_x
+from asbuilt.description.rotation import find_axes_across, placement, rotation_x
 from asbuilt.errors import DescriptionError
 
 
@@ -104,7 +104,7 @@ def test_matrices_of_the_caller_stay_his_own():
     [(0.0, 0.0, -9.81), (0.0, 0.0, 0.0), (0.0, 9.81, 0.0), (3.0, -4.0, 7.0), (1e-3, 0.0, 5.0)],
 )
 def test_axes_across_a_vector(vector):
-    axes = axes_across(vector)
+    axes = find_axes_across(vector)
     assert np.allclose(axes @ axes.T, np.eye(2), atol=1e-15)
     assert np.allclose(axes @ vector, 0.0, atol=1e-14)
     farther = np.sort(np.argsort(np.abs(vector), kind="stable")[:2])

@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.rotation import (
-    composed,
-    inverted,
+    compose_placements,
+    invert_placement,
     placement,
-    right_angle,
     rotation_from_quaternion,
     rotation_from_rpy,
     rotation_onto,
     rotation_x,
     rotation_y,
     rotation_z,
+    round_to_right_angle,
     rpy_from_rotation,
-    snapped,
+    snap_entries,
 )
 
 angles = st.floats(-10.0, 10.0)
@@ -35,10 +35,10 @@ def test_right_angles_have_no_rounding_noise(rotation, quarters):
 
 
 def test_only_angles_near_a_right_angle_are_straightened():
-    assert right_angle(1.5708) == math.pi / 2
-    assert right_angle(-3.14159) == -math.pi
-    assert right_angle(1.5709) == 1.5709
-    assert right_angle(7e-6) == 0.0
+    assert round_to_right_angle(1.5708) == math.pi / 2
+    assert round_to_right_angle(-3.14159) == -math.pi
+    assert round_to_right_angle(1.5709) == 1.5709
+    assert round_to_right_angle(7e-6) == 0.0
 
 
 def test_entries_at_the_border_are_snapped():
@@ -89,9 +89,9 @@ def test_rotation_onto_is_exact_for_coordinate_axes(axis):
 
 def test_composition_stays_exact_and_inverts():
     quarter = placement(rotation_x(math.pi / 2), (1.0, 2.0, 3.0))
-    T = composed(*[quarter] * 4)
+    T = compose_placements(*[quarter] * 4)
     assert np.array_equal(T[:3, :3], np.eye(3))
-    assert np.allclose(inverted(quarter) @ quarter, np.eye(4), atol=1e-15)
+    assert np.allclose(invert_placement(quarter) @ quarter, np.eye(4), atol=1e-15)
     assert np.array_equal(
-        snapped([[6e-17, 1 - 1e-16], [-1 + 1e-15, 0.5]]), [[0.0, 1.0], [-1.0, 0.5]]
+        snap_entries([[6e-17, 1 - 1e-16], [-1 + 1e-15, 0.5]]), [[0.0, 1.0], [-1.0, 0.5]]
     )

@@ -18,8 +18,8 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.writers.models.mjcf import exported_mjcf, mjcf_notes
-from asbuilt.writers.models.robot_toml import robot_toml
+from asbuilt.writers.models.mjcf import export_mjcf, note_mjcf_limits
+from asbuilt.writers.models.robot_toml import format_robot_toml
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -90,7 +90,7 @@ def sprung():
 
 def by_hand():
     """Return the arm with tendons between the points as they are stated, in MuJoCo."""
-    root = fromstring(exported_mjcf(robot_from_toml(LINKS)))
+    root = fromstring(export_mjcf(robot_from_toml(LINKS)))
     bodies = {body.get("name"): body for body in root.iter("body")}
     bodies["base"] = root.find("worldbody")
     for name, body, place in (
@@ -125,13 +125,13 @@ def test_torque_is_that_of_tendons_between_the_stated_points():
     torque = drive_torque(drive, values, q, np.zeros_like(q), np.zeros_like(q))
     expected = spring_torque(by_hand(), q)
     assert np.abs(torque - expected).max() < 1e-6 * np.abs(expected).max()
-    exported = spring_torque(mujoco.MjModel.from_xml_string(exported_mjcf(model)), q)
+    exported = spring_torque(mujoco.MjModel.from_xml_string(export_mjcf(model)), q)
     np.testing.assert_allclose(exported, expected, atol=1e-9)
 
 
 def test_robot_file_and_virtual_robots_keep_springs():
     model, q = sprung(), np.random.default_rng(1).uniform(-1.0, 1.0, (5, 2))
-    again = robot_from_toml(robot_toml(model))
+    again = robot_from_toml(format_robot_toml(model))
     assert [joint.drive.terms for joint in again.joints] == [
         joint.drive.terms for joint in model.joints
     ]
@@ -233,7 +233,7 @@ def test_equal_springs_add_up_and_unequal_ones_are_refused():
 
 def test_cylinder_of_constant_force_is_named_in_the_notes_of_mjcf():
     model = robot_from_toml(LINKS + SPRINGS.replace("progression = 6\n", ""))
-    assert any("elbow 150" in note for note in mjcf_notes(model))
+    assert any("elbow 150" in note for note in note_mjcf_limits(model))
 
 
 @pytest.mark.parametrize(

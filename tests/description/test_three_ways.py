@@ -14,7 +14,7 @@ from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import (
-    composed,
+    compose_placements,
     placement,
     rotation_x,
     rotation_z,
@@ -104,7 +104,10 @@ def urdf_text(rows: list[DHRow], turned: bool) -> str:
     """
     rng = np.random.default_rng(4)
     C = [placement(Rotation.random(rng=rng).as_matrix()) if turned else np.eye(4) for _ in rows]
-    A = [composed(placement(rotation_z(row.theta), (0, 0, row.b)), distal(row)) for row in rows]
+    A = [
+        compose_placements(placement(rotation_z(row.theta), (0, 0, row.b)), distal(row))
+        for row in rows
+    ]
     text = '<robot name="three-ways"><link name="base"/>'
     for i, row in enumerate(rows):
         origin = C[i] if row.parent == ROOT else C[row.parent].T @ A[row.parent] @ C[i]

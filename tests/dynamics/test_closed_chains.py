@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.base.observation_rank import negligible_columns
+from asbuilt.dynamics.base.observation_rank import find_negligible_columns
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.kinematics import link_jacobians, link_poses, random_postures
+from asbuilt.dynamics.kinematics import draw_postures, link_jacobians, link_poses
 from asbuilt.dynamics.momentum import generalised_momentum
 from asbuilt.dynamics.newton_euler import (
     coriolis_matrix,
@@ -31,7 +31,7 @@ SAMPLES = 20
 
 def states(model: RobotModel, count: int = SAMPLES, seed: int = 0):
     rng = np.random.default_rng(seed)
-    q = random_postures(model, rng, count)
+    q = draw_postures(model, rng, count)
     return q, rng.normal(size=q.shape) * 2.0, rng.normal(size=q.shape) * 5.0
 
 
@@ -39,7 +39,7 @@ class Constrained:
     """MuJoCo's tree with its own constraint Jacobian, projected on the motors."""
 
     def __init__(self, model: RobotModel) -> None:
-        self.compiled = mujoco.MjModel.from_xml_string(mjcf_text(model, shapes=False))
+        self.compiled = mujoco.MjModel.from_xml_string(format_mjcf(model, shapes=False))
         off = mujoco.mjtDisableBit
         self.compiled.opt.disableflags |= int(off.mjDSBL_LIMIT)
         self.compiled.dof_frictionloss[:] = 0.0
@@ -204,7 +204,7 @@ def test_base_parameters_reproduce_torques_and_keep_their_names(name: str, count
     assert base.n_base == count
     state = states(model, 60, seed=7)
     Y = observation_matrix(model, *state)
-    Y[:, negligible_columns(model)] = 0.0
+    Y[:, find_negligible_columns(model)] = 0.0
     np.testing.assert_allclose(Y[:, base.columns] @ base.regrouping, Y, atol=1e-7 * np.abs(Y).max())
     again = find_base_parameters(robot_with_loops(name).with_gravity(model.gravity))
     assert again.names == base.names

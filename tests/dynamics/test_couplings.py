@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -61,7 +61,7 @@ class FreeTree:
     """MuJoCo's tree with a drive at every joint; couplings are projected by hand."""
 
     def __init__(self, model: RobotModel) -> None:
-        self.compiled = mujoco.MjModel.from_xml_string(mjcf_text(model, actuators=False))
+        self.compiled = mujoco.MjModel.from_xml_string(format_mjcf(model, actuators=False))
         self.compiled.opt.disableflags |= int(
             mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
         )

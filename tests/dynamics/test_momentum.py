@@ -6,7 +6,7 @@ from reload_oracle import two_armed
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.momentum import generalised_momentum, lagged
+from asbuilt.dynamics.momentum import apply_lag, generalised_momentum
 from asbuilt.dynamics.newton_euler import coriolis_matrix, kinetic_energy, mass_matrix
 from asbuilt.errors import UsageError
 from example_identification import example_robot
@@ -43,10 +43,10 @@ def test_lag_is_exact_for_steps() -> None:
     """A step of 1 gives 1 - exp(-K t) on any clock, and a negative share starts anew."""
     steps = np.random.default_rng(2).uniform(0.001, 0.05, 50)
     share = -np.expm1(-20.0 * steps)
-    y = lagged(share, np.ones((50, 1)))[:, 0]
+    y = apply_lag(share, np.ones((50, 1)))[:, 0]
     assert np.allclose(y, 1.0 - np.exp(-20.0 * np.cumsum(steps)), rtol=1e-12)
     share[30] = -1.0
-    assert lagged(share, np.ones((50, 1)))[30, 0] == 0.0
+    assert apply_lag(share, np.ones((50, 1)))[30, 0] == 0.0
 
 
 def test_states_of_another_robot_are_refused() -> None:

@@ -10,10 +10,10 @@ from pinocchio_oracle import PINOCCHIO_ORDER, pinocchio_model
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.momentum import generalised_momentum
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
@@ -91,7 +91,7 @@ def test_the_regressor_is_that_of_pinocchio_on_the_tree(
 
 
 def test_mujoco_projects_the_tree_to_the_same_torque(robot: RobotModel, states: np.ndarray) -> None:
-    compiled = mujoco.MjModel.from_xml_string(mjcf_text(robot, actuators=False))
+    compiled = mujoco.MjModel.from_xml_string(format_mjcf(robot, actuators=False))
     compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     compiled.dof_armature[:] = compiled.dof_damping[:] = 0.0
     data = mujoco.MjData(compiled)
@@ -107,7 +107,7 @@ def test_mujoco_projects_the_tree_to_the_same_torque(robot: RobotModel, states: 
 
 def test_mujocos_equalities_hold_where_the_couplings_say(robot: RobotModel) -> None:
     """Joints and tendons of the written file have no violation at coupled positions, else some."""
-    compiled = mujoco.MjModel.from_xml_string(mjcf_text(robot))
+    compiled = mujoco.MjModel.from_xml_string(format_mjcf(robot))
     data = mujoco.MjData(compiled)
     whole = robot.with_rotors
     q = np.random.default_rng(5).normal(size=robot.n_joints)
@@ -124,7 +124,7 @@ def test_mujocos_equalities_hold_where_the_couplings_say(robot: RobotModel) -> N
 
 
 def test_mjcf_is_read_back_to_the_same_torques(robot: RobotModel, states: np.ndarray) -> None:
-    read = read_mjcf(mjcf_text(robot))
+    read = read_mjcf(format_mjcf(robot))
     order = [read.joint_names.index(name) for name in robot.joint_names]
     there = np.empty_like(states)
     there[:, :, order] = states
@@ -136,7 +136,7 @@ def test_mjcf_is_read_back_to_the_same_torques(robot: RobotModel, states: np.nda
 def test_base_parameters_by_two_roads(name: str, count: int) -> None:
     """49 for the patient-side arm: Wang et al., RA-L 4, 2019, table II; 76 by SVD of this test."""
     robot = bundled_robot(name)
-    drive = usual_drive(robot, "motor")
+    drive = choose_usual_drive(robot, "motor")
     base = find_base_parameters(robot, drive)
     states = np.random.default_rng(8).normal(size=(3, 150, robot.n_joints))
     Y = observation_matrix(robot, *states, drive=drive)

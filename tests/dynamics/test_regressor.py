@@ -16,7 +16,12 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import RegressorPlan, joint_support, observation_matrix, regressor
+from asbuilt.dynamics.regressor import (
+    RegressorPlan,
+    find_joint_support,
+    observation_matrix,
+    regressor,
+)
 from asbuilt.errors import UsageError
 
 ALL = DriveSet.parse("armature,viscous,coulomb,offset")
@@ -143,7 +148,7 @@ def test_joint_rows_put_back_in_place_are_the_observation_matrix(seed):
     rebuilt = np.zeros((BLOCK + 5, 6, columns.size))
     for k, (support, rows) in enumerate(
         zip(
-            joint_support(model, drive, columns),
+            find_joint_support(model, drive, columns),
             RegressorPlan.of(model, drive, columns).evaluate(q, qd, qdd),
             strict=True,
         )
@@ -158,7 +163,7 @@ def test_joint_rows_put_back_in_place_are_the_observation_matrix(seed):
 
 def test_support_leaves_out_links_a_joint_does_not_carry():
     model, *_ = drawn(7, 8)
-    for k, support in enumerate(joint_support(model, ALL, np.arange(80 + 32))):
+    for k, support in enumerate(find_joint_support(model, ALL, np.arange(80 + 32))):
         carried_links = {int(position) // 10 for position in support if position < 80}
         assert carried_links == {i for i in range(8) if k in model.ancestors(i)}
         assert [int(position) for position in support if position >= 80] == list(

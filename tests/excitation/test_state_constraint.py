@@ -13,7 +13,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.state_constraint import PowerLimit, TorqueLimit, perturbed_models
+from asbuilt.excitation.state_constraint import PowerLimit, TorqueLimit, perturb_models
 
 
 def rough(model):
@@ -68,7 +68,7 @@ def differences(constraint, state, step: float = 1e-5) -> np.ndarray:
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])
 def test_values_are_the_torques_of_every_description(name: str) -> None:
     model = load_robot(name)
-    models = perturbed_models(model, 3, 0.2, np.random.default_rng(1))
+    models = perturb_models(model, 3, 0.2, np.random.default_rng(1))
     limit = np.linspace(20.0, 80.0, model.n_joints)
     limit[1] = np.inf
     state, kept = states(model.n_joints), np.flatnonzero(np.isfinite(limit))
@@ -100,7 +100,7 @@ def test_slopes_of_torque_and_power_are_differences_of_the_values(make, others: 
     state = states(6)
     state[1][np.abs(state[1]) < 0.1] = 0.1
     constraints = [
-        TorqueLimit(perturbed_models(model, others, 0.2, np.random.default_rng(2)), limit),
+        TorqueLimit(perturb_models(model, others, 0.2, np.random.default_rng(2)), limit),
         PowerLimit(model, limit),
     ]
     for constraint in constraints:

@@ -17,10 +17,10 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.base_checks import free_base_findings
+from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 
@@ -115,7 +115,7 @@ def codes(model: RobotModel, columns: dict[str, Array]) -> set[str]:
     recording = read_recording(columns, model=model)
     return {
         each.code
-        for each in free_base_findings(model, recording)
+        for each in check_free_base(model, recording)
         if each.severity in ("error", "warning")
     }
 
@@ -127,7 +127,7 @@ def test_a_log_that_agrees_has_no_findings(biped: RobotModel, log: dict[str, Arr
     assert np.allclose(recording.qd, np.gradient(recording.q, recording.t, axis=0), atol=1e-3)
     assert recording.has_torque.all()
     assert not codes(biped, log)
-    assert fitted_recordings(biped, [log])[0].contacts == biped.contacts  # points do not roll
+    assert read_fitted_recordings(biped, [log])[0].contacts == biped.contacts  # points do not roll
     assert "base_velocity_axes" not in check_recording(biped, recording).codes
 
 
@@ -163,7 +163,7 @@ def test_shifted_contacts_are_found(biped: RobotModel, log: dict[str, Array], la
     }
     (finding,) = (
         each
-        for each in free_base_findings(biped, read_recording(wrong, model=biped))
+        for each in check_free_base(biped, read_recording(wrong, model=biped))
         if each.code == "contact_timing"
     )
     assert finding.severity == "error"
@@ -172,7 +172,7 @@ def test_shifted_contacts_are_found(biped: RobotModel, log: dict[str, Array], la
 
 def test_contacts_that_never_close_are_found(biped: RobotModel, log: dict[str, Array]) -> None:
     none = log | {name: 0.0 * log[name] for name in log if name.startswith("contact_")}
-    found = free_base_findings(biped, read_recording(none, model=biped))
+    found = check_free_base(biped, read_recording(none, model=biped))
     assert [(each.code, each.severity) for each in found] == [("contact_never_closes", "error")]
     one = log | {"contact_l_foot": 0.0 * log["t"]}
     assert "contact_never_closes" in codes(biped, one)
@@ -207,7 +207,7 @@ def test_a_clock_that_stands_is_left_to_the_checks(
 ) -> None:
     """Feet are looked at before the clock is checked, and must not stumble over it."""
     stopped = log | {"t": 0.0 * log["t"]}
-    model, (recordings,) = fitted_recordings(biped, ([stopped],))
+    model, (recordings,) = read_fitted_recordings(biped, ([stopped],))
     assert not check_recording(model, recordings[0]).ok
 
 

@@ -15,7 +15,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.parts import Frame
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.base_checks import free_base_findings
+from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.recording import Recording
@@ -79,7 +79,7 @@ def test_base_is_that_of_the_pose(
     assert pose.qd is not None
     own, true = (np.einsum("sji,sj->si", base_rotations(x.q), x.qd[:, :3]) for x in (found, pose))
     assert np.sqrt(np.mean((own - true) ** 2)) < 0.2 * true.std()  # steps have kinks at 100 Hz
-    assert not {each.code for each in free_base_findings(model, found)}
+    assert not {each.code for each in check_free_base(model, found)}
 
 
 def test_the_pose_wins_where_both_are_logged(
@@ -148,4 +148,4 @@ def test_missing_columns_and_shifted_flags(model: RobotModel, sensed: dict[str, 
         read_recording(lacking, model=model)
     late = {name: np.roll(x, 5) if name.startswith("contact_") else x for name, x in sensed.items()}
     found = read_recording(late, model=model)
-    assert "contact_timing" in {each.code for each in free_base_findings(model, found)}
+    assert "contact_timing" in {each.code for each in check_free_base(model, found)}

@@ -12,7 +12,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.base_checks import free_base_findings
+from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import (
     ANGULAR,
     LINEAR,
@@ -147,7 +147,7 @@ def test_measured_wrenches_are_external_forces_of_pinocchio(
     recording = read_recording(forced.columns, model=model)
     assert np.allclose(recording.tau, inverse_dynamics(model, *forced.state), atol=1e-9)
     assert not np.any(recording.contact)
-    assert "force_axes" not in {each.code for each in free_base_findings(model, recording)}
+    assert "force_axes" not in {each.code for each in check_free_base(model, recording)}
 
 
 def test_a_force_without_moments_acts_below_the_ball(path: Path, forced: Forced) -> None:
@@ -214,7 +214,7 @@ def test_forces_in_world_axes_or_of_other_sign_are_found(
     f = np.stack([log[name] for name in names], axis=1)
     world = np.einsum("sij,sj->si", base_rotations(forced.state[0]), f)
     log |= dict(zip(names, (world if reading == "world" else -f).T, strict=True))
-    found = free_base_findings(model, read_recording(log, model=model))
+    found = check_free_base(model, read_recording(log, model=model))
     (finding,) = (each for each in found if each.code == "force_axes")
     assert ("in world axes" in finding.message) == (reading == "world")
     assert ("of the robot on" in finding.message) == (reading == "sign")
@@ -224,7 +224,7 @@ def test_flags_that_disagree_with_forces_are_found(path: Path, forced: Forced) -
     model = walker(path, ",".join(FEET))
     flags = {f"contact_{foot}": np.ones(COUNT) for foot in FEET}
     flags["contact_left_foot"][: COUNT // 4] = 0.0
-    found = free_base_findings(model, read_recording(forced.columns | flags, model=model))
+    found = check_free_base(model, read_recording(forced.columns | flags, model=model))
     (finding,) = (each for each in found if each.code == "contact_force_flags")
     assert "contact_left_foot" in finding.message
 

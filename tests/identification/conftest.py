@@ -18,7 +18,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.information.square_root_information import accumulate
 
 FULL = "armature,viscous,coulomb,offset"
@@ -67,7 +67,7 @@ def make_trial(
     rng = np.random.default_rng(seed)
     model = load_robot(robot) if isinstance(robot, str) else robot
     base = find_base_parameters(model, DriveSet.parse(drive))
-    prior = cad_prior(model, base.drive)
+    prior = build_cad_prior(model, base.drive)
     chi = real_bodies(prior, rng, spread) if chi is None else chi
     motion = random_fourier(model, rng=rng, duration=duration).sample(rate)
     W = observation_matrix(

@@ -20,7 +20,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.writers.models.export import write_observer
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.reports.study_files import write_result
 from compiled_observer import Compiled, CompiledObserver
 from watched_robot import WatchedRobot
@@ -118,7 +118,7 @@ def test_functions_for_controllers_are_those_in_python(
     """Mass matrix, Coriolis, gravity and friction, which add up to inverse dynamics."""
     model, code, n = result.model, in_c.code, result.model.n_joints
     loaded = any(key.endswith("load_friction") for key in result.base.drive.keys)
-    for q, qd, qdd in zip(*sample_states(model, 20), strict=True):
+    for q, qd, qdd in zip(*draw_sample_states(model, 20), strict=True):
         M = code.filled("mass_matrix", (n, n), q)
         c, f = (code.filled(name, n, q, qd) for name in ("coriolis", "friction"))
         g = code.filled("gravity_torque", n, q)

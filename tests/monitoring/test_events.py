@@ -12,9 +12,9 @@ from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.monitoring.causal_filter import pole_for
-from asbuilt.monitoring.contact import excess_response, frame_jacobian, smallest_forces
-from asbuilt.monitoring.events import joined_events
+from asbuilt.monitoring.causal_filter import choose_pole
+from asbuilt.monitoring.contact import excess_response, find_smallest_forces, frame_jacobian
+from asbuilt.monitoring.events import join_events
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
 from asbuilt.workflow.watching.options import WatchOptions
@@ -119,9 +119,9 @@ def test_events_across_chunks_are_one(watched: WatchedRobot) -> None:
     external[800:900, 1] = 40.0
     (event,) = found(watched, watched.record(24, 10.0, external)).events
     later = replace(event, start=event.end + 0.1, end=event.end + 0.4)
-    (joined,) = joined_events((event, later), 1.0)
+    (joined,) = join_events((event, later), 1.0)
     assert (joined.start, joined.end) == (event.start, later.end)
-    assert len(joined_events((event, replace(later, start=event.end + 2.0)), 1.0)) == 2
+    assert len(join_events((event, replace(later, start=event.end + 2.0)), 1.0)) == 2
 
 
 @pytest.mark.study
@@ -233,11 +233,11 @@ def test_smallest_force_is_seen_within_20_ms_and_smaller_ones_are_not(
 
     seen = observed(log.tau)
     limit = watched.thresholds.of_log(seen, observer.model_error)[1]
-    forces = smallest_forces(observer, seen, limit, tool, filtered=filtered)
+    forces = find_smallest_forces(observer, seen, limit, tool, filtered=filtered)
     rng = np.random.default_rng(0)
     places = np.unique(np.linspace(0.1, 0.9, len(forces)) * (len(seen.t) - 1)).astype(int)
     late = round(0.02 * RATE)
-    pole = pole_for(np.diff(seen.t), observer.bandwidth) if filtered else None
+    pole = choose_pole(np.diff(seen.t), observer.bandwidth) if filtered else None
     mean = 0.02 - 0.5 / RATE
     wanted, made = (excess_response(observer, t, 1 / RATE, pole) for t in (0.02, mean))
     for k, force in list(zip(places, forces, strict=True))[:8]:

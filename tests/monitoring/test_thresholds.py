@@ -6,7 +6,7 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.monitoring.causal_filter import largest_velocity_error
 from asbuilt.monitoring.observed import Observed
-from asbuilt.monitoring.thresholds import MANY, levels, set_thresholds
+from asbuilt.monitoring.thresholds import MANY, estimate_levels, set_thresholds
 
 HOUR = 3600
 
@@ -16,7 +16,7 @@ def test_levels_of_joints_of_unlike_size_keep_the_rate_of_the_robot() -> None:
     rng, sizes = np.random.default_rng(0), np.array([0.1, 1.0, 5.0, 2.0])
     rates = []
     for _ in range(10):
-        found = levels(sizes * rng.exponential(size=(HOUR, 4)), 10.0 / HOUR)
+        found = estimate_levels(sizes * rng.exponential(size=(HOUR, 4)), 10.0 / HOUR)
         rates.append(HOUR * -np.expm1(np.sum(np.log1p(-np.exp(-found / sizes)))))
     assert 8.0 < np.mean(rates) < 13.0
 
@@ -25,15 +25,15 @@ def test_rate_is_kept_on_average_over_short_records() -> None:
     """Ten false alarms per hour from 20 minutes of seven joints: a promise of the mean."""
     rng, rates = np.random.default_rng(6), []
     for _ in range(80):
-        found = levels(rng.exponential(size=(HOUR // 3, 7)), 10.0 / HOUR)
+        found = estimate_levels(rng.exponential(size=(HOUR // 3, 7)), 10.0 / HOUR)
         rates.append(HOUR * -np.expm1(np.sum(np.log1p(-np.exp(-found)))))
     assert 8.0 < np.mean(rates) < 12.0
 
 
 def test_joints_that_alarm_together_count_once() -> None:
     one = np.random.default_rng(1).exponential(size=(HOUR, 1))
-    single = levels(one, 1.0 / HOUR)
-    assert np.allclose(levels(np.repeat(one, 6, axis=1), 1.0 / HOUR), single[0], rtol=1e-9)
+    single = estimate_levels(one, 1.0 / HOUR)
+    assert np.allclose(estimate_levels(np.repeat(one, 6, axis=1), 1.0 / HOUR), single[0], rtol=1e-9)
 
 
 def test_few_blocks_have_a_tail_per_joint() -> None:
@@ -41,7 +41,7 @@ def test_few_blocks_have_a_tail_per_joint() -> None:
     rng = np.random.default_rng(2)
     heavy = rng.exponential(size=MANY // 10) ** 3
     other = rng.uniform(0.9, 1.0, size=MANY // 10)
-    both = levels(np.column_stack([heavy, other]), 1.0 / HOUR)
+    both = estimate_levels(np.column_stack([heavy, other]), 1.0 / HOUR)
     assert both[1] < 2.0
     assert both[0] > 10.0
 

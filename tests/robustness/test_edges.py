@@ -9,12 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.cli.arguments.options import distinct_logs
+from asbuilt.cli.arguments.options import require_distinct_logs
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.excitation.motions.motion_csv import read_motion
 from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
-from asbuilt.experiment.logs.formats.log_format import table_from_variables
+from asbuilt.experiment.logs.formats.log_format import tabulate_variables
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.writers.pictures.motion_view import MotionView
 from command_line import call
@@ -109,10 +109,10 @@ def test_a_log_is_given_once_under_whatever_name(tmp_path: Path) -> None:
     copy.write_text(corpus.csv_log())
     other.write_text(corpus.csv_log().replace("0.1", "0.2"))
     link.symlink_to(log)
-    distinct_logs([log], [other], None)
+    require_distinct_logs([log], [other], None)
     for first, second, said in ((log, log, "twice"), (log, link, "twice"), (log, copy, "copy of")):
         with pytest.raises(UsageError, match=said):
-            distinct_logs([first], [other, second])
+            require_distinct_logs([first], [other, second])
 
 
 def lerobot(folder: Path, fps: object, stamps: object) -> Path:
@@ -223,6 +223,6 @@ def test_a_second_encoder_beyond_what_robots_log_is_refused(
 
 
 def test_complex_variables_are_left_out_by_name() -> None:
-    table = table_from_variables("x.npz", {"t": np.arange(9.0), "tau_1": np.arange(9) * 1j})
+    table = tabulate_variables("x.npz", {"t": np.arange(9.0), "tau_1": np.arange(9) * 1j})
     assert list(table.columns) == ["t"]
     assert "tau_1" in table.notes[0]

@@ -22,7 +22,7 @@ import pytest
 from asbuilt.description.cad.table import read_cad_table
 from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
-from asbuilt.excitation.collision.capsules import surroundings
+from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.excitation.motions.motion_csv import read_motion
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
 from asbuilt.experiment.logs.readers import read_recording
@@ -31,7 +31,7 @@ from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.result_files import read_result
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.watching.watch import watch
-from asbuilt.workflow.watching.watched_log import read_thresholds, thresholds_text
+from asbuilt.workflow.watching.watched_log import format_thresholds, read_thresholds
 from fleet_logs import MODEL, recording
 from robustness import corpus
 
@@ -109,14 +109,14 @@ def kinds() -> dict[str, Kind]:
     return robots | {
         "robot.xacro": Kind("r.xacro", XACRO, load_robot, slow=True),
         "result": Kind("result.json", result.to_json(), read_result),
-        "thresholds": Kind("thresholds.json", thresholds_text(thresholds), read_thresholds),
+        "thresholds": Kind("thresholds.json", format_thresholds(thresholds), read_thresholds),
         "sheet": Kind("log.toml", corpus.SHEET, read_sheet),
         "sheet of a log": Kind("log.toml", corpus.SHEET,
                                lambda path: read_recording(path.with_suffix(".csv")),
                                {"log.csv": corpus.csv_log()}),
         "log": Kind("log.csv", corpus.csv_log(), read_recording),
         "motion": Kind("m.csv", corpus.MOTION, lambda path: read_motion(path, MODEL)),
-        "cell": Kind("cell.toml", CELL, lambda path: surroundings(MODEL, path)),
+        "cell": Kind("cell.toml", CELL, lambda path: build_surroundings(MODEL, path)),
         "masses": Kind("masses.csv", MASSES, lambda path: read_cad_table(
             path, about="com", products="tensor", length_unit="m", mass_unit="kg")),
         "ledger": Kind("ledger.json", json.dumps(

@@ -48,8 +48,8 @@ def test_a_review_grades_the_description_by_its_torque_alone() -> None:
 
 def pinocchio_model(pin, model):
     """The robot as Pinocchio reads its URDF, gravity as described."""
-    from asbuilt.writers.models.urdf import urdf_text
+    from asbuilt.writers.models.urdf import format_urdf
 
-    built = pin.buildModelFromXML(urdf_text(model))
+    built = pin.buildModelFromXML(format_urdf(model))
     built.gravity.linear = np.array(model.gravity)
     return built

@@ -14,14 +14,14 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.torque_prediction import predict_torque
-from asbuilt.validation.nearest_consistent import nearest_model
+from asbuilt.validation.nearest_consistent import compare_with_nearest
 
 
 def test_errors_are_those_of_predicting_the_samples() -> None:
     result = identified("ur10e", "f")
     train, held = hold_out(prepare_samples(recorded("ur10e", "f"), SignalChain()), "blocks:2s:3")
     other = result.estimates * (1.0 + 0.2 * np.random.default_rng(0).normal(size=result.n_base))
-    found = nearest_model(result, other)
+    found = compare_with_nearest(result, other)
     for samples, errors in ((train, found.nearest_fitted), (held, found.nearest)):
         predicted = predict_torque(result.model, result.base, other, samples)
         np.testing.assert_allclose(errors, np.sqrt(np.mean(predicted.error**2, axis=0)), rtol=1e-7)
@@ -39,23 +39,23 @@ def test_the_joint_that_suffers_is_named() -> None:
     place = result.base.names.index("Fc4")
     spoilt = result.estimates.copy()
     spoilt[place] = 0.0
-    found = nearest_model(result, spoilt)
+    found = compare_with_nearest(result, spoilt)
     assert found.bad == (3,)
     assert found.objection().startswith(f"{result.joint_names[3]}: ")
     assert not found.worse_than_cad
-    assert nearest_model(result, result.estimates).objection() == ""
+    assert compare_with_nearest(result, result.estimates).objection() == ""
 
 
 def test_worse_than_cad_is_said() -> None:
     result = identified("ur10e", "")
-    worse = nearest_model(result, 1.02 * np.nan_to_num(result.cad_values))
+    worse = compare_with_nearest(result, 1.02 * np.nan_to_num(result.cad_values))
     assert worse.worse_than_cad
     assert worse.objection()
 
 
 def test_nothing_is_said_without_evidence() -> None:
     assert (
-        nearest_model(
+        compare_with_nearest(
             replace(identified("ur10e", "f"), cause_data=None),
             np.zeros(identified("ur10e", "f").n_base),
         )
@@ -64,6 +64,6 @@ def test_nothing_is_said_without_evidence() -> None:
 
 
 def test_document_and_table() -> None:
-    found = nearest_model(identified("ur10e", "f"), identified("ur10e", "f").estimates)
+    found = compare_with_nearest(identified("ur10e", "f"), identified("ur10e", "f").estimates)
     assert found.as_document()["stand_in"] == pytest.approx(found.identified)
     assert "as written" in found.table().as_text()

@@ -7,7 +7,7 @@ import pytest
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
-from asbuilt.validation.prediction import cad_values, validate_description, validate_samples
+from asbuilt.validation.prediction import derive_cad_values, validate_description, validate_samples
 from asbuilt.writers.models.as_built import as_built
 
 
@@ -58,7 +58,9 @@ def test_another_description_is_compared_only_if_its_geometry_fits(example: Any)
         validation.metrics_cad.relative_error
         < validate_samples(example.result, example.held_out).metrics_cad.relative_error
     )
-    np.testing.assert_allclose(cad_values(example.result, example.model), example.result.cad_values)
+    np.testing.assert_allclose(
+        derive_cad_values(example.result, example.model), example.result.cad_values
+    )
     moved = example.model.joints[2].after.copy()
     moved[0, 3] += 0.01
     from dataclasses import replace

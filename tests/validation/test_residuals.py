@@ -5,12 +5,12 @@ from asbuilt.validation.residuals import (
     VelocityCurve,
     analyse_residual,
     autocorrelation,
-    contiguous_segments,
+    bin_by_velocity,
     durbin_watson,
     effective_samples,
+    find_contiguous_segments,
     ljung_box,
-    velocity_curve,
-    whiteness_in_band,
+    measure_whiteness,
 )
 
 
@@ -77,7 +77,7 @@ def test_whiteness_in_the_band_does_not_depend_on_cutoff_or_rate() -> None:
     spectrum, frequency = np.fft.rfft(noise, axis=0), np.fft.rfftfreq(n, 1 / rate)
     for cutoff, kept in ((2.0, 1), (2.0, 25), (12.5, 4), (12.5, 10), (125.0, 1)):
         low = np.fft.irfft(np.where((frequency <= cutoff)[:, None], spectrum, 0.0), axis=0)[::kept]
-        statistic, worth = whiteness_in_band(np.arange(len(low)) * kept / rate, low, cutoff)
+        statistic, worth = measure_whiteness(np.arange(len(low)) * kept / rate, low, cutoff)
         assert 1.75 < statistic[0] < 2.25
         assert worth[0] > 0.6
         assert statistic[1] < 0.2
@@ -91,15 +91,15 @@ def test_short_recordings_are_analysed_too() -> None:
 
 
 def test_runs_split_where_time_jumps_or_returns() -> None:
-    assert contiguous_segments(np.array([])) == ()
-    assert contiguous_segments(np.array([1.0])) == ((0, 1),)
-    assert contiguous_segments(np.array([0.0, 1, 2, 2, 3, 9])) == ((0, 3), (3, 5), (5, 6))
+    assert find_contiguous_segments(np.array([])) == ()
+    assert find_contiguous_segments(np.array([1.0])) == ((0, 1),)
+    assert find_contiguous_segments(np.array([0.0, 1, 2, 2, 3, 9])) == ((0, 3), (3, 5), (5, 6))
 
 
 def test_velocity_curve_keeps_directions_apart() -> None:
     rng = np.random.default_rng(0)
     qd = rng.uniform(-2, 1, 5000)
-    curve = velocity_curve(qd, np.sign(qd) + 0.1 * qd, bins=20)
+    curve = bin_by_velocity(qd, np.sign(qd) + 0.1 * qd, bins=20)
     assert np.array_equal(np.isnan(curve.median), curve.count < 3)
     assert np.all(curve.velocity[np.isnan(curve.median)] > 1.0)
     curve = VelocityCurve(

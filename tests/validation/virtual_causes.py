@@ -17,7 +17,7 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.presets import perturbed_links
+from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.effects.search import find_effects
@@ -45,7 +45,7 @@ def recorded(
         .with_noise(SensorNoise(torque_noise=0.1))
     )
     if "l" in causes:
-        links = perturbed_links(machine.model, 0.1, np.random.default_rng(4))
+        links = perturb_links(machine.model, 0.1, np.random.default_rng(4))
         machine = replace(machine, model=links)
     if "p" in causes:
         machine = machine.with_tool(TOOL)

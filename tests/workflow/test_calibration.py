@@ -16,7 +16,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.recording import Recording
@@ -160,7 +160,7 @@ def test_stiffness_of_servos_from_a_payload(tmp_path: Path) -> None:
         motion = random_fourier(model, rng=seed, duration=24.0)
         logged = robot.record(motion, rate=200.0, rng=seed).recording
         unknown = PositionServo(kp=(np.nan,) * 5, kd=(np.nan,) * 5)
-        logs.append(driven_by_command(replace(logged, servo=None), unknown))
+        logs.append(drive_by_command(replace(logged, servo=None), unknown))
     true = VirtualRobot.preset("servo", model, rng=7).record(
         random_fourier(model, rng=1, duration=5.0), rate=200.0, rng=1
     )

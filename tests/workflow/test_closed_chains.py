@@ -19,7 +19,7 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from asbuilt.writers.models.c.c_dynamics import Mechanism
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 from closed_chains import NAMES, robot_with_loops
 
 pytest.importorskip("mujoco")
@@ -52,12 +52,12 @@ def test_intervals_hold_the_truth() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_free_motion_is_that_of_mujoco(name: str) -> None:
     """Accelerations by the shares against MuJoCo's constraint solver."""
-    from asbuilt.dynamics.kinematics import random_postures
+    from asbuilt.dynamics.kinematics import draw_postures
     from asbuilt.dynamics.newton_euler import forward_dynamics
 
     model = robot_with_loops(name)
     physics = Physics(model)
-    q = random_postures(model, np.random.default_rng(0), 5)
+    q = draw_postures(model, np.random.default_rng(0), 5)
     qd = np.random.default_rng(1).normal(size=q.shape)
     still = np.zeros_like(q)
     there, _ = physics.accelerations(q, qd, still, coulomb=still, viscous=still)
@@ -131,7 +131,7 @@ def test_limits_beyond_the_reach_are_refused_before_a_search() -> None:
 def test_exports_that_have_no_loops_refuse_by_name() -> None:
     model = bundled_robot("four-bar")
     with pytest.raises(DescriptionError, match=r"URDF has no loops.*coupler on rocker"):
-        urdf_text(model)
+        format_urdf(model)
     with pytest.raises(DescriptionError, match=r"C code .*coupler on rocker"):
         Mechanism(model)
 
@@ -147,7 +147,7 @@ def test_a_parallelogram_becomes_mimic_joints_in_urdf() -> None:
         loops=(replace(model.loops[0], **points),),
         posture={"crank_joint": 1.0, "coupler_joint": -1.0, "rocker_joint": 1.0},
     )
-    read = read_urdf(urdf_text(even))
+    read = read_urdf(format_urdf(even))
     assert read.joint_names == ("crank_joint",)
     q = np.linspace(0.4, 2.6, 9)[:, None]
     expected = inverse_dynamics(even, q, 2.0 * q, 3.0 - q)

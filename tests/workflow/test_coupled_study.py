@@ -8,7 +8,7 @@ import pytest
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.validation.review.review import review_result
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
@@ -30,7 +30,7 @@ def study() -> Study:
 
 
 def test_fingers_carry_no_tool(study: Study) -> None:
-    assert payload_frame(study.result.model)[:2] == ("l_a6", 3)
+    assert choose_payload_frame(study.result.model)[:2] == ("l_a6", 3)
     result = study.result
     truth = result.model.parameters
     truth[30:40] += CARRIED.parameters

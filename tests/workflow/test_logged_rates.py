@@ -17,7 +17,7 @@ from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.noise.band_choice import choose_band
-from asbuilt.experiment.signal.prepared_motion import MotionFilters, grid_of
+from asbuilt.experiment.signal.prepared_motion import MotionFilters, plan_grid
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.workflow.logged_rates import settle_rates
 
@@ -101,7 +101,7 @@ def test_what_is_stated_or_not_logged_is_left(monopod: RobotModel, log: Recordin
 
 def test_logged_accelerations_are_kept_further_up(log: Recording) -> None:
     """Nothing differences them; central differences lose a quarter at a fifth of the rate."""
-    segments = grid_of(log, SignalChain()).uniform()
+    segments = plan_grid(log, SignalChain()).uniform()
     without = [replace(segment, qdd=None) for segment in segments]
     assert choose_band(without, RATE, of_velocity=True).wanted == pytest.approx(0.2 * RATE)
     assert choose_band(segments, RATE).wanted == pytest.approx(0.2 * RATE)

@@ -13,10 +13,10 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.free_base.base_checks import free_base_findings
-from asbuilt.experiment.free_base.columns import base_rotations, on_its_base
+from asbuilt.experiment.free_base.base_checks import check_free_base
+from asbuilt.experiment.free_base.columns import add_base_coordinates, base_rotations
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.as_built import as_built
 from studied_cases import first_of
@@ -35,7 +35,7 @@ def log(shared: Path, solo: RobotModel) -> Recording:
 
 
 def errors(model: RobotModel, recording: Recording) -> list[str]:
-    found = free_base_findings(model, recording)
+    found = check_free_base(model, recording)
     return [each.code for each in found if each.severity == "error"]
 
 
@@ -59,13 +59,13 @@ def test_errors_of_a_real_log_are_named(solo: RobotModel, log: Recording) -> Non
 def test_feet_roll_on_the_radius_at_which_they_stand(solo: RobotModel, log: Recording) -> None:
     """The ground is at 0: the height of a frame in stance, which rolling does not use."""
     assert log.contact is not None
-    model, _ = fitted_recordings(solo, [log])
+    model, _ = read_fitted_recordings(solo, [log])
     poses = link_poses(solo, log.q)
     for contact, closed in zip(model.contacts, log.contact.T > 0.5, strict=True):
         link, placement = solo.placed(contact.frame)
         height = np.median((poses[closed, link] @ placement)[:, 2, 3])
         assert contact.radius == pytest.approx(height, abs=1e-3)
-    reports = {each.code for each in free_base_findings(model, log)}
+    reports = {each.code for each in check_free_base(model, log)}
     assert "feet_roll" in reports
     assert "contact_radius" not in reports
 
@@ -76,8 +76,8 @@ def test_a_stated_kind_of_foot_is_kept_and_a_wrong_one_named(
 ) -> None:
     feet = ",".join(f"{foot}:{stated}" for foot in FEET.split(","))
     other = load_robot(shared / "models/solo12/solo12.urdf", base="free", contacts=feet)
-    assert fitted_recordings(other, [log])[0].contacts == other.contacts
-    (finding,) = (x for x in free_base_findings(other, log) if x.code == "contact_radius")
+    assert read_fitted_recordings(other, [log])[0].contacts == other.contacts
+    (finding,) = (x for x in check_free_base(other, log) if x.code == "contact_radius")
     assert "FL_FOOT 18.6 mm" in finding.message
 
 
@@ -101,4 +101,4 @@ def test_rollouts_without_a_ground_are_refused_at_once(solo: RobotModel, log: Re
     with pytest.raises(UsageError, match="compared by torques"):
         roll_out_robot(solo, log, (0.1,))
     with pytest.raises(RecordingError, match="no ground on which"):
-        on_its_base(replace(log, torque_source="command"), solo)
+        add_base_coordinates(replace(log, torque_source="command"), solo)

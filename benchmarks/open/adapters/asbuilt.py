@@ -10,12 +10,12 @@ from plain import Motion
 
 import asbuilt
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.description.sibling import Sibling
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.free_base.columns import (
     ACCELERATION,
     ANGULAR,
@@ -23,15 +23,15 @@ from asbuilt.experiment.free_base.columns import (
     LINEAR,
     POSITION,
     QUATERNION,
+    add_base_coordinates,
     coordinate_rates,
-    on_its_base,
 )
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import robot_as_built
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
 from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.workflow.calibration import identify_moments
 from asbuilt.workflow.options import PayloadOptions
@@ -79,13 +79,13 @@ def weights(facts: Facts) -> list[Estimate]:
 def follow(facts: Facts) -> list[Array]:
     """Identify from commands, and simulate the windows of the tests."""
     known = facts.settings
-    model, (training,) = fitted_recordings(
+    model, (training,) = read_fitted_recordings(
         asbuilt.load_robot(facts.description), (commanded(facts, facts.training),)
     )
     same = {"same_servos": True} if known.get("same_servos") else {}
     study = asbuilt.identify(model, training, **same)
     servo, found = study.result.servo, []
-    robot = robot_as_built(study.result, servo)
+    robot = build_robot_as_built(study.result, servo)
     for name, log in zip(facts.test, facts.logs(facts.test), strict=True):
         (recording,) = commanded(facts, [name])
         signal = DriveSignal.of(replace(recording, servo=servo), "command")
@@ -112,7 +112,7 @@ def commanded(facts: Facts, names: list[str]) -> list[Recording]:
             source=name,
             command=log["u"],
         )
-        found.append(driven_by_command(recording, PositionServo(**gains)))
+        found.append(drive_by_command(recording, PositionServo(**gains)))
     return found
 
 
@@ -169,7 +169,7 @@ def _on_base(robot: RobotModel, facts: Facts, log: dict[str, Array]) -> Recordin
         extra=extra,
         **joints,
     )
-    return on_its_base(recording, robot)
+    return add_base_coordinates(recording, robot)
 
 
 def _rates_of_twists(q: Array) -> Array:
@@ -217,7 +217,7 @@ def _details(study: Study) -> dict[str, object]:
         "method": result.method,
         "duration": result.duration,
         "joints": list(result.joint_names),
-        "effects": [plain(each) for each in study.effects],
+        "effects": [make_plain(each) for each in study.effects],
         "masses": None if masses is None else masses.as_dict(),
         "sibling": None if masses is None else Sibling.of(as_built(result).model).as_dict(),
         "drives": _drives(result),

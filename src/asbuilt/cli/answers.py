@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asbuilt import writers
-from asbuilt.cli.arguments.spread import option_name
+from asbuilt.cli.arguments.spread import name_option
 from asbuilt.cli.commands import EVERY_COMMAND
 from asbuilt.findings import Cure
 
@@ -107,7 +107,7 @@ _listener: ContextVar[Callable[[str, float], None]] = ContextVar(
 
 
 @contextmanager
-def progress_told(listener: Callable[[str, float], None]) -> Iterator[None]:
+def tell_progress(listener: Callable[[str, float], None]) -> Iterator[None]:
     """Report the progress of commands to `listener(what, fraction)` as to the screen."""
     token = _listener.set(listener)
     try:
@@ -117,14 +117,14 @@ def progress_told(listener: Callable[[str, float], None]) -> Iterator[None]:
 
 
 @contextmanager
-def screen_of(common: Common, *, compiles: bool) -> Iterator[None]:
+def open_screen(common: Common, *, compiles: bool) -> Iterator[None]:
     """Open the screen of a command, which also announces compilation."""
     screen = Screen(quiet=common.quiet, verbose=common.verbose)
     token = _screen.set(screen)
     if compiles:
-        from asbuilt.compilation import announced_by
+        from asbuilt.compilation import announce_kernels
 
-        announcing: AbstractContextManager[None] = announced_by(screen.announce_compilation)
+        announcing: AbstractContextManager[None] = announce_kernels(screen.announce_compilation)
     else:
         announcing = nullcontext()
     try:
@@ -136,7 +136,7 @@ def screen_of(common: Common, *, compiles: bool) -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
+def show_progress() -> Iterator[Callable[[str, float], None]]:
     """Yield `report(what, fraction)`, which draws on the screen of the command."""
     screen = _screen.get() or Screen(quiet=True)
     try:
@@ -150,45 +150,45 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
     screen = _screen.get() or Screen()
     screen.close()
     if as_json:
-        from asbuilt.codec import json_text
+        from asbuilt.codec import format_json
 
-        sys.stdout.write(json_text(document()))
+        sys.stdout.write(format_json(document()))
     elif not screen.quiet:
         sys.stdout.write(text().strip("\n") + "\n")
     sys.stdout.flush()
 
 
-def cure_text(cure: Cure | str | None) -> str:
+def describe_cure(cure: Cure | str | None) -> str:
     """Return what to do, with the options and the command that do it; empty if there is no cure.
 
-    >>> cure_text(Cure("negate the torques", {"flip_torque": True}))
+    >>> describe_cure(Cure("negate the torques", {"flip_torque": True}))
     'negate the torques (--flip-torque)'
-    >>> cure_text(Cure("find the gains from a known payload", call="find_gains"))
+    >>> describe_cure(Cure("find the gains from a known payload", call="find_gains"))
     'find the gains from a known payload (asbuilt gains)'
     """
     if not isinstance(cure, Cure):
         return cure or ""
-    spelled = [_option_text(name, value) for name, value in cure.settings.items()]
+    spelled = [_format_option(name, value) for name, value in cure.settings.items()]
     spelled += [
         f"asbuilt {name}" for name, entry in EVERY_COMMAND.items() if cure.call == entry.call != ""
     ]
     return f"{cure.text} ({', '.join(spelled)})" if spelled else cure.text
 
 
-def finding_text(finding: Finding) -> str:
+def format_finding(finding: Finding) -> str:
     """Return a finding as one line: severity, code, message and cure."""
-    return f"{finding.severity.upper()} {finding.code}: {finding.advised(cure_text)}"
+    return f"{finding.severity.upper()} {finding.code}: {finding.advised(describe_cure)}"
 
 
-def _option_text(name: str, value: Any) -> str:
-    option = option_name(name)
+def _format_option(name: str, value: Any) -> str:
+    option = name_option(name)
     if isinstance(value, bool):
         return option
     shown = ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
     return f"{option} {shown}"
 
 
-def folded(text: str) -> str:
+def fold_text(text: str) -> str:
     """Return a message folded to the width of the terminal; as it is if stderr is none."""
     if not sys.stderr.isatty():
         return text
@@ -197,9 +197,7 @@ def folded(text: str) -> str:
     )
 
 
-def listed_files(
-    files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None
-) -> str:
+def list_files(files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None) -> str:
     """Return the lines that name the files written and their notes; empty if there are none."""
     if not files:
         return ""
@@ -208,12 +206,12 @@ def listed_files(
     return "\n".join(["", "", "written:", *writers.file_lines(files, notes or {}, width)])
 
 
-def brief_files(files: Mapping[str, Path], following: str) -> str:
+def summarise_files(files: Mapping[str, Path], following: str) -> str:
     """Return lines that name the folder of the files written, and the command that follows."""
-    from asbuilt.tables import wrapped
+    from asbuilt.tables import wrap_text
 
-    lines = [wrapped(following, "Next: ")]
+    lines = [wrap_text(following, "Next: ")]
     if files:
         names = ", ".join(path.name for path in files.values())
-        lines.insert(0, wrapped(f"{next(iter(files.values())).parent}: {names}", "Written to "))
+        lines.insert(0, wrap_text(f"{next(iter(files.values())).parent}: {names}", "Written to "))
     return "\n".join(["", *lines])

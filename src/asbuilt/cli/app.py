@@ -21,12 +21,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from asbuilt.cli.answers import cure_text, folded, screen_of
+from asbuilt.cli.answers import describe_cure, fold_text, open_screen
 from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
-from asbuilt.untrusted import inputs_kept, reason, shown_path, xacro_trusted
+from asbuilt.untrusted import allow_xacro_python, describe_problem, protect_inputs, shorten_path
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
@@ -63,11 +63,11 @@ class Command(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return `[OPTIONS]` and the names of the arguments."""
-        return ["[OPTIONS]", *(str(param.metavar) for param in _arguments(self, ctx))]
+        return ["[OPTIONS]", *(str(param.metavar) for param in _list_arguments(self, ctx))]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options under the heading of their group."""
-        arguments = _arguments(self, ctx)
+        arguments = _list_arguments(self, ctx)
         sections = {"Arguments": [(str(param.metavar), param.help or "") for param in arguments]}
         for param in self.get_params(ctx):
             record = None if param in arguments else param.get_help_record(ctx)
@@ -85,7 +85,7 @@ class Command(TyperCommand):
         _write_examples(ctx, formatter)
 
 
-def _arguments(command: Any, ctx: Any) -> list[Any]:
+def _list_arguments(command: Any, ctx: Any) -> list[Any]:
     return [param for param in command.get_params(ctx) if param.param_type_name == "argument"]
 
 
@@ -103,12 +103,12 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
         entries = {name: each for group in self._sections.values() for name, each in group.items()}
-        entry = _entry(entries, cmd_name, "" if ctx is None else ctx.command_path)
+        entry = _find_entry(entries, cmd_name, "" if ctx is None else ctx.command_path)
         if cmd_name in SUBCOMMANDS and self.name not in SUBCOMMANDS:
             return typer.main.get_command(
-                _group(cmd_name, help=entry.summary, add_completion=False)
+                _make_group(cmd_name, help=entry.summary, add_completion=False)
             )
-        return _command(cmd_name, entry)
+        return _import_command(cmd_name, entry)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands of each group with their summaries."""
@@ -132,7 +132,7 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
                 formatter.write(f"  asbuilt {place} {arguments}".rstrip() + "\n")
 
 
-def _entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
+def _find_entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
     if name not in entries:
         near = difflib.get_close_matches(name, entries, n=1)
         guess = f"did you mean {near[0]}?" if near else f"{place} -h lists the commands"
@@ -140,15 +140,15 @@ def _entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
     return entries[name]
 
 
-def _command(name: str, entry: Entry) -> Any:
+def _import_command(name: str, entry: Entry) -> Any:
     """Import a command."""
     function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
         with (
-            screen_of(common, compiles=entry.compiles),
-            xacro_trusted(common.trust_xacro),
-            inputs_kept(),
+            open_screen(common, compiles=entry.compiles),
+            allow_xacro_python(common.trust_xacro),
+            protect_inputs(),
         ):
             call()
 
@@ -160,7 +160,7 @@ def _command(name: str, entry: Entry) -> Any:
     return typer.main.get_command(alone)
 
 
-def _group(name: str, **described: Any) -> typer.Typer:
+def _make_group(name: str, **described: Any) -> typer.Typer:
     """Return a command that has commands, and shows its help without one."""
     group = typer.Typer(
         name=name, cls=Commands, context_settings=HELP, rich_markup_mode=None, **described
@@ -175,7 +175,7 @@ def _group(name: str, **described: Any) -> typer.Typer:
     return group
 
 
-app = _group(
+app = _make_group(
     "asbuilt",
     help=(
         "Identify the dynamic model of a robot arm as built, from its description and recordings"
@@ -194,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     given = [*(sys.argv[1:] if arguments is None else arguments)]
-    sys.exit(_flushed(_status(given)))
+    sys.exit(_flush_output(_run_for_status(given)))
 
 
 def _return_freed_memory() -> None:
@@ -210,7 +210,7 @@ def _return_freed_memory() -> None:
         library.mallopt(of_threads, 1)
 
 
-def _flushed(status: int) -> int:
+def _flush_output(status: int) -> int:
     """Write what is buffered; a full disk or a closed pipe is an error that is reported once."""
     if sys.stdout is None or sys.stderr is None:
         return status
@@ -224,14 +224,14 @@ def _flushed(status: int) -> int:
     return status
 
 
-def _status(given: list[str]) -> int:
+def _run_for_status(given: list[str]) -> int:
     """Run the command line; report every failure and return the exit status."""
     try:
         status = typer.main.get_command(app).main(
             args=given, prog_name="asbuilt", standalone_mode=False
         )
     except AsbuiltError as problem:
-        hint = cure_text(problem.cure)
+        hint = describe_cure(problem.cure)
         return _fail(
             given, type(problem).__name__, problem.message, hint, problem.fields,
             2 if isinstance(problem, UsageError) else 1,
@@ -239,7 +239,7 @@ def _status(given: list[str]) -> int:
     except typer.TyperException as problem:
         place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
         message = " ".join(problem.format_message().split()).rstrip(".")
-        return _fail(given, "UsageError", message, _usage_hint(place, message), {}, 2)
+        return _fail(given, "UsageError", message, _word_usage_hint(place, message), {}, 2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -248,7 +248,7 @@ def _status(given: list[str]) -> int:
     except MemoryError as problem:
         detail = f": {problem}" if str(problem) else ""
         return _fail(
-            given, "MemoryError", f"there is not enough memory{detail}; {_memory()}",
+            given, "MemoryError", f"there is not enough memory{detail}; {_describe_memory()}",
             "use fewer samples: decimate, or cut the recording", {}, 1,
         )  # fmt: skip
     except Exception as problem:
@@ -256,7 +256,7 @@ def _status(given: list[str]) -> int:
             _say(FULL_DISK)
             return 1
         if isinstance(problem, OSError) and problem.filename is not None:
-            message = f"{shown_path(str(problem.filename))}: {reason(problem)}"
+            message = f"{shorten_path(str(problem.filename))}: {describe_problem(problem)}"
             return _fail(given, type(problem).__name__, message, "", {}, 1)
         if os.environ.get("ASBUILT_TRACEBACK"):
             traceback.print_exc()
@@ -270,7 +270,7 @@ def _status(given: list[str]) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _memory() -> str:
+def _describe_memory() -> str:
     """Return the memory of this machine, or the limit that this process has of it."""
     most = math.inf
     with contextlib.suppress(ImportError, ValueError, OSError, AttributeError):
@@ -283,7 +283,7 @@ def _memory() -> str:
     return f"this process may have {most / 1e9:.3g} GB"
 
 
-def _usage_hint(place: str, message: str) -> str:
+def _word_usage_hint(place: str, message: str) -> str:
     """Return what to do about wrong usage of a command."""
     entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
     if entry is not None and entry.surplus and "unexpected extra argument" in message:
@@ -303,7 +303,7 @@ def _fail(
         print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
         text = f"asbuilt: {message}" + (f"; {hint}" if hint else "")
-        _say(folded(text))
+        _say(fold_text(text))
     return status
 
 

@@ -10,7 +10,7 @@ import typer
 
 import asbuilt
 from asbuilt import ChannelOptions, GainOptions, PayloadOptions, ReadingOptions, writers
-from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, format_finding, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Carrier,
@@ -23,14 +23,14 @@ from asbuilt.cli.arguments.options import (
     Result,
     Robot,
     Unchecked,
-    described_robot,
-    distinct_logs,
-    number_list,
-    recordings_of,
-    robot_and_recordings,
+    load_described_robot,
+    parse_number_list,
+    read_recordings_of_robot,
+    read_robot_and_recordings,
+    require_distinct_logs,
 )
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.tables import wrapped
+from asbuilt.tables import wrap_text
 from asbuilt.writers.files import with_files
 
 
@@ -82,20 +82,20 @@ def channels(
     as_json: AsJson = False,
 ) -> None:
     """Identify links, link-side friction and motor side from torques on both sides of the gears."""
-    distinct_logs(log)
-    distinct_logs(motor)
+    require_distinct_logs(log)
+    require_distinct_logs(motor)
     if motor_sheet is None and motor_gain is None:
-        distinct_logs(log, motor)
-    model = described_robot(robot, **reading.of_base)
+        require_distinct_logs(log, motor)
+    model = load_described_robot(robot, **reading.of_base)
     on_links = replace(reading, torque_source=reading.torque_source or "sensor")
     on_motors = replace(
         reading,
-        gain=number_list("--motor-gain", motor_gain) or None,
+        gain=parse_number_list("--motor-gain", motor_gain) or None,
         torque_source="motor",
         sheet=motor_sheet or reading.sheet,
     )
-    model, (sensors,) = robot_and_recordings(model, on_links, log)
-    model, (motors,) = robot_and_recordings(model, on_motors, motor)
+    model, (sensors,) = read_robot_and_recordings(model, on_links, log)
+    model, (motors,) = read_robot_and_recordings(model, on_motors, motor)
 
     options = ChannelOptions(
         link_side=None if drive is None else asbuilt.DriveSet.parse(drive),
@@ -103,9 +103,9 @@ def channels(
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    with progress_bar() as report:
+    with show_progress() as report:
         found = asbuilt.identify_channels(model, sensors, motors, options=options, progress=report)
-    messages = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
+    messages = "".join(f"\n{wrap_text(format_finding(each))}" for each in found.findings)
     answer(
         as_json,
         lambda: writers.channels_document(found),
@@ -144,20 +144,20 @@ def gains(
     usual; the gains printed replace them. In logs of commands the gain is the stiffness of the
     position servo, --kp.
     """
-    distinct_logs(log, loaded)
+    require_distinct_logs(log, loaded)
     options = GainOptions(
-        com=number_list("--com", com, 3) or None,
+        com=parse_number_list("--com", com, 3) or None,
         frame=frame,
         drive=None if drive is None else asbuilt.DriveSet.parse(drive),
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    model = described_robot(robot, **reading.of_base)
+    model = load_described_robot(robot, **reading.of_base)
     source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
     measured = replace(reading, torque_source=source or "current")
-    model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
+    model, (bare, under) = read_robot_and_recordings(model, measured, log, loaded)
 
-    with progress_bar() as report:
+    with show_progress() as report:
         found = asbuilt.find_gains(model, bare, under, mass=mass, options=options, progress=report)
     answer(as_json, lambda: writers.gains_document(found), lambda: writers.gains_text(found, full))
 
@@ -203,10 +203,11 @@ def payload(
     as_json: AsJson = False,
 ) -> None:
     """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
-    distinct_logs(log, unloaded, validate)
+    require_distinct_logs(log, unloaded, validate)
     identified = asbuilt.read_result(result)
     loaded, bare, others = (
-        recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
+        read_recordings_of_robot(identified.model, logs, reading)
+        for logs in (log, unloaded, validate)
     )
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
     from asbuilt.workflow.calibration import identify_moments
@@ -217,7 +218,7 @@ def payload(
         gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
     )
     if moments:
-        with progress_bar() as report:
+        with show_progress() as report:
             weight = identify_moments(
                 identified, loaded, unloaded=bare, options=options, progress=report
             )
@@ -228,10 +229,10 @@ def payload(
         answer(
             as_json,
             lambda: with_files(document, written),
-            lambda: writers.moments_table(weight).as_text(full) + listed_files(written),
+            lambda: writers.moments_table(weight).as_text(full) + list_files(written),
         )
         return
-    with progress_bar() as report:
+    with show_progress() as report:
         found = asbuilt.identify_payload(
             identified,
             loaded,
@@ -248,5 +249,5 @@ def payload(
     answer(
         as_json,
         lambda: writers.payload_document(found, files),
-        lambda: writers.payload_text(found, full) + listed_files(files),
+        lambda: writers.payload_text(found, full) + list_files(files),
     )

@@ -19,7 +19,7 @@ from asbuilt import (
     workflow,
     writers,
 )
-from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, describe_cure, format_finding, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
@@ -28,7 +28,7 @@ from asbuilt.cli.arguments.options import (
     Out,
     Robot,
     Unchecked,
-    writable_folder,
+    require_writable_folder,
 )
 from asbuilt.workflow.fleet.options import FleetDriftOptions
 
@@ -95,11 +95,11 @@ def add(
     """
     if (id is None) == (id_from is None):
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
-    asked = _asked(drive, unchecked, filtering)
-    from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
+    asked = _make_study_options(drive, unchecked, filtering)
+    from asbuilt.workflow.fleet.reduction.add import make_identity_finder as identity_from
 
     identity = id if id is not None else identity_from(str(id_from))
-    with progress_bar() as report:
+    with show_progress() as report:
         done = asbuilt.add_logs(
             ledger,
             robot,
@@ -108,7 +108,7 @@ def add(
             reading=reading,
             options=asked,
             fleet=fleet,
-            date=_date(date),
+            date=_parse_date(date),
             progress=report,
         )
     _answer_addition(done, full, as_json)
@@ -119,7 +119,7 @@ def _answer_addition(done: workflow.Addition, full: bool, as_json: bool) -> None
     answer(
         as_json,
         lambda: writers.addition_document(done),
-        lambda: writers.addition_text(done, finding_text, cure_text, full=full),
+        lambda: writers.addition_text(done, format_finding, describe_cure, full=full),
     )
     if done.failed:
         raise typer.Exit(FAILED)
@@ -142,9 +142,9 @@ def rebuild(
     Robots and dates are known from the ledger. The old entries stay valid until all logs are done;
     logs that are not given are left out of the ledger from then on.
     """
-    asked = _asked(drive, unchecked, filtering)
+    asked = _make_study_options(drive, unchecked, filtering)
 
-    with progress_bar() as report:
+    with show_progress() as report:
         done = asbuilt.rebuild_ledger(
             ledger,
             log,
@@ -170,7 +170,9 @@ def show(
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
     seen = asbuilt.fleet_overview(asbuilt.open_ledger(ledger), thorough=thorough)
-    answer(as_json, seen.as_document, lambda: writers.overview_text(seen, finding_text, full=full))
+    answer(
+        as_json, seen.as_document, lambda: writers.overview_text(seen, format_finding, full=full)
+    )
 
 
 def identify(
@@ -190,26 +192,30 @@ def identify(
     drive terms.
     """
     study = asbuilt.fleet_identify(
-        asbuilt.open_ledger(ledger), id, since=_date(since), until=_date(until), options=options
+        asbuilt.open_ledger(ledger),
+        id,
+        since=_parse_date(since),
+        until=_parse_date(until),
+        options=options,
     )
     files, notes = writers.write_study(out, study) if out is not None else ({}, {})
     answer(
         as_json,
         lambda: writers.study_document(study, files, notes) | {"id": id},
         lambda: (
-            writers.study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes)
+            writers.study_text(study, full=full, cure_text=describe_cure) + list_files(files, notes)
         ),
     )
 
 
-def _date(text: str | None) -> datetime | None:
+def _parse_date(text: str | None) -> datetime | None:
     """Return the date that a text names, None without a text."""
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
     return None if text is None else parse_date(text)
 
 
-def _asked(drive: str | None, unchecked: bool, filtering: Filtering) -> StudyOptions:
+def _make_study_options(drive: str | None, unchecked: bool, filtering: Filtering) -> StudyOptions:
     if filtering.cutoff == "auto":
         raise UsageError("a ledger takes a cutoff in Hz, or the one chosen from the first log")
     return replace(
@@ -244,9 +250,11 @@ def drift(
     """
     opened = asbuilt.open_ledger(ledger)
 
-    with progress_bar() as report:
-        found = asbuilt.fleet_drift(opened, since=_date(since), options=options, progress=report)
-    answer(as_json, found.as_document, lambda: writers.drift_text(found, finding_text, full=full))
+    with show_progress() as report:
+        found = asbuilt.fleet_drift(
+            opened, since=_parse_date(since), options=options, progress=report
+        )
+    answer(as_json, found.as_document, lambda: writers.drift_text(found, format_finding, full=full))
 
 
 def report(
@@ -255,7 +263,11 @@ def report(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="folder for the page", callback=writable_folder
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="folder for the page",
+            callback=require_writable_folder,
         ),
     ],
     since: ChangesSince = None,
@@ -269,11 +281,13 @@ def report(
     """
     opened = asbuilt.open_ledger(ledger)
 
-    with progress_bar() as tell:
-        found = asbuilt.fleet_drift(opened, since=_date(since), options=options, progress=tell)
+    with show_progress() as tell:
+        found = asbuilt.fleet_drift(
+            opened, since=_parse_date(since), options=options, progress=tell
+        )
     files = {"report": asbuilt.write_fleet_report(out / "fleet.html", found)}
     answer(
         as_json,
         lambda: found.as_document() | {"files": {"report": str(files["report"])}},
-        lambda: writers.drift_text(found, finding_text, full=full) + listed_files(files),
+        lambda: writers.drift_text(found, format_finding, full=full) + list_files(files),
     )

@@ -11,7 +11,7 @@ import typer
 
 import asbuilt
 from asbuilt import ReadingOptions, UsageError, writers
-from asbuilt.cli.answers import answer, brief_files, cure_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress, summarise_files
 from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
@@ -25,12 +25,12 @@ from asbuilt.cli.arguments.options import (
     Scheduler,
     Seed,
     TimelineFiles,
-    described_robot,
-    distinct_logs,
+    load_described_robot,
+    read_robot_and_recordings,
     refuse_idle,
     refuse_sharing,
-    robot_and_recordings,
-    shared_work,
+    require_distinct_logs,
+    share_workers,
 )
 from asbuilt.workflow.options import (
     AUTOMATIC,
@@ -66,15 +66,15 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a robot from recordings, and validate the result."""
-    distinct_logs(log, validate, payload)
+    require_distinct_logs(log, validate, payload)
     if not options.rollout:
         refuse_sharing("only rollouts are shared", workers, scheduler)
-    model, swept = described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
+    model, swept = load_described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
-    with progress_bar() as report, shared_work(workers, scheduler) as shared:
+    with show_progress() as report, share_workers(workers, scheduler) as shared:
         report("read", 0.0)
-        model, (recordings, others, loaded) = robot_and_recordings(
+        model, (recordings, others, loaded) = read_robot_and_recordings(
             model, reading, log, validate, payload
         )
 
@@ -108,11 +108,11 @@ def identify(
         as_json,
         lambda: writers.study_document(study, files, notes, carried),
         lambda: (
-            writers.study_text(study, carried, full=full, cure_text=cure_text)
+            writers.study_text(study, carried, full=full, cure_text=describe_cure)
             + (
-                listed_files(files, notes)
+                list_files(files, notes)
                 if full
-                else brief_files(files, _next_command(study, robot, files))
+                else summarise_files(files, _suggest_next_command(study, robot, files))
             )
         ),
     )
@@ -123,7 +123,7 @@ MORE_MOTION = ("does_not_generalise", "not_excited")
 """Reasons of a verdict that another log, or a designed motion, takes away."""
 
 
-def _next_command(study: asbuilt.Study, robot: str, files: Mapping[str, Path]) -> str:
+def _suggest_next_command(study: asbuilt.Study, robot: str, files: Mapping[str, Path]) -> str:
     """Return the command that follows from the verdict on a study."""
     place, reasons = files.get("result"), study.verdict.reasons
     if place is None:
@@ -243,7 +243,7 @@ def export(
             | {"--force": force, "--to": bool(to), "--observer": observer is not None}
             | {"--elastic": elastic},
         )
-        with shared_work(workers, scheduler) as shared:
+        with share_workers(workers, scheduler) as shared:
             models: Literal["mjcf", "urdf"] = "urdf" if bare else "mjcf"
             _export_ensemble(
                 asbuilt.read_result(result), ensemble, models, seed, out, shared, full=full,
@@ -254,7 +254,7 @@ def export(
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
-    places, identified = _places(to or []), asbuilt.read_result(result)
+    places, identified = _parse_places(to or []), asbuilt.read_result(result)
 
     exported = asbuilt.export_result(
         identified,
@@ -273,7 +273,7 @@ def export(
     answer(as_json, exported.as_document, exported.as_text)
 
 
-def _places(to: list[str]) -> dict[str, Path]:
+def _parse_places(to: list[str]) -> dict[str, Path]:
     """Return the file of each simulator format, from FORMAT=FILE."""
     places: dict[str, Path] = {}
     for each in to:

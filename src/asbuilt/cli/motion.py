@@ -12,20 +12,20 @@ import typer
 
 import asbuilt
 from asbuilt import DesignOptions, UsageError, excitation, writers
-from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     FixedBase,
     Full,
     Robot,
-    described_robot,
+    load_described_robot,
     refuse_both,
     refuse_idle,
     refuse_sharing,
-    writable_file,
-    writable_folder,
+    require_writable_file,
+    require_writable_folder,
 )
-from asbuilt.cli.arguments.spread import given_options
+from asbuilt.cli.arguments.spread import find_given_options
 
 OF_MOTIONS = (
     *("--parametrisation", "--harmonics", "--criterion", "--focus", "--periods"),
@@ -64,7 +64,11 @@ def excite(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="FILE", help="motion file to write", callback=writable_file
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="motion file to write",
+            callback=require_writable_file,
         ),
     ] = Path("motion.csv"),
     workers: Annotated[
@@ -93,12 +97,12 @@ def excite(
     as_json: AsJson = False,
 ) -> None:
     """Design the most informative motion within the limits of a robot."""
-    asked = given_options(options)
+    asked = find_given_options(options)
     refuse_both(workers, scheduler)
     if static is not None:
         refuse_sharing("static poses are found by one process", workers, scheduler)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
-    model, base, prior = described_robot(robot, fixed_base=fixed_base), None, None
+    model, base, prior = load_described_robot(robot, fixed_base=fixed_base), None, None
     from asbuilt.identification.information.known_information import known_information
 
     if given is not None:
@@ -114,7 +118,7 @@ def excite(
 
     def written(found: Any) -> dict[str, Path]:
         files = {"motion": asbuilt.write_motion(out, found.motion, model.joint_names, rate)}
-        files |= _programs(model, found.motion, program, out, options.collision)
+        files |= _write_programs(model, found.motion, program, out, options.collision)
         page = out.with_suffix(".html")
         return files | ({"report": writers.write_motion_report(page, found)} if report else {})
 
@@ -124,10 +128,10 @@ def excite(
         answer(
             as_json,
             lambda: writers.design_document(poses, files),
-            lambda: writers.design_text(poses, full=full, spell=cure_text) + listed_files(files),
+            lambda: writers.design_text(poses, full=full, spell=describe_cure) + list_files(files),
         )
         return
-    with progress_bar() as show:
+    with show_progress() as show:
 
         def progress(state: excitation.SearchProgress) -> None:
             best = f": best {state.best:.2f}" if math.isfinite(state.best) else ""
@@ -146,7 +150,7 @@ def excite(
     answer(
         as_json,
         lambda: writers.design_document(design, files),
-        lambda: writers.design_text(design, full=full, spell=cure_text) + listed_files(files),
+        lambda: writers.design_text(design, full=full, spell=describe_cure) + list_files(files),
     )
 
 
@@ -165,7 +169,7 @@ def _refuse_idle(
         refuse_idle("--tool-frame needs --tool-box", {"--tool-frame": asked["--tool-frame"]})
 
 
-def _programs(
+def _write_programs(
     model: asbuilt.RobotModel,
     motion: excitation.Motion,
     forms: Sequence[str] | None,
@@ -226,14 +230,14 @@ def program(
             "-o",
             metavar="DIR",
             help="folder for the files to write",
-            callback=writable_folder,
+            callback=require_writable_folder,
         ),
     ] = Path("program"),
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a program that makes a real controller run a motion and record it."""
-    model, title = described_robot(robot), name or motion.stem
+    model, title = load_described_robot(robot), name or motion.stem
 
     request = writers.program_request(
         model, motion, form, name=title, rate=rate, collision=collision
@@ -242,5 +246,5 @@ def program(
     answer(
         as_json,
         lambda: writers.program_document(request, form, files),
-        lambda: writers.program_text(request, form, full=full) + listed_files(files),
+        lambda: writers.program_text(request, form, full=full) + list_files(files),
     )

@@ -9,7 +9,7 @@ import typer
 
 import asbuilt
 from asbuilt import ReadingOptions, UsageError, excitation, workflow, writers
-from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, describe_cure, format_finding, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     FixedBase,
@@ -19,16 +19,16 @@ from asbuilt.cli.arguments.options import (
     Robot,
     RobotOrResult,
     Seed,
-    described_robot,
-    distinct_logs,
-    number_list,
-    positive_number,
+    load_described_robot,
+    load_robot_as_built,
+    parse_number_list,
+    parse_positive_number,
+    read_robot_and_recordings,
     refuse_idle,
-    robot_and_recordings,
-    robot_as_built,
-    writable_file,
+    require_distinct_logs,
+    require_writable_file,
 )
-from asbuilt.cli.arguments.spread import one_of
+from asbuilt.cli.arguments.spread import require_known_value
 from asbuilt.description.inertia import tool_from_text
 
 
@@ -53,9 +53,9 @@ def check(
     Checked are clock, missing values, units, signs, order of joints, limits, saturation, filters
     and excitation.
     """
-    distinct_logs(log)
-    model, (recordings,) = robot_and_recordings(
-        described_robot(robot, **reading.of_base), reading, log
+    require_distinct_logs(log)
+    model, (recordings,) = read_robot_and_recordings(
+        load_described_robot(robot, **reading.of_base), reading, log
     )
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
@@ -67,17 +67,17 @@ def check(
     ]
     document, files = writers.check_document(model, checks, carried), {}
     if out is not None:
-        files = writers.write_check_page(out, recordings, checks, finding_text)
+        files = writers.write_check_page(out, recordings, checks, format_finding)
     answer(
         as_json,
         lambda: writers.with_files(document, files) if files else document,
         lambda: (
             "\n\n".join(
-                found.as_text(full=full, cure_text=cure_text)
-                + ("" if part is None else f"\n{part.as_text(cure_text)}")
+                found.as_text(full=full, cure_text=describe_cure)
+                + ("" if part is None else f"\n{part.as_text(describe_cure)}")
                 for found, part in zip(checks, carried, strict=True)
             )
-            + listed_files(files)
+            + list_files(files)
         ),
     )
     if not all(found.ok for found in checks):
@@ -187,7 +187,7 @@ def simulate(
             "-o",
             metavar="LOG",
             help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None,
     fixed_base: FixedBase = False,
@@ -197,17 +197,17 @@ def simulate(
 
     The parameters of the robot are written next to the recording.
     """
-    runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
-    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
-    model = robot_as_built(robot, fixed_base=fixed_base)
+    runs_on = require_known_value("--engine", engine, ("mujoco", "inverse-dynamics"))
+    kind = require_known_value("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
+    model = load_robot_as_built(robot, fixed_base=fixed_base)
 
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:
         raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     from asbuilt.experiment.virtual.settings import with_settings
-    from asbuilt.identification.calibration.payload import payload_frame
+    from asbuilt.identification.calibration.payload import choose_payload_frame
 
-    place = None if carried is None else payload_frame(model, at)[0]
+    place = None if carried is None else choose_payload_frame(model, at)[0]
     if free is not None:
         given = {
             "MOTION": motion,
@@ -227,29 +227,29 @@ def simulate(
         raise UsageError("--start is for --free; a motion starts where its file says")
     if motion is not None and duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
-    moved = _motion(model, motion, duration, seed, fast=kind == "servo")
+    moved = _choose_motion(model, motion, duration, seed, fast=kind == "servo")
     of_robot = seed if robot_seed is None else robot_seed
     virtual = asbuilt.VirtualRobot.preset(
         kind, model, of_robot, tool=carried, at=place, engine=runs_on
     )
     virtual = with_settings(virtual.logging(rate), settings or ())
-    with progress_bar() as report:
+    with show_progress() as report:
         simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))
     files = writers.write_simulation(out or Path("recording.csv"), simulated)
     answer(
         as_json,
         lambda: writers.simulate_document(simulated, files),
-        lambda: writers.simulation_text(simulated) + listed_files(files),
+        lambda: writers.simulation_text(simulated) + list_files(files),
     )
 
 
-def _motion(
+def _choose_motion(
     model: asbuilt.RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
 ) -> excitation.Motion:
     """Return the motion of a file, or a random one."""
     if motion is not None:
         return asbuilt.read_motion(motion, model)
-    seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
+    seconds = 20.0 if duration is None else parse_positive_number("--duration", str(duration))
     # 1.0: highest frequency of the random motion of servos, whose links are light [Hz].
     harmonics = max(5, round(1.0 * seconds)) if fast else 5
     return asbuilt.random_fourier(model, rng=seed, duration=seconds, n_harmonics=harmonics)
@@ -269,13 +269,13 @@ def _simulate_free(
 
     moved = asbuilt.run_free(
         model if tool is None else with_body(model, tool, place),
-        one_of("--free", release, ("drop", "step", "free")),
+        require_known_value("--free", release, ("drop", "step", "free")),
         duration=3.0 if duration is None else duration,
-        start=number_list("--start", start) or None,
+        start=parse_number_list("--start", start) or None,
     )
     files = writers.write_free_motion(out or Path("free.csv"), moved)
     answer(
         as_json,
         lambda: writers.free_motion_document(moved, files),
-        lambda: writers.free_motion_text(moved) + listed_files(files),
+        lambda: writers.free_motion_text(moved) + list_files(files),
     )

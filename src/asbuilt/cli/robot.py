@@ -19,7 +19,7 @@ from asbuilt import (
     experiment,
     writers,
 )
-from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, format_finding, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -31,17 +31,17 @@ from asbuilt.cli.arguments.options import (
     PagePort,
     Robot,
     RobotOrResult,
-    described_robot,
+    load_described_robot,
+    load_robot_as_built,
     refuse_idle,
-    robot_as_built,
-    writable_file,
+    require_writable_file,
 )
-from asbuilt.cli.arguments.spread import given_options, one_of
-from asbuilt.codec import json_text
+from asbuilt.cli.arguments.spread import find_given_options, require_known_value
+from asbuilt.codec import format_json
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
-from asbuilt.experiment.logs.options import gravity_of
-from asbuilt.tables import stacked, wrapped
+from asbuilt.experiment.logs.options import parse_gravity
+from asbuilt.tables import stack_tables, wrap_text
 
 
 def robots(full: Full = False, as_json: AsJson = False) -> None:
@@ -72,7 +72,7 @@ def show(
     For a result, it shows the robot as built, and CAD masses for comparison.
     """
     if Path(robot).suffix.lower() != ".json":
-        model = described_robot(
+        model = load_described_robot(
             robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
         )
         answer(
@@ -113,7 +113,7 @@ def schema(
             "-o",
             metavar="FILE",
             help="file to write [default: print]",
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None,
     as_json: AsJson = False,
@@ -124,7 +124,7 @@ def schema(
     """
     content = writers.json_schema(kind)
     files = {} if out is None else {"schema": writers.write_schema(kind, out)}
-    text = listed_files(files) if files else json_text(content)
+    text = list_files(files) if files else format_json(content)
     answer(as_json, lambda: content, lambda: text)
 
 
@@ -141,16 +141,18 @@ def base(
 
     The full text says why, parameter by parameter.
     """
-    from asbuilt.dynamics.drives.torque import on_driven_joints
+    from asbuilt.dynamics.drives.torque import keep_driven_joints
 
-    model = described_robot(robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts)
+    model = load_described_robot(
+        robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
+    )
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
-    found = asbuilt.find_base_parameters(model, on_driven_joints(model, chosen))
+    found = asbuilt.find_base_parameters(model, keep_driven_joints(model, chosen))
     standard = writers.standard_table if full else writers.identifiability_table
     answer(
         as_json,
         lambda: writers.base_document(found, model),
-        lambda: stacked((writers.base_table(found, model), standard(found)), full),
+        lambda: stack_tables((writers.base_table(found, model), standard(found)), full),
     )
 
 
@@ -169,7 +171,7 @@ def view(
             "--save",
             metavar="FILE",
             help=("write a page (.html), a picture (.png) or an animation (.gif, .webp) instead"),
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None,
     port: PagePort = 8080,
@@ -181,10 +183,10 @@ def view(
 
     The browser shows frames, centres of mass and inertia ellipsoids; Ctrl-C ends it.
     """
-    model = robot_as_built(robot, fixed_base=reading.fixed_base)
-    moved = None if motion is None else _played(model, motion, reading)
+    model = load_robot_as_built(robot, fixed_base=reading.fixed_base)
+    moved = None if motion is None else _read_motion(model, motion, reading)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
-    with progress_bar() as report:
+    with show_progress() as report:
         shown = asbuilt.view_robot(
             model,
             moved,
@@ -195,7 +197,7 @@ def view(
     if isinstance(shown, Path):
         files = {"page" if shown.suffix.lower() == ".html" else "picture": shown}
         paths = {kind: str(path) for kind, path in files.items()}
-        answer(as_json, lambda: {**about, "files": paths}, lambda: listed_files(files))
+        answer(as_json, lambda: {**about, "files": paths}, lambda: list_files(files))
         return
     try:
         answer(
@@ -213,7 +215,9 @@ def view(
         shown.close()
 
 
-def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> excitation.Motion:
+def _read_motion(
+    model: asbuilt.RobotModel, path: Path, reading: ReadingOptions
+) -> excitation.Motion:
     """Return the motion of a motion file, or of a recording in any format."""
     options = replace(reading, fixed_base=False)
 
@@ -224,7 +228,7 @@ def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> e
         )
 
     try:
-        if path.suffix.lower() == ".csv" and not any(given_options(options).values()):
+        if path.suffix.lower() == ".csv" and not any(find_given_options(options).values()):
             return asbuilt.read_motion(path, model)
     except MotionError as problem:
         with suppress(RecordingError):
@@ -263,12 +267,12 @@ def convert(
     A robot file (.toml) also holds gravity, couplings of motors and drives, which can be added
     there by hand. What the format cannot hold is listed; shapes and meshes are left out.
     """
-    model = described_robot(robot, fixed_base=fixed_base)
+    model = load_described_robot(robot, fixed_base=fixed_base)
     if lock is not None:
         model = model.locked(locks_from_text(lock))
     if gravity is not None:
-        model = model.with_gravity(gravity_of(gravity))
-    converted = asbuilt.convert_robot(model, writable_file(out) or out)
+        model = model.with_gravity(parse_gravity(gravity))
+    converted = asbuilt.convert_robot(model, require_writable_file(out) or out)
     answer(as_json, converted.as_document, converted.as_text)
 
 
@@ -309,7 +313,7 @@ def masses(
             "-o",
             metavar="FILE",
             help="robot with the computed mass properties, .urdf or .toml",
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None,
     full: Full = False,
@@ -321,23 +325,23 @@ def masses(
     materials and table, each link keeps its mass, spread evenly over its geometry.
     """
     found = asbuilt.link_masses(
-        described_robot(robot),
+        load_described_robot(robot),
         meshes=meshes,
-        density=_numbers(_by_link("--density", density)),
-        material=_by_link("--material", material),
+        density=_parse_numbers(_parse_by_link("--density", density)),
+        material=_parse_by_link("--material", material),
         table=table,
-        about=None if about is None else one_of("--about", about, ("com", "origin")),
+        about=None if about is None else require_known_value("--about", about, ("com", "origin")),
         products=None
         if products is None
-        else one_of("--products", products, ("tensor", "integral")),
-        prefer=one_of("--geometry", geometry, ("visual", "collision")),
+        else require_known_value("--products", products, ("tensor", "integral")),
+        prefer=require_known_value("--geometry", geometry, ("visual", "collision")),
     )
     files, notes = {}, {}
     if out is not None:
         files["robot"], note = writers.write_masses(out, found)
         notes["robot"] = note
     shown = found.findings if full else found.findings[:10]
-    lines = [wrapped(finding_text(finding)) for finding in shown]
+    lines = [wrap_text(format_finding(finding)) for finding in shown]
     if len(found.findings) > len(shown):
         lines.append(f"{len(found.findings) - len(shown)} more findings: --full")
     answer(
@@ -345,12 +349,12 @@ def masses(
         lambda: writers.with_files(writers.masses_document(found), files),
         lambda: (
             "\n".join([writers.masses_table(found).as_text(full), *lines])
-            + listed_files(files, notes)
+            + list_files(files, notes)
         ),
     )
 
 
-def _by_link(option: str, text: str | None) -> str | dict[str, str] | None:
+def _parse_by_link(option: str, text: str | None) -> str | dict[str, str] | None:
     """Return one value for all links, or values by link."""
     if text is None or "=" not in text:
         return text
@@ -360,7 +364,7 @@ def _by_link(option: str, text: str | None) -> str | dict[str, str] | None:
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
-def _numbers(given: str | dict[str, str] | None) -> float | dict[str, float] | None:
+def _parse_numbers(given: str | dict[str, str] | None) -> float | dict[str, float] | None:
     try:
         if isinstance(given, dict):
             return {name: float(value) for name, value in given.items()}

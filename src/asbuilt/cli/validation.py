@@ -21,11 +21,11 @@ from asbuilt import (
 )
 from asbuilt.cli.answers import (
     answer,
-    cure_text,
-    finding_text,
-    folded,
-    listed_files,
-    progress_bar,
+    describe_cure,
+    fold_text,
+    format_finding,
+    list_files,
+    show_progress,
 )
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -39,23 +39,23 @@ from asbuilt.cli.arguments.options import (
     Scheduler,
     TimelineFiles,
     Unchecked,
-    described_robot,
-    distinct_logs,
-    recordings_of,
+    load_described_robot,
+    read_recordings_of_robot,
+    read_robot_and_recordings,
     refuse_idle,
     refuse_sharing,
-    robot_and_recordings,
-    shared_work,
-    writable_file,
+    require_distinct_logs,
+    require_writable_file,
+    share_workers,
 )
-from asbuilt.cli.arguments.spread import given_options
-from asbuilt.tables import wrapped
+from asbuilt.cli.arguments.spread import find_given_options
+from asbuilt.tables import wrap_text
 from asbuilt.workflow.options import (
     BLOCKS,
     ROLLOUT,
     ControllerOptions,
     ValidationOptions,
-    horizons,
+    parse_horizons,
 )
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def validate(
             "--animation",
             metavar="FILE",
             help="measured and simulated motion of the longest rollout as .webp or .gif",
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None,
     require: Annotated[
@@ -100,13 +100,13 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Predict recordings with an identified model, and with CAD for comparison."""
-    distinct_logs(log)
+    require_distinct_logs(log)
     if rollout is None:
         refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
         refuse_sharing("only rollouts are shared", workers, scheduler)
     options = ValidationOptions(
         chain=filtering.chain() if any(filtering.given.values()) else None,
-        rollout=() if rollout is None else horizons(rollout),
+        rollout=() if rollout is None else parse_horizons(rollout),
         checked=not unchecked,
     )
     if Path(result).suffix.lower() != ".json":
@@ -114,8 +114,8 @@ def validate(
             "--require compares an identified model with CAD; a robot as described is CAD",
             {"--require": require},
         )
-        refuse_idle("timelines show the predictions of a result", given_options(timelines))
-        with shared_work(workers, scheduler) as shared:
+        refuse_idle("timelines show the predictions of a result", find_given_options(timelines))
+        with share_workers(workers, scheduler) as shared:
             _validate_described(
                 result, log, options, reading, out, animation, shared, full=full, as_json=as_json
             )
@@ -124,11 +124,11 @@ def validate(
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
         kept = replace(options.chain, delay=identified.chain.delay)
         options = replace(options, chain=kept)
-    logged = recordings_of(identified.model, log, reading)
-    from asbuilt.workflow.validation import validation_verdict
+    logged = read_recordings_of_robot(identified.model, log, reading)
+    from asbuilt.workflow.validation import decide_validation_verdict
 
     validations = asbuilt.validate(identified, logged, options=options)
-    with shared_work(workers, scheduler) as shared:
+    with share_workers(workers, scheduler) as shared:
         simulated = asbuilt.roll_out_result(
             identified, logged, options.rollout, options=options, workers=shared
         )
@@ -139,7 +139,7 @@ def validate(
     )
     comparison = asbuilt.compare(identified, validation=validations)
     verdicts = [validation.cad_verdict(each) for each in validations]
-    found = validation_verdict(identified, logged, validations, simulated)
+    found = decide_validation_verdict(identified, logged, validations, simulated)
     answer(
         as_json,
         lambda: writers.with_rollouts(
@@ -147,16 +147,16 @@ def validate(
             simulated,
         ),
         lambda: (
-            wrapped(found.text)
+            wrap_text(found.text)
             + "\n\n"
             + comparison.torque_table().as_text(full)
             + "\n"
-            + "\n".join(wrapped(each.sentence) for each in verdicts)
+            + "\n".join(wrap_text(each.sentence) for each in verdicts)
             + "\n"
-            + wrapped(comparison.verdict())
+            + wrap_text(comparison.verdict())
             + ("\n" if simulated else "")
-            + writers.rollout_text(identified.model, simulated, full=full, cure_text=cure_text)
-            + listed_files(files)
+            + writers.rollout_text(identified.model, simulated, full=full, cure_text=describe_cure)
+            + list_files(files)
         ),
     )
     if require and any(verdict.is_worse for verdict in verdicts):
@@ -181,7 +181,9 @@ def _validate_described(
             "--out writes the predictions of a result; for a robot as described there is only"
             " the table, and a page of its rollouts (--rollout)"
         )
-    model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
+    model, (logged,) = read_robot_and_recordings(
+        load_described_robot(robot, **reading.of_base), reading, log
+    )
     from asbuilt.workflow.servo import has_open_servo
 
     # Where a log has neither torque nor gains, simulated motion is all there is to compare.
@@ -198,8 +200,8 @@ def _validate_described(
         ),
         lambda: (
             (writers.described_torque_table(model, errors).as_text(full) if errors else "")
-            + writers.rollout_text(model, simulated, full=full, cure_text=cure_text)
-            + (listed_files(files) if files else "")
+            + writers.rollout_text(model, simulated, full=full, cure_text=describe_cure)
+            + (list_files(files) if files else "")
         ),
     )
 
@@ -263,7 +265,8 @@ def compare(
     if controller is None:
         refuse_idle(
             "how a log is read, and what of it is held out, goes with --controller LOG",
-            {"--holdout": holdout is not None, "--unchecked": unchecked} | given_options(reading),
+            {"--holdout": holdout is not None, "--unchecked": unchecked}
+            | find_given_options(reading),
         )
     if other is not None or controller is not None:
         refuse_idle(
@@ -271,7 +274,9 @@ def compare(
             {"--cad-tolerance": cad_tolerance is not None},
         )
     recording = (
-        None if controller is None else recordings_of(identified.model, [controller], reading)[0]
+        None
+        if controller is None
+        else read_recordings_of_robot(identified.model, [controller], reading)[0]
     )
     drift: validation.Drift | workflow.ControllerComparison | None = None
     if other is not None:
@@ -285,10 +290,10 @@ def compare(
         answer(
             as_json,
             lambda: writers.with_files(drift.as_document(), files),
-            lambda: drift.as_text(full) + listed_files(files),
+            lambda: drift.as_text(full) + list_files(files),
         )
         return
-    design = None if cad is None else described_robot(cad)
+    design = None if cad is None else load_described_robot(cad)
     if design is not None:
         held = identified.model.locked_joints.items()
         design = design.locked({name: at for name, at in held if name in design.joint_names})
@@ -309,7 +314,7 @@ def compare(
     answer(
         as_json,
         lambda: writers.with_files(verdict.as_document(), files),
-        lambda: verdict.as_text(full) + listed_files(files),
+        lambda: verdict.as_text(full) + list_files(files),
     )
 
 
@@ -340,12 +345,12 @@ def review(
     Armature, damping, friction loss, gains, masses, centres and inertias:
     supported, contradicted or undetermined, and what each is an alias of.
     """
-    distinct_logs(log)
-    model, swept = described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
+    require_distinct_logs(log)
+    model, swept = load_described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
-    with progress_bar() as report:
+    with show_progress() as report:
         report("read", 0.0)
-        model, (recordings,) = robot_and_recordings(model, reading, log)
+        model, (recordings,) = read_robot_and_recordings(model, reading, log)
         tolerance = {}
         if cad_tolerance is not None:
             tolerance["tolerance"] = validation.CadTolerance.parse(cad_tolerance)
@@ -365,8 +370,8 @@ def review(
             else writers.review_document(found)
         ),
         lambda: (
-            writers.review_text(found, full=full, finding_text=finding_text).rstrip("\n")
-            + listed_files(files)
+            writers.review_text(found, full=full, finding_text=format_finding).rstrip("\n")
+            + list_files(files)
         ),
     )
 
@@ -403,17 +408,17 @@ def watch(
     """
     if calibrate and thresholds is not None:
         raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
-    distinct_logs([log], calibrate)
+    require_distinct_logs([log], calibrate)
     identified = asbuilt.read_result(result)
     given = None if thresholds is None else asbuilt.read_thresholds(thresholds)
-    with progress_bar() as report:
+    with show_progress() as report:
         report("read", 0.0)
-        logged = recordings_of(identified.model, [log], reading)[0]
+        logged = read_recordings_of_robot(identified.model, [log], reading)[0]
 
         watched = asbuilt.watch(
             identified,
             logged,
-            calibrate=recordings_of(identified.model, calibrate, reading),
+            calibrate=read_recordings_of_robot(identified.model, calibrate, reading),
             thresholds=given,
             options=options,
             progress=report,
@@ -422,9 +427,9 @@ def watch(
         files |= timelines.write(
             lambda: [writers.timeline_of_watched(identified.model, watched, logged)]
         )
-    messages = "".join(folded(finding_text(each)) + "\n" for each in watched.findings)
+    messages = "".join(fold_text(format_finding(each)) + "\n" for each in watched.findings)
     answer(
         as_json,
         lambda: writers.with_files(watched.as_document(), files),
-        lambda: watched.as_text(full) + ("\n" + messages if messages else "") + listed_files(files),
+        lambda: watched.as_text(full) + ("\n" + messages if messages else "") + list_files(files),
     )

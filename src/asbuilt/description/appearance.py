@@ -59,12 +59,12 @@ def link_solids(model: RobotModel) -> tuple[Solid, ...]:
     Radii come from the length of the stretched robot and shrink towards the tip. They are for the
     eye alone: no collision.
     """
-    return tuple(_solids(model))
+    return tuple(_build_solids(model))
 
 
 def stretched_length(model: RobotModel) -> float:
     """Return the length of the longest chain from the root, joint by joint [m]; at least 0.1."""
-    return max(0.1, float(np.max(_distances(model))))
+    return max(0.1, float(np.max(_measure_distances(model))))
 
 
 def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
@@ -84,8 +84,8 @@ def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
     return np.sqrt(np.maximum(squares, 0.0)), axes
 
 
-def _solids(model: RobotModel) -> Iterator[Solid]:
-    distances = _distances(model)
+def _build_solids(model: RobotModel) -> Iterator[Solid]:
+    distances = _measure_distances(model)
     reach = stretched_length(model)
     thick = SLENDERNESS * reach
     ends: dict[int, list[Array]] = {k: [] for k in range(ROOT, model.n_links)}
@@ -118,11 +118,11 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
             back = travel if np.isfinite(travel) else TRAVEL
             yield Solid(k, "rod", origin - back * axis, origin, 0.7 * radius)
         for point in ends[k] or [link.inertia.com]:
-            for start, stop in _rods(origin, point, axis):
+            for start, stop in _build_rods(origin, point, axis):
                 yield Solid(k, "rod", start, stop, 0.82 * radius)
 
 
-def _rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Array]]:
+def _build_rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Array]]:
     """Yield the pieces from the joint to a point on the link.
 
     Along the axis and then square to it where both are long, else straight.
@@ -137,7 +137,7 @@ def _rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Arr
             yield start, stop
 
 
-def _distances(model: RobotModel) -> Array:
+def _measure_distances(model: RobotModel) -> Array:
     """Return how far along the chain each link ends, shape (n_links,) [m]."""
     along = np.zeros(model.n_links)
     for k in model.link_order:

@@ -36,7 +36,7 @@ def bundled_robot(name: str) -> RobotModel:
 
     if name not in robot_names():
         raise DescriptionError(
-            f"there is no bundled robot {name!r}{nearest(name)}; bundled are"
+            f"there is no bundled robot {name!r}{suggest_robot(name)}; bundled are"
             f" {', '.join(robot_names())}"
         )
     return robot_from_toml(
@@ -46,7 +46,7 @@ def bundled_robot(name: str) -> RobotModel:
     )
 
 
-def nearest(name: str) -> str:
+def suggest_robot(name: str) -> str:
     """Return `" (did you mean 'puma-560'?)"` for the nearest bundled robot, or an empty text."""
     matches = difflib.get_close_matches(
         name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4

@@ -5,7 +5,7 @@ from __future__ import annotations
 from asbuilt.description.model import RobotModel
 
 
-def inconsistencies(model: RobotModel) -> tuple[str, ...]:
+def find_inconsistencies(model: RobotModel) -> tuple[str, ...]:
     """Return one sentence per physically inconsistent link.
 
     Such as `"link 4: Ixx + Iyy < Izz by 0.0009 kg m^2 (about the centre of mass)"`.

@@ -14,12 +14,12 @@ LARGEST = 1e18
 """Largest number of a description in SI units; limits may be as large as `sys.float_info.max`."""
 
 
-def finite_number(text: str, what: str) -> float:
+def parse_finite_number(text: str, what: str) -> float:
     """Return the finite number that a text says.
 
     Raises `DescriptionError` with `what` it is and the text otherwise.
 
-    >>> finite_number("1e-3", "line 2: mass")
+    >>> parse_finite_number("1e-3", "line 2: mass")
     0.001
     """
     try:

@@ -142,7 +142,7 @@ class LinkInertia:
                 "a pseudo-inertia is symmetric; this one differs from its transpose by"
                 f" {asymmetry:.3g}"
             )
-        return cls(_parameters_of(J))
+        return cls(_extract_parameters(J))
 
     def to_pinocchio_order(self) -> Array:
         """Return the ten parameters as Pinocchio's `toDynamicParameters` has them.
@@ -172,7 +172,7 @@ class LinkInertia:
         `placement` (4, 4) is the pose of the present frame in the new one: `J' = T J T^T`.
         """
         T = np.asarray(placement, dtype=np.float64)
-        return LinkInertia(_parameters_of(T @ self.pseudo_inertia @ T.T))
+        return LinkInertia(_extract_parameters(T @ self.pseudo_inertia @ T.T))
 
     def __add__(self, other: LinkInertia) -> LinkInertia:
         """Return the inertia of two bodies welded together, both given in the same frame."""
@@ -244,7 +244,7 @@ def pseudo_inertias(parameters: ArrayLike) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _parameters_of(J: Array) -> Array:
+def _extract_parameters(J: Array) -> Array:
     """Return the ten-vectors (..., 10) of pseudo-inertias (..., 4, 4)."""
     a, b, c = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
     entries = (
@@ -271,7 +271,7 @@ def shift_matrix(placement: ArrayLike) -> Array:
     Huygens-Steiner and the rotation of the tensor.
     """
     T = np.asarray(placement, dtype=np.float64)
-    return _parameters_of(T @ pseudo_inertias(np.eye(10)) @ T.T).T
+    return _extract_parameters(T @ pseudo_inertias(np.eye(10)) @ T.T).T
 
 
 DENSITY = 2700.0

@@ -15,7 +15,7 @@ GRIPPERS = {"gripper", "grippers", "jaw", "jaws", "finger", "fingers"}
 """Words in the name of a joint that is often logged as a share of its range."""
 
 
-def words_of(name: str) -> list[str]:
+def split_words(name: str) -> list[str]:
     """Split a name into words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
     return [word.lower() for word in WORD.findall(name.replace("τ", "tau").replace("θ", "theta"))]
 
@@ -26,7 +26,7 @@ def names_gripper(joint: str) -> bool:
     >>> [names_gripper(each) for each in ("left_gripper", "Jaw", "wrist_roll")]
     [True, True, False]
     """
-    return bool(GRIPPERS & set(words_of(joint)))
+    return bool(GRIPPERS & set(split_words(joint)))
 
 
 def match_joints(
@@ -51,22 +51,22 @@ def match_joints(
     >>> match_joints(["elbow", "wrist"], joints, source="log", robot="arm")[0]
     [1, 0]
     """
-    if len(labels) > len(joint_names) and numbers_in(labels) is not None:
-        raise _misfit(labels, joint_names, source, robot)
-    same_end = _same_end if _both_count(labels, joint_names) else _same_named_end
-    for simplify in (_itself, _words, _significant_words):
+    if len(labels) > len(joint_names) and read_label_numbers(labels) is not None:
+        raise _make_misfit_error(labels, joint_names, source, robot)
+    same_end = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
+    for simplify in (_keep_name, _split_words, _split_significant_words):
         keys = [simplify(label) for label in labels]
         wanted = [simplify(name) for name in joint_names]
         order = [keys.index(key) if keys.count(key) == 1 else -1 for key in wanted]
         if min(order) >= 0 and len(set(order)) == len(order):
-            return order, _left_out(labels, order, source)
+            return order, _note_left_out(labels, order, source)
         ends = [[k for k, key in enumerate(keys) if same_end(key, want)] for want in wanted]
         if all(len(end) == 1 for end in ends) and len({end[0] for end in ends}) == len(joint_names):
             order = [end[0] for end in ends]
-            return order, _left_out(labels, order, source)
-    counted = _in_numeric_order(labels)
+            return order, _note_left_out(labels, order, source)
+    counted = _sort_numerically(labels)
     if counted is not None and len(labels) == len(joint_names):
-        robot_order = _in_numeric_order(joint_names)
+        robot_order = _sort_numerically(joint_names)
         places = list(range(len(joint_names))) if robot_order is None else robot_order
         order = [0] * len(labels)
         for label, joint in zip(counted, places, strict=True):
@@ -75,12 +75,12 @@ def match_joints(
         return order, (
             f"joint names of the log and of {robot} differ; they were matched by number: {pairs}",
         )
-    raise _misfit(labels, joint_names, source, robot)
+    raise _make_misfit_error(labels, joint_names, source, robot)
 
 
-def numbers_in(labels: Sequence[str]) -> list[int] | None:
+def read_label_numbers(labels: Sequence[str]) -> list[int] | None:
     """Return the number that counts the labels, None if they differ in more than a number."""
-    split = [words_of(label) for label in labels]
+    split = [split_words(label) for label in labels]
     if len({len(words) for words in split}) != 1 or len(labels) < 2:
         return None
     varying = [k for k in range(len(split[0])) if len({words[k] for words in split}) > 1]
@@ -89,20 +89,20 @@ def numbers_in(labels: Sequence[str]) -> list[int] | None:
     return [int(words[varying[0]]) for words in split]
 
 
-def joints_without_label(
+def find_unlabelled_joints(
     labels: Sequence[str], joint_names: Sequence[str]
 ) -> tuple[str, ...] | None:
     """Return the joints that no label names; None unless the labels name some of the joints.
 
     At least half of the labels must name a joint each.
 
-    >>> joints_without_label(["elbow", "wrist"], ["elbow_joint", "wrist_joint", "finger_joint"])
+    >>> find_unlabelled_joints(["elbow", "wrist"], ["elbow_joint", "wrist_joint", "finger_joint"])
     ('finger_joint',)
     """
-    same_end = _same_end if _both_count(labels, joint_names) else _same_named_end
-    for simplify in (_itself, _words, _significant_words):
+    same_end = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
+    for simplify in (_keep_name, _split_words, _split_significant_words):
         keys, wanted = [simplify(each) for each in labels], [simplify(each) for each in joint_names]
-        for fits in (_equal, same_end):
+        for fits in (_is_equal, same_end):
             found = [[k for k, want in enumerate(wanted) if fits(key, want)] for key in keys]
             named = [each[0] for each in found if len(each) == 1]
             clear = len(set(named)) == len(named) and all(len(each) < 2 for each in found)
@@ -111,28 +111,28 @@ def joints_without_label(
     return None
 
 
-def _equal(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
+def _is_equal(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
     return bool(key) and key == want
 
 
-def _same_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
+def _has_same_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
     return bool(key and want) and (key[-len(want) :] == want or want[-len(key) :] == key)
 
 
-def _same_named_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
+def _has_same_named_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
     """Return whether names end alike in more than a number."""
-    return _same_end(key, want) and not all(word.isdigit() for word in min(key, want, key=len))
+    return _has_same_end(key, want) and not all(word.isdigit() for word in min(key, want, key=len))
 
 
-def _both_count(labels: Sequence[str], joint_names: Sequence[str]) -> bool:
+def _are_numbered(labels: Sequence[str], joint_names: Sequence[str]) -> bool:
     """Return whether the names of both sides differ in a number alone, grippers aside."""
     return all(
-        numbers_in([name for name in names if not names_gripper(name)]) is not None
+        read_label_numbers([name for name in names if not names_gripper(name)]) is not None
         for names in (labels, joint_names)
     )
 
 
-def _misfit(
+def _make_misfit_error(
     labels: Sequence[str], joint_names: Sequence[str], source: str, robot: str
 ) -> RecordingError:
     if len(labels) != len(joint_names):
@@ -140,7 +140,7 @@ def _misfit(
     else:
         problem = f"the joint names of {source} do not fit {robot}"
     sheet = "give its joint names in column order in a recording sheet: joints = [...]"
-    if numbers_in(labels) is None:
+    if read_label_numbers(labels) is None:
         sheet = (
             "give the robot's name of each joint of the log in a recording sheet: [joints] with"
             f' "{labels[0]}" = "..." and so on'
@@ -152,13 +152,13 @@ def _misfit(
         file=source,
         value=list(labels),
         expected=list(joint_names),
-        missing=joints_without_label(labels, joint_names),
+        missing=find_unlabelled_joints(labels, joint_names),
     )
 
 
-def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:
+def _sort_numerically(labels: Sequence[str]) -> list[int] | None:
     """Return the order that sorts labels by their number, if they count from 0 or 1."""
-    numbers = numbers_in(labels)
+    numbers = read_label_numbers(labels)
     if numbers is None or sorted(numbers) not in (
         list(range(len(labels))),
         list(range(1, len(labels) + 1)),
@@ -167,19 +167,19 @@ def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:
     return sorted(range(len(labels)), key=lambda k: numbers[k])
 
 
-def _itself(name: str) -> tuple[str, ...]:
+def _keep_name(name: str) -> tuple[str, ...]:
     return (name,)
 
 
-def _words(name: str) -> tuple[str, ...]:
-    return tuple(words_of(name))
+def _split_words(name: str) -> tuple[str, ...]:
+    return tuple(split_words(name))
 
 
-def _significant_words(name: str) -> tuple[str, ...]:
-    return tuple(word for word in words_of(name) if word not in _GENERIC)
+def _split_significant_words(name: str) -> tuple[str, ...]:
+    return tuple(word for word in split_words(name) if word not in _GENERIC)
 
 
-def _left_out(labels: Sequence[str], order: list[int], source: str) -> tuple[str, ...]:
+def _note_left_out(labels: Sequence[str], order: list[int], source: str) -> tuple[str, ...]:
     rest = [label for k, label in enumerate(labels) if k not in order]
     return (
         (f"joints of {source} that the robot does not have were left out: {', '.join(rest)}",)

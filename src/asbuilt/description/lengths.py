@@ -20,12 +20,12 @@ _TERM = re.compile(
 )
 
 
-def named(symbols: Symbols | None) -> Symbols | None:
+def drop_empty_symbols(symbols: Symbols | None) -> Symbols | None:
     """Return the symbols, or None where there is not one."""
     return symbols if symbols is not None and any(symbols) else None
 
 
-def parsed_length(text: str, lengths: Mapping[str, float]) -> tuple[tuple[float, str], ...]:
+def parse_length(text: str, lengths: Mapping[str, float]) -> tuple[tuple[float, str], ...]:
     """Return the sum of (factor, symbol) that a text such as `"L1 - 0.5*L2"` stands for.
 
     Raises `DescriptionError` where the text is no such sum or a symbol is not among `lengths`.
@@ -52,7 +52,7 @@ def parsed_length(text: str, lengths: Mapping[str, float]) -> tuple[tuple[float,
     return tuple(terms)
 
 
-def rotated_symbols(rotation: Array, symbols: Symbols) -> Symbols:
+def rotate_symbols(rotation: Array, symbols: Symbols) -> Symbols:
     """Return the symbols of `R p` for the symbols of p; factors that vanish are left out."""
     return tuple(
         tuple(
@@ -65,7 +65,7 @@ def rotated_symbols(rotation: Array, symbols: Symbols) -> Symbols:
     )
 
 
-def added_symbols(first: Symbols, second: Symbols) -> Symbols:
+def add_symbols(first: Symbols, second: Symbols) -> Symbols:
     """Return the symbols of the sum of two translations, equal symbols gathered."""
     result = []
     for one, two in zip(first, second, strict=True):
@@ -78,7 +78,7 @@ def added_symbols(first: Symbols, second: Symbols) -> Symbols:
     return tuple(result)
 
 
-def length_values(symbols: Symbols, lengths: Mapping[str, float]) -> Array:
+def evaluate_lengths(symbols: Symbols, lengths: Mapping[str, float]) -> Array:
     """Return the translation [m] that the symbols stand for, shape (3,)."""
     return np.array(
         [sum((factor * lengths[symbol] for factor, symbol in terms), 0.0) for terms in symbols]

@@ -10,19 +10,19 @@ from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
 
-from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
-from asbuilt.description.formats.registry import FORMATS, format_of, known_suffixes
-from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, outermost_tag
+from asbuilt.description.catalogue import bundled_robot, robot_names, suggest_robot
+from asbuilt.description.formats.registry import FORMATS, format_of, list_suffixes
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.free_base import BaseKind
 from asbuilt.errors import DescriptionError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import file_named, read_bytes, reason, xacro_trusted
+from asbuilt.untrusted import allow_xacro_python, describe_problem, name_file_in_errors, read_bytes
 
 PATHS = ("URDF_PATH", "MJCF_PATH", "XACRO_PATH")
 
 
-def published_description(name: str) -> Path:
+def find_published_description(name: str) -> Path:
     """Return the file of a robot that the package robot_descriptions knows, downloaded if needed.
 
     Parameters
@@ -101,8 +101,8 @@ def load_robot(
     >>> load_robot("two-link").joint_names
     ('joint_1', 'joint_2')
     """
-    with xacro_trusted(trust_xacro):
-        found = _loaded(os.fspath(name_or_path), fixed_base, base)
+    with allow_xacro_python(trust_xacro):
+        found = _load(os.fspath(name_or_path), fixed_base, base)
     if not contacts:
         return found
     if not found.n_floating:
@@ -113,32 +113,33 @@ def load_robot(
     return replace(found, contacts=Contact.parse(contacts))
 
 
-def _loaded(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
+def _load(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
     if text in robot_names():
-        return _floating_or_fixed(bundled_robot(text), base)
+        return _check_base(bundled_robot(text), base)
     path = Path(text)
     try:
         exists = bool(text) and path.exists()
         is_folder = exists and path.is_dir()
     except (OSError, ValueError) as error:
         shown = text if len(text) < 200 else f"{text[:60]}..."
-        raise DescriptionError(f"{shown} cannot be read: {reason(error)}") from None
+        raise DescriptionError(f"{shown} cannot be read: {describe_problem(error)}") from None
     if exists and not is_folder:
         return _read(path, fixed_base, base)
-    suffixes, bundled = ", ".join(known_suffixes()), ", ".join(robot_names())
+    suffixes, bundled = ", ".join(list_suffixes()), ", ".join(robot_names())
     if is_folder:
         raise DescriptionError(
             f"{text} is a folder; give a description file ({suffixes}) or a bundled robot"
             f" ({bundled})"
         )
     if text.isidentifier() and text.endswith("_description"):
-        return _read(published_description(text), fixed_base, base)
-    if path.suffix.lower() in known_suffixes():
+        return _read(find_published_description(text), fixed_base, base)
+    if path.suffix.lower() in list_suffixes():
         raise DescriptionError(
             f"there is no file {text}; give the path of a description ({suffixes})", file=text
         )
     raise DescriptionError(
-        f"there is no bundled robot and no file {text!r}{nearest(text)}; bundled are {bundled}; a"
+        f"there is no bundled robot and no file {text!r}{suggest_robot(text)}; bundled are"
+        f" {bundled}; a"
         f" file may be {suffixes}"
     )
 
@@ -146,7 +147,7 @@ def _loaded(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
 def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
     content = read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION)
     found = format_of(path, content)
-    if found is None and outermost_tag(content):
+    if found is None and find_outermost_tag(content):
         found = FORMATS["urdf"]
     if found is None:
         titles = ", ".join(each.title for each in FORMATS.values())
@@ -157,11 +158,11 @@ def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
     if base != "fixed" and found.read_on_base is not None:
         return found.read_on_base(path, base)
     read = found.read_fixed if fixed_base and found.read_fixed is not None else found.read
-    with file_named(path):
-        return _floating_or_fixed(read(path), base)
+    with name_file_in_errors(path):
+        return _check_base(read(path), base)
 
 
-def _floating_or_fixed(model: RobotModel, base: BaseKind) -> RobotModel:
+def _check_base(model: RobotModel, base: BaseKind) -> RobotModel:
     """Return a robot as read; raise where its base should float and its description fixes it."""
     if base == "fixed":
         return model

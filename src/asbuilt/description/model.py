@@ -15,16 +15,16 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
     TreeMotion,
-    coupling_of,
-    separated,
-    tree_order,
+    derive_coupling,
+    order_tree,
+    separate_followers,
 )
 from asbuilt.description.structure.free_base import count_base_joints
 from asbuilt.description.structure.locking import (
-    assumed_carriers,
-    held_followers,
-    locked_positions,
-    merged,
+    derive_locked_positions,
+    find_assumed_carriers,
+    find_held_followers,
+    merge_locked_links,
 )
 from asbuilt.description.structure.loops import Loop
 from asbuilt.description.structure.motors import with_rotors
@@ -46,7 +46,7 @@ from asbuilt.description.structure.parts import (
     ancestors,
 )
 from asbuilt.errors import DescriptionError, refuse
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.tables import Column, Table
 
 if TYPE_CHECKING:
@@ -95,9 +95,9 @@ class RobotModel:
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
     many arms; the motors' torques act on the joints by its transpose. None means T = 1.
     `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`, and
-    `held_followers` those among them that follow a joint which moves, with that joint;
-    `assumed_carriers` are those that carry a joint which moves, or move it too, at a position that
-    nobody gave.
+    `find_held_followers` those among them that follow a joint which moves, with that joint;
+    `find_assumed_carriers` those that carry a joint which moves, or move it too, at a position
+    that nobody gave.
     `mass_ranges` bound masses from sources other than the description, such as a scale.
     `usual_drive` names the drive terms that this robot calls for, empty for those that the source
     of its torques calls for.
@@ -167,7 +167,7 @@ class RobotModel:
             repeated = sorted({name for name in names if names.count(name) > 1})
             if repeated:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
-        tree_order(self.name, every, len(self.joints))
+        order_tree(self.name, every, len(self.joints))
         passive = [joint.name for joint in every if joint.is_passive]
         if passive and not self.loops:
             raise DescriptionError(
@@ -328,7 +328,7 @@ class RobotModel:
     @property
     def link_order(self) -> tuple[int, ...]:
         """The links in an order in which parents come before what they carry."""
-        return tuple(tree_order(self.name, self.moving_joints, self.n_joints))
+        return tuple(order_tree(self.name, self.moving_joints, self.n_joints))
 
     @property
     def moving_joints(self) -> tuple[Joint, ...]:
@@ -355,14 +355,14 @@ class RobotModel:
         """How the joints of all links move with the coordinates, None where these are the same."""
         if self.loops:
             # numba is slow to import, and most robots have no loops
-            from asbuilt.description.structure.closure import closure_of  # noqa: PLC0415
+            from asbuilt.description.structure.closure import derive_closure  # noqa: PLC0415
 
-            return closure_of(
+            return derive_closure(
                 self.name, self.joints, self.followers, self.loops, self.posture, *self._places
             )
         if all(joint.mimic is None for joint in self.moving_joints):
             return None
-        return coupling_of(self.name, self.joints, self.followers)
+        return derive_coupling(self.name, self.joints, self.followers)
 
     @property
     def closure(self) -> Closure | None:
@@ -383,7 +383,7 @@ class RobotModel:
         found = self.coupling
         if found is None or isinstance(found, Coupling):
             return found
-        names = joined([str(loop) for loop in self.loops])
+        names = join_names([str(loop) for loop in self.loops])
         raise DescriptionError(
             f"{purpose} needs a robot whose joints move by constant shares of the motors;"
             f" {self.name} has closed chains ({names})",
@@ -412,9 +412,9 @@ class RobotModel:
 
     def _set_passive_joints(self) -> None:
         """Take the joints of loops that have no motor for passive."""
-        from asbuilt.description.structure.closure import passive_joints  # noqa: PLC0415
+        from asbuilt.description.structure.closure import find_passive_joints  # noqa: PLC0415
 
-        found = passive_joints(
+        found = find_passive_joints(
             self.name, self.joints, self.followers, self.loops, self.posture, *self._places
         )
         object.__setattr__(
@@ -426,7 +426,7 @@ class RobotModel:
             ),
         )
         if found:
-            note = f"{joined(found, len(found))} taken for passive; name them if others are"
+            note = f"{join_names(found, len(found))} taken for passive; name them if others are"
             object.__setattr__(self, "notes", (*self.notes, note))
             self._set_followers_apart()
 
@@ -482,7 +482,7 @@ class RobotModel:
 
     def _set_followers_apart(self) -> None:
         """Move joints that follow others behind those that have a drive."""
-        found = separated(self.name, self.joints, self.followers, self.links, self.frames)
+        found = separate_followers(self.name, self.joints, self.followers, self.links, self.frames)
         if self.motor_coupling is not None:
             T = np.asarray(self.motor_coupling)
             behind = [k for k in range(len(self.joints)) if k not in found.driven]
@@ -616,10 +616,12 @@ class RobotModel:
         (('joint_1',), {'joint_2': 0.5})
         """
         present, all_links, all_frames = self.in_tree_order()
-        values, after, places = locked_positions(self.name, present, self.locked_joints, joints)
+        values, after, places = derive_locked_positions(
+            self.name, present, self.locked_joints, joints
+        )
         if not values:
             return self
-        kept, links, frames = merged(after, all_links, all_frames, places)
+        kept, links, frames = merge_locked_links(after, all_links, all_frames, places)
         coupling = self.motor_coupling
         if coupling is not None:
             free = [k for k, name in enumerate(self.joint_names) if name not in values]
@@ -640,8 +642,8 @@ class RobotModel:
             posture={name: q for name, q in self.posture.items() if name not in values},
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
-            held_followers=held_followers(present, self.held_followers, values),
-            assumed_carriers=assumed_carriers(
+            held_followers=find_held_followers(present, self.held_followers, values),
+            assumed_carriers=find_assumed_carriers(
                 present, self.assumed_carriers, joints, values, places
             ),
             usual_drive="",

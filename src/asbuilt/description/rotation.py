@@ -30,32 +30,32 @@ _STRAIGHTENED = "and taken as the right angle"
 _QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
 
 
-def right_angle(angle: float) -> float:
+def round_to_right_angle(angle: float) -> float:
     """Return the multiple of pi/2 nearest to `angle` [rad], or `angle` itself.
 
     The latter where none is within `READING_TOLERANCE`.
 
-    >>> right_angle(1.5708) == math.pi / 2
+    >>> round_to_right_angle(1.5708) == math.pi / 2
     True
-    >>> right_angle(1.57)
+    >>> round_to_right_angle(1.57)
     1.57
     """
     nearest = round(angle / QUARTER) * QUARTER
     return nearest if abs(angle - nearest) <= READING_TOLERANCE else angle
 
 
-def straightened(angle: float, what: str, notes: list[str]) -> float:
-    """Return `right_angle(angle)`, with a note if it differs by more than 1e-9 rad.
+def straighten_angle(angle: float, what: str, notes: list[str]) -> float:
+    """Return `round_to_right_angle(angle)`, with a note if it differs by more than 1e-9 rad.
 
     The note names `what`.
     """
-    exact = right_angle(angle)
+    exact = round_to_right_angle(angle)
     if abs(exact - angle) > NOTED_CHANGE:
         notes.append(f"{what} is given as {angle:.10g} rad {_STRAIGHTENED} {exact:.10g}")
     return exact
 
 
-def condensed(notes: Sequence[str]) -> tuple[str, ...]:
+def condense_notes(notes: Sequence[str]) -> tuple[str, ...]:
     """Return the notes with more than two straightened angles gathered in the first of them."""
     angles = [note for note in notes if _STRAIGHTENED in note]
     if len(angles) <= 2:
@@ -97,7 +97,7 @@ def rotation_z(angle: float) -> Array:
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Return `Rz(yaw) Ry(pitch) Rx(roll)` for angles [rad] about the fixed axes, as in URDF."""
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
-    return snapped(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
+    return snap_entries(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
 
 
 def rpy_from_rotation(rotation: ArrayLike) -> Array:
@@ -117,7 +117,7 @@ def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
     """Return the rotation of a quaternion `w x y z`, which need not have unit length."""
     quaternion = np.asarray(wxyz, dtype=np.float64)
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return snapped(
+    return snap_entries(
         np.array(
             [
                 [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -153,13 +153,13 @@ def rotation_onto(axis: ArrayLike) -> Array:
 
     Exact for the six coordinate directions.
     """
-    x, y, z = snapped(np.asarray(axis, dtype=np.float64))
+    x, y, z = snap_entries(np.asarray(axis, dtype=np.float64))
     if math.hypot(x, y) == 0.0:
         return np.eye(3) if z > 0.0 else rotation_x(math.pi)
-    return snapped(rotation_z(math.atan2(y, x)) @ rotation_y(math.atan2(math.hypot(x, y), z)))
+    return snap_entries(rotation_z(math.atan2(y, x)) @ rotation_y(math.atan2(math.hypot(x, y), z)))
 
 
-def snapped(matrix: ArrayLike) -> Array:
+def snap_entries(matrix: ArrayLike) -> Array:
     """Return `matrix` with entries within `EXACT_TOLERANCE` of 0, 1 or -1 made exact."""
     result = np.array(matrix, dtype=np.float64)
     nearest = np.rint(result)
@@ -168,7 +168,7 @@ def snapped(matrix: ArrayLike) -> Array:
     return result
 
 
-def rotation_fault(matrix: ArrayLike) -> str | None:
+def find_rotation_fault(matrix: ArrayLike) -> str | None:
     """Return why a finite 3 x 3 matrix is no rotation, in numbers, or None where it is one."""
     R = np.asarray(matrix, dtype=np.float64)
     error, determinant = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
@@ -177,7 +177,7 @@ def rotation_fault(matrix: ArrayLike) -> str | None:
     return f"R R^T differs from 1 by {error:.2g} and det R = {determinant:.6g}"
 
 
-def axes_across(vector: ArrayLike) -> Array:
+def find_axes_across(vector: ArrayLike) -> Array:
     """Return two unit axes across a vector and each other, as rows (2, 3).
 
     They are as near to coordinate axes as may be: x and y across z, and across zero.
@@ -193,7 +193,7 @@ def axes_across(vector: ArrayLike) -> Array:
     return np.array([first, second / np.linalg.norm(second)])
 
 
-def checked_placement(values: ArrayLike, what: str) -> Array:
+def check_placement(values: ArrayLike, what: str) -> Array:
     """Return a placement as a read-only 4 x 4 matrix of its own.
 
     Raises `DescriptionError`, naming `what` it is, where it is none.
@@ -203,7 +203,7 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
         raise DescriptionError(
             f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}"
         )
-    fault = rotation_fault(T[:3, :3])
+    fault = find_rotation_fault(T[:3, :3])
     refuse(
         DescriptionError,
         (fault, f"{what} does not hold a rotation in its first three rows and columns: {fault}"),
@@ -229,15 +229,15 @@ def placement(rotation: ArrayLike | None = None, translation: ArrayLike | None =
     return T
 
 
-def composed(*placements: Array) -> Array:
+def compose_placements(*placements: Array) -> Array:
     """Return the product of placements with right angles kept exact."""
     T = np.eye(4)
     for factor in placements:
         T = T @ factor
-        T[:3, :3] = snapped(T[:3, :3])
+        T[:3, :3] = snap_entries(T[:3, :3])
     return T
 
 
-def inverted(T: Array) -> Array:
+def invert_placement(T: Array) -> Array:
     """Return the inverse of a placement, `(R^T, -R^T p)`."""
     return placement(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])

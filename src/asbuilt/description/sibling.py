@@ -16,7 +16,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import parsed_json, read_text
+from asbuilt.untrusted import parse_json, read_text
 
 DRIVES = ("armature", "viscous", "coulomb", "offset")
 """Drive values that a sibling has."""
@@ -105,7 +105,7 @@ def read_sibling(path: str | Path) -> Sibling:
     """
     text = read_text(Path(path), "robot as built", DescriptionError)
     try:
-        document = parsed_json(text)
+        document = parse_json(text)
         found = document.get("sibling", document)
         links = {name: tuple(map(float, values)) for name, values in found["links"].items()}
         drives = {

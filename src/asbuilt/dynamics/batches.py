@@ -18,12 +18,12 @@ _WORTH_A_THREAD = 8192
 """Samples that take longer than a thread takes to start."""
 
 
-def available_cores() -> int:
+def count_cores() -> int:
     """Return the number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def chosen_threads(asked: int | None, usual: int) -> int:
+def choose_threads(asked: int | None, usual: int) -> int:
     """Return the number of threads asked for, else `usual`; raises UsageError below 1."""
     if asked is not None and asked < 1:
         raise UsageError(
@@ -33,7 +33,7 @@ def chosen_threads(asked: int | None, usual: int) -> int:
     return usual if asked is None else asked
 
 
-def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
+def shape_joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
     """Return the arrays as contiguous (n_samples, n_joints), (n_joints,) being one sample.
 
     Raises `UsageError` where they are not alike, not finite, or of other joints.
@@ -78,7 +78,7 @@ def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Arra
     return chi.reshape(-1, 10)
 
 
-def flat(array: Array) -> Array:
+def flatten_array(array: Array) -> Array:
     """Return a one-dimensional read-only view.
 
     Read-only throughout, so that the kernels are compiled once.
@@ -88,14 +88,14 @@ def flat(array: Array) -> Array:
     return view
 
 
-def over_samples(
+def run_over_samples(
     work: Callable[[int, int], object], n_samples: int, threads: int | None = 1
 ) -> None:
     """Call `work(start, stop)` on ranges of whole blocks that together cover all samples.
 
     In parallel threads; None chooses their number.
     """
-    wanted = chosen_threads(threads, min(available_cores(), n_samples // _WORTH_A_THREAD))
+    wanted = choose_threads(threads, min(count_cores(), n_samples // _WORTH_A_THREAD))
     blocks = -(-n_samples // BLOCK)
     parts = max(1, min(wanted, blocks))
     edges = [min(n_samples, BLOCK * (blocks * part // parts)) for part in range(parts + 1)]

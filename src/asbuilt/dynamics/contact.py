@@ -15,7 +15,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.kernels.joint_space import orthonormal_rows, project
+from asbuilt.dynamics.kernels.joint_space import orthonormalise_rows, project
 from asbuilt.dynamics.kinematics import link_jacobians, link_poses
 
 SAMPLES_AT_ONCE = 2048
@@ -57,7 +57,7 @@ def contact_basis(
         for k, J in enumerate(contact_jacobians(model, q))
     ]
     basis = np.ascontiguousarray(np.concatenate(closed, axis=1).transpose(1, 2, 0))
-    orthonormal_rows(basis, DEPENDENT)
+    orthonormalise_rows(basis, DEPENDENT)
     return basis
 
 

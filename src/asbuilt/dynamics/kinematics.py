@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.dynamics.batches import joint_samples
+from asbuilt.dynamics.batches import shape_joint_samples
 from asbuilt.errors import DescriptionError
 
 TRIALS = 20
@@ -16,7 +16,7 @@ REGULAR = 0.02
 """Distance to a singular posture from which on rates of passive joints are of usual size."""
 
 
-def _motions(model: RobotModel, q: Array) -> Array:
+def _evaluate_link_poses(model: RobotModel, q: Array) -> Array:
     """Return the pose of each link in its parent link, shape (n_samples, n_joints, 4, 4)."""
     samples, n = q.shape
     motion = np.zeros((samples, n, 4, 4))
@@ -43,7 +43,7 @@ def _motions(model: RobotModel, q: Array) -> Array:
     return poses
 
 
-def random_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Array:
+def draw_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Array:
     """Return random positions (count, n_joints), of a whole turn for joints of a tree.
 
     Where loops place joints, they are within the limits of the motors, away from singular postures,
@@ -76,11 +76,11 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
     For many samples the shape is (n_samples, n_links, 4, 4). The identity is `T_i = T_parent
     before_i motion(q_i) after_i`.
     """
-    (qs,) = joint_samples(model, q=q)
+    (qs,) = shape_joint_samples(model, q=q)
     if (coupling := model.coupling) is not None:
         of_tree = link_poses(model.tree, coupling.motion(qs).q)
         return of_tree[:, np.argsort(coupling.order)].reshape(*np.shape(q)[:-1], -1, 4, 4)
-    poses = _motions(model, qs)
+    poses = _evaluate_link_poses(model, qs)
     for i, parent in enumerate(model.parents):
         if parent != ROOT:
             poses[:, i] = poses[:, parent] @ poses[:, i]
@@ -95,7 +95,7 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
     Rows: angular velocity, then velocity of the link origin, so that `J_i qd` is the twist of link
     i.
     """
-    (qs,) = joint_samples(model, q=q)
+    (qs,) = shape_joint_samples(model, q=q)
     if (coupling := model.coupling) is not None:
         moved = coupling.motion(qs)
         of_tree = link_jacobians(model.tree, moved.q) @ (
@@ -105,7 +105,7 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
             *np.shape(q)[:-1], -1, 6, model.n_joints
         )
     samples, n = qs.shape
-    motions = _motions(model, qs)
+    motions = _evaluate_link_poses(model, qs)
     jacobians = np.zeros((samples, n, 6, n))
     for i, (joint, parent) in enumerate(zip(model.joints, model.parents, strict=True)):
         rotation, translation = motions[:, i, :3, :3], motions[:, i, :3, 3]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.batches import inertial_parameters, joint_samples
+from asbuilt.dynamics.batches import inertial_parameters, shape_joint_samples
 from asbuilt.dynamics.kernels import momentum as kernels
 
 
@@ -38,7 +38,7 @@ def generalised_momentum(
     UsageError
         For shapes that do not fit, and values that are not finite.
     """
-    qs, qds = joint_samples(model, q=q, qd=qd)
+    qs, qds = shape_joint_samples(model, q=q, qd=qd)
     p, gradient = Momentum(model, inertial_parameters(model, parameters))(qs, qds)
     return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
 
@@ -51,7 +51,7 @@ class Momentum:
 
     def __init__(self, model: RobotModel, chi: Array) -> None:
         self._coupling = model.coupling
-        self._mechanism = mechanism_of(model.tree)
+        self._mechanism = build_mechanism_arrays(model.tree)
         self._chi = np.ascontiguousarray(
             chi if self._coupling is None else self._coupling.parameters(chi)
         )
@@ -72,7 +72,7 @@ class Momentum:
 
 
 @lru_cache(maxsize=16)
-def mechanism_of(model: RobotModel) -> tuple[Any, ...]:
+def build_mechanism_arrays(model: RobotModel) -> tuple[Any, ...]:
     """Return parents, kinds and placements of the joints as the kernel takes them."""
     return (
         np.array(model.parents, dtype=np.int64),
@@ -82,7 +82,7 @@ def mechanism_of(model: RobotModel) -> tuple[Any, ...]:
     )
 
 
-def lagged(share: Array, x: Array, start: Array | None = None) -> Array:
+def apply_lag(share: Array, x: Array, start: Array | None = None) -> Array:
     """Return the first-order lag of x (N, m).
 
     `y_k = y_(k-1) + share_k (x_k - y_(k-1))`, from `start` (m,) or 0, with shares (N,); a negative

@@ -7,16 +7,21 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.batches import flat, inertial_parameters, joint_samples, over_samples
+from asbuilt.dynamics.batches import (
+    flatten_array,
+    inertial_parameters,
+    run_over_samples,
+    shape_joint_samples,
+)
 from asbuilt.dynamics.kernels import rigid_body
 from asbuilt.dynamics.kernels.joint_space import joint_space_matrices
-from asbuilt.dynamics.kernels.recursion import layout_of
+from asbuilt.dynamics.kernels.recursion import build_layout
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.dynamics.one_sample import rigid_bodies
+from asbuilt.dynamics.one_sample import compile_rigid_bodies
 from asbuilt.errors import InertiaError
 
 
-def _torques(
+def _evaluate_torques(
     model: RobotModel,
     q: Array,
     qd: Array,
@@ -28,11 +33,11 @@ def _torques(
     if (coupling := model.coupling) is not None:
         moved, in_tree = coupling.motion(q, qd, qdd), coupling.parameters(chi)
         state = moved.q, moved.qd, moved.qdd
-        return moved.torques(_torques(model.tree, *state, in_tree, gravity, threads))
-    layout, torques = layout_of(model), np.empty(q.shape)
-    inputs = flat(q), flat(qd), flat(qdd)
+        return moved.torques(_evaluate_torques(model.tree, *state, in_tree, gravity, threads))
+    layout, torques = build_layout(model), np.empty(q.shape)
+    inputs = flatten_array(q), flatten_array(qd), flatten_array(qdd)
     given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
-    over_samples(
+    run_over_samples(
         lambda start, stop: rigid_body.newton_euler(
             layout.codes, layout.placements, given, chi, *inputs, start, stop, out
         ),
@@ -42,19 +47,21 @@ def _torques(
     return torques
 
 
-def _joint_space(model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool) -> Array:
+def _evaluate_joint_space(
+    model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool
+) -> Array:
     if (coupling := model.coupling) is not None:
         moved, in_tree = coupling.motion(q, qd), coupling.parameters(chi)
         of_tree = moved.q, moved.qd, in_tree
-        found = moved.matrices(_joint_space(model.tree, *of_tree, coriolis=coriolis))
+        found = moved.matrices(_evaluate_joint_space(model.tree, *of_tree, coriolis=coriolis))
         turning = coupling.derivatives(q, qd, np.zeros_like(q)) if coriolis else None
         if turning is None:
             return found
-        masses = _joint_space(model.tree, *of_tree, coriolis=False)
+        masses = _evaluate_joint_space(model.tree, *of_tree, coriolis=False)
         return found + np.swapaxes(moved.shares, 1, 2) @ masses @ turning.turning
-    layout, (samples, n) = layout_of(model), q.shape
+    layout, (samples, n) = build_layout(model), q.shape
     matrices = np.empty((samples, n, n))
-    angles, rates, out = flat(q), flat(qd), matrices.reshape(-1)
+    angles, rates, out = flatten_array(q), flatten_array(qd), matrices.reshape(-1)
 
     def work(start: int, stop: int) -> None:
         joint_space_matrices(
@@ -71,7 +78,7 @@ def _joint_space(model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis
             out,
         )
 
-    over_samples(work, samples, None)
+    run_over_samples(work, samples, None)
     return matrices
 
 
@@ -94,11 +101,11 @@ def inverse_dynamics(
     values that are not finite. Source: Luh, Walker and Paul (1980).
     """
     if parameters is None and type(q) is np.ndarray and q.ndim == 1:
-        one = rigid_bodies(model).torque(q, qd, qdd)
+        one = compile_rigid_bodies(model).torque(q, qd, qdd)
         if one is not None:
             return one
-    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
-    return _torques(
+    qs, qds, qdds = shape_joint_samples(model, q=q, qd=qd, qdd=qdd)
+    return _evaluate_torques(
         model, qs, qds, qdds, inertial_parameters(model, parameters), model.gravity, threads
     ).reshape(np.shape(q))
 
@@ -108,12 +115,12 @@ def gravity_torque(
 ) -> Array:
     """Return `g(q)`, the torque that holds the robot at rest, shape of `q`."""
     if parameters is None and type(q) is np.ndarray and q.ndim == 1:
-        one = rigid_bodies(model).gravity(q)
+        one = compile_rigid_bodies(model).gravity(q)
         if one is not None:
             return one
-    (qs,) = joint_samples(model, q=q)
+    (qs,) = shape_joint_samples(model, q=q)
     rest = np.zeros_like(qs)
-    return _torques(
+    return _evaluate_torques(
         model, qs, rest, rest, inertial_parameters(model, parameters), model.gravity, None
     ).reshape(np.shape(q))
 
@@ -122,8 +129,8 @@ def coriolis_torque(
     model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
 ) -> Array:
     """Return `C(q, qd) qd`, the torque of centrifugal and Coriolis forces, shape of `q`."""
-    qs, qds = joint_samples(model, q=q, qd=qd)
-    return _torques(
+    qs, qds = shape_joint_samples(model, q=q, qd=qd)
+    return _evaluate_torques(
         model, qs, qds, np.zeros_like(qs), inertial_parameters(model, parameters), np.zeros(3), None
     ).reshape(np.shape(q))
 
@@ -134,11 +141,11 @@ def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None
     Shape (n_joints, n_joints), or (n_samples, n_joints, n_joints) for many samples.
     """
     if parameters is None and type(q) is np.ndarray and q.ndim == 1:
-        one = rigid_bodies(model).mass_matrix(q)
+        one = compile_rigid_bodies(model).mass_matrix(q)
         if one is not None:
             return one
-    (qs,) = joint_samples(model, q=q)
-    return _joint_space(
+    (qs,) = shape_joint_samples(model, q=q)
+    return _evaluate_joint_space(
         model, qs, qs, inertial_parameters(model, parameters), coriolis=False
     ).reshape(*np.shape(q), model.n_joints)
 
@@ -156,8 +163,8 @@ def coriolis_matrix(
     written for link frames. It is not the Christoffel factor, which agrees with it only in these
     two properties.
     """
-    qs, qds = joint_samples(model, q=q, qd=qd)
-    return _joint_space(
+    qs, qds = shape_joint_samples(model, q=q, qd=qd)
+    return _evaluate_joint_space(
         model, qs, qds, inertial_parameters(model, parameters), coriolis=True
     ).reshape(*np.shape(q), model.n_joints)
 
@@ -174,9 +181,9 @@ def forward_dynamics(
 
     Raises InertiaError where the mass matrix is not positive definite.
     """
-    qs, qds, taus = joint_samples(model, q=q, qd=qd, tau=tau)
+    qs, qds, taus = shape_joint_samples(model, q=q, qd=qd, tau=tau)
     chi = inertial_parameters(model, parameters)
-    bias = _torques(model, qs, qds, np.zeros_like(qs), chi, model.gravity, None)
+    bias = _evaluate_torques(model, qs, qds, np.zeros_like(qs), chi, model.gravity, None)
     masses = mass_matrix(model, qs, parameters=chi.reshape(-1))
     try:
         np.linalg.cholesky(masses)
@@ -196,7 +203,7 @@ def kinetic_energy(
     model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
 ) -> Array:
     """Return `qd^T M(q) qd / 2` [J], shape () or (n_samples,)."""
-    qs, qds = joint_samples(model, q=q, qd=qd)
+    qs, qds = shape_joint_samples(model, q=q, qd=qd)
     energy = 0.5 * np.einsum(
         "si,sij,sj->s", qds, mass_matrix(model, qs, parameters=parameters), qds
     )
@@ -210,7 +217,7 @@ def potential_energy(
 
     Shape () or (n_samples,).
     """
-    (qs,) = joint_samples(model, q=q)
+    (qs,) = shape_joint_samples(model, q=q)
     chi = inertial_parameters(model, parameters)
     poses = link_poses(model, qs)
     moments = (

@@ -16,13 +16,13 @@ from asbuilt.dynamics.drives.formula import STATE, Formula
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels import single_sample
 from asbuilt.dynamics.kernels.operations import ACT, ADD, MULTIPLY, NUMBER, OPERATIONS, SPEND
-from asbuilt.dynamics.kernels.recursion import layout_of
+from asbuilt.dynamics.kernels.recursion import build_layout
 
 Row = tuple[int, int, float]
 """Operation, joint and constant."""
 
 
-def drive_program(drive: DriveSet, values: Array, shares: Array) -> tuple[Indices, Array]:
+def compile_drives(drive: DriveSet, values: Array, shares: Array) -> tuple[Indices, Array]:
     """Return a program that adds the drive torques of all joints, and its constants.
 
     `values` (n columns_per_joint,) are the drive parameters joint by joint, `shares` (n, n) the
@@ -37,7 +37,7 @@ def drive_program(drive: DriveSet, values: Array, shares: Array) -> tuple[Indice
             for column in term.columns:
                 value = left.pop(0)
                 if value and term.is_at(k) and acts_on.any():
-                    rows += _column_rows(column, stated, acts_on)
+                    rows += _write_column_rows(column, stated, acts_on)
                     acting = [(ACT, int(j), value * acts_on[j]) for j in np.flatnonzero(acts_on)]
                     rows += [*acting[:-1], (SPEND, *acting[-1][1:])]
     constants = dict.fromkeys(constant for _, _, constant in rows)
@@ -46,7 +46,7 @@ def drive_program(drive: DriveSet, values: Array, shares: Array) -> tuple[Indice
     return np.array(program, dtype=np.int64).reshape(-1, 3), np.array(list(constants), dtype=float)
 
 
-def _column_rows(column: str, stated: Mapping[str, float], acts_on: Array) -> list[Row]:
+def _write_column_rows(column: str, stated: Mapping[str, float], acts_on: Array) -> list[Row]:
     """Return the rows that leave the value of a column on the stack."""
 
     def number(value: float) -> list[Row]:
@@ -86,8 +86,8 @@ class OneSample:
         self._general = model.coupling is not None
         if self._general:
             return
-        layout, n = layout_of(model), model.n_joints
-        program, constants = drive_program(drive, values, model.motor_shares)
+        layout, n = build_layout(model), model.n_joints
+        program, constants = compile_drives(drive, values, model.motor_shares)
         links = np.hstack([layout.placements, parameters.reshape(n, 10)]).ravel()
         self._n, self._still = n, np.zeros(n)
         self._codes = layout.codes.ravel().copy()
@@ -128,6 +128,6 @@ class OneSample:
 
 
 @lru_cache(maxsize=16)
-def rigid_bodies(model: RobotModel) -> OneSample:
+def compile_rigid_bodies(model: RobotModel) -> OneSample:
     """Return the rigid bodies of a robot, remembered for the robots used last."""
     return OneSample(model, NO_DRIVE, np.empty(0), model.parameters)

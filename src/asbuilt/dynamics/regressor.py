@@ -14,11 +14,11 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.couplings import Coupling
-from asbuilt.dynamics.batches import flat, joint_samples, over_samples
+from asbuilt.dynamics.batches import flatten_array, run_over_samples, shape_joint_samples
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.kernels import rigid_body
-from asbuilt.dynamics.kernels.recursion import layout_of
+from asbuilt.dynamics.kernels.recursion import build_layout
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
 from asbuilt.errors import UsageError
@@ -35,14 +35,14 @@ _LINE = 8
 _PER_LINK = len(PARAMETER_NAMES)
 
 
-def _slice_or_indices(indices: Indices) -> Some:
+def _simplify_indices(indices: Indices) -> Some:
     """Return increasing neighbours as a slice, which copies faster."""
     if indices.size and np.all(np.diff(indices) == 1):
         return slice(int(indices[0]), int(indices[-1]) + 1)
     return indices
 
 
-def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | None) -> Indices:
+def _check_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | None) -> Indices:
     count = parameter_count(model, drive)
     chosen = np.arange(count) if columns is None else np.array(columns)
     if chosen.ndim != 1 or (chosen.size and not np.issubdtype(chosen.dtype, np.integer)):
@@ -60,13 +60,13 @@ def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | No
     return chosen.astype(np.int64)
 
 
-def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
+def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
     """Return for each joint the positions in `columns` that can be non-zero in its row.
 
     Links it carries, its own drive, motors it turns; all where contact forces are projected away,
     which mixes the rows.
     """
-    chosen, n = _checked_columns(model, drive, columns), model.n_joints
+    chosen, n = _check_columns(model, drive, columns), model.n_joints
     if model.contacts:
         return [np.arange(chosen.size)] * n
     moved_by, carried = model.link_shares != 0.0, np.zeros((n, model.n_links), dtype=bool)
@@ -82,7 +82,7 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
 
 
 @lru_cache(maxsize=16)
-def _moves(model: RobotModel) -> NDArray[np.bool_]:
+def _find_moving_coordinates(model: RobotModel) -> NDArray[np.bool_]:
     """Return which coordinates move which links of the tree, (n_links + 1, n), the root first."""
     tree, shares = model.tree, model.link_shares[list(model.link_order)] != 0.0
     moves = np.zeros((model.n_links + 1, model.n_joints), dtype=bool)
@@ -191,11 +191,11 @@ class RegressorPlan:
         They count from 0; None takes all.
         """
         chosen, n, per = (
-            _checked_columns(model, drive, columns),
+            _check_columns(model, drive, columns),
             model.n_joints,
             drive.columns_per_joint,
         )
-        support = tuple(joint_support(model, drive, chosen))
+        support = tuple(find_joint_support(model, drive, chosen))
         starts = np.cumsum([0, *(positions.size + spare_rows for positions in support)])
         bounds = np.array(
             [
@@ -213,7 +213,7 @@ class RegressorPlan:
         of_motor = drive.of_motor
         own = [np.where(of_motor, -1, drives[k, k]) for k in range(n)]
         drive_rows = tuple(
-            (_slice_or_indices(np.flatnonzero(row >= 0)), _slice_or_indices(row[row >= 0]))
+            (_simplify_indices(np.flatnonzero(row >= 0)), _simplify_indices(row[row >= 0]))
             for row in own
         )
         motor_rows = tuple(
@@ -288,20 +288,20 @@ class RegressorPlan:
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
         evaluate, places, coupling = rigid_body.regressor, self.places, self.model.coupling
-        robot: tuple[object, ...] = layout_of(self.model.tree).arrays
+        robot: tuple[object, ...] = build_layout(self.model.tree).arrays
         if coupling is not None:
             evaluate = rigid_body.coupled_rows
             places = np.ascontiguousarray(places[:, coupling.order])
             moved = coupling.motion(*inputs)
             inputs = moved.q, moved.qd, moved.qdd
-            robot = *robot, flat(moved.shares), _moves(self.model)
-        vectors = [flat(array) for array in inputs]
+            robot = *robot, flatten_array(moved.shares), _find_moving_coordinates(self.model)
+        vectors = [flatten_array(array) for array in inputs]
         rows, width = target.reshape(-1), target.shape[1]
 
         def work(start: int, stop: int) -> None:
             evaluate(*robot, places, self.bounds, columns, *vectors, start, stop, rows, width)
 
-        over_samples(work, inputs[0].shape[0], threads)
+        run_over_samples(work, inputs[0].shape[0], threads)
 
     def joint_rows(self, out: Array, n_samples: int) -> tuple[Array, ...]:
         """Return the rows of each joint, the spare ones too, as views of the first samples."""
@@ -360,7 +360,9 @@ class RegressorPlan:
 
 
 @lru_cache(maxsize=16)
-def _plan(model: RobotModel, drive: DriveSet, columns: tuple[int, ...] | None) -> RegressorPlan:
+def _make_plan(
+    model: RobotModel, drive: DriveSet, columns: tuple[int, ...] | None
+) -> RegressorPlan:
     return RegressorPlan.of(model, drive, columns)
 
 
@@ -381,9 +383,9 @@ def observation_matrix(
     `columns` (zero-based) chooses among the standard parameters, the links' first, then
     the drives' joint by joint; None takes all.
     """
-    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
+    qs, qds, qdds = shape_joint_samples(model, q=q, qd=qd, qdd=qdd)
     chosen = None if columns is None else tuple(np.asarray(columns).tolist())
-    return _plan(model, drive, chosen).stack(qs, qds, qdds, threads=threads)
+    return _make_plan(model, drive, chosen).stack(qs, qds, qdds, threads=threads)
 
 
 def regressor(

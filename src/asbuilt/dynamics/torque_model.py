@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.batches import inertial_parameters, joint_samples
+from asbuilt.dynamics.batches import inertial_parameters, shape_joint_samples
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
@@ -78,7 +78,7 @@ class TorqueModel:
         torque = self._one.torque(q, qd, qdd) if type(q) is np.ndarray and q.ndim == 1 else None
         if torque is not None:
             return torque
-        state = joint_samples(self.model, q=q, qd=qd, qdd=qdd)
+        state = shape_joint_samples(self.model, q=q, qd=qd, qdd=qdd)
         if len(state[0]) == 1:
             torque = self._one.torque(*(array[0] for array in state))
         if torque is None:
@@ -88,7 +88,7 @@ class TorqueModel:
 
     def friction(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
         """Return the torques of the drive terms alone [N m or N], shape of `q`."""
-        state = joint_samples(self.model, q=q, qd=qd, qdd=qdd)
+        state = shape_joint_samples(self.model, q=q, qd=qd, qdd=qdd)
         rigid = inverse_dynamics(self.model, *state, parameters=self.parameters)
         return self._friction(state, rigid).reshape(np.shape(q))
 

@@ -8,7 +8,7 @@ from asbuilt.excitation.collision.constraint import skeleton_distance
 from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.static_poses import StaticDesign
 from asbuilt.excitation.motions.motion import JUMPING
-from asbuilt.findings import Cure, Finding, joined, ranked
+from asbuilt.findings import Cure, Finding, join_names, rank_findings
 
 
 def design_findings(design: Design | StaticDesign) -> tuple[Finding, ...]:
@@ -17,16 +17,16 @@ def design_findings(design: Design | StaticDesign) -> tuple[Finding, ...]:
         Finding("limit_violated", "error", str(margin), joint=margin.joint, time=margin.time)
         for margin in design.limits.violations
     ]
-    found.append(_collisions(design))
+    found.append(_report_collisions(design))
     found += [
         Finding("design_note", "warning" if note.startswith("NOT CHECKED") else "info", note)
         for note in design.notes
     ]
-    found += _of_motion(design) if isinstance(design, Design) else _of_poses(design)
-    return ranked(found)
+    found += _report_motion(design) if isinstance(design, Design) else _report_poses(design)
+    return rank_findings(found)
 
 
-def _collisions(design: Design | StaticDesign) -> Finding:
+def _report_collisions(design: Design | StaticDesign) -> Finding:
     distance = design.collision_distance
     if distance is not None:
         text = f"smallest distance between bodies {1000 * distance:.0f} mm"
@@ -42,9 +42,9 @@ def _collisions(design: Design | StaticDesign) -> Finding:
     return Finding("collisions_unchecked", "warning", text, cure)
 
 
-def _of_motion(design: Design) -> list[Finding]:
+def _report_motion(design: Design) -> list[Finding]:
     undetermined = np.flatnonzero(~np.isfinite(design.std_errors))
-    names = joined([design.base.names[k] for k in undetermined])
+    names = join_names([design.base.names[k] for k in undetermined])
     possible = (
         (
             undetermined.size,
@@ -68,7 +68,7 @@ def _of_motion(design: Design) -> list[Finding]:
             Finding(
                 "limits_assumed",
                 "warning",
-                f"the description lacks limits of {joined(design.assumed)} for some joints",
+                f"the description lacks limits of {join_names(design.assumed)} for some joints",
                 Cure("the usual ones were assumed; add the robot's own limits to the description"),
             ),
         ),
@@ -94,7 +94,7 @@ def _of_motion(design: Design) -> list[Finding]:
     return [*(finding for holds, finding in possible if holds), *tried]
 
 
-def _of_poses(design: StaticDesign) -> list[Finding]:
+def _report_poses(design: StaticDesign) -> list[Finding]:
     # Difference in every joint below which poses are the same [rad or m].
     equal = np.ptp(design.poses, axis=0).max() < 1e-6
     turns = f"the route turns at {design.turns} further poses, without rest, to avoid obstacles"

@@ -207,7 +207,7 @@ class LimitReport:
         worst = violations[0]
         others = f" ({len(violations) - 1} more limits are violated)" if len(violations) > 1 else ""
         raise MotionError(
-            f"{worst}; {_cure(violations)}{others}",
+            f"{worst}; {_word_cure(violations)}{others}",
             joint=worst.joint,
             time=worst.time,
             value=worst.value,
@@ -255,12 +255,12 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
         found
         for quantity, x in values.items()
         for joint, values_of_joint in zip(model.joints, x.T, strict=True)
-        if (found := _margin(joint, quantity, t, values_of_joint)) is not None
+        if (found := _find_margin(joint, quantity, t, values_of_joint)) is not None
     ]
-    return LimitReport((*margins, *_passive_margins(model, t, values)), rate)
+    return LimitReport((*margins, *_find_passive_margins(model, t, values)), rate)
 
 
-def _margin(joint: Joint, quantity: str, t: Array, x: Array) -> LimitMargin | None:
+def _find_margin(joint: Joint, quantity: str, t: Array, x: Array) -> LimitMargin | None:
     """Return the smallest margin of a joint with values (N,) at times t, None without a limit."""
     limits = joint.limits
     high = limits.upper if quantity == "position" else getattr(limits, quantity)
@@ -281,7 +281,7 @@ def _margin(joint: Joint, quantity: str, t: Array, x: Array) -> LimitMargin | No
     )
 
 
-def _passive_margins(
+def _find_passive_margins(
     model: RobotModel, t: Array, values: Mapping[str, Array]
 ) -> Iterator[LimitMargin]:
     """Yield margins of passive joints; raises MotionError where loops do not close."""
@@ -296,7 +296,7 @@ def _passive_margins(
         ) from None
     for k, joint in enumerate(model.followers, start=model.n_joints):
         for quantity, x in zip(QUANTITIES, (moved.q, moved.qd, moved.qdd), strict=False):
-            found = _margin(joint, quantity, t, x[:, k]) if joint.is_passive else None
+            found = _find_margin(joint, quantity, t, x[:, k]) if joint.is_passive else None
             if found is not None:
                 yield found
 
@@ -336,7 +336,7 @@ def refuse_open_postures(model: RobotModel) -> None:
     )
 
 
-def _cure(violations: tuple[LimitMargin, ...]) -> str:
+def _word_cure(violations: tuple[LimitMargin, ...]) -> str:
     orders = {quantity: order for order, quantity in enumerate(QUANTITIES) if order > 0}
     needed = [
         abs(v.value / v.limit) ** (1 / orders[v.quantity])

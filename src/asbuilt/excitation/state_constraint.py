@@ -225,7 +225,7 @@ class PowerLimit(StateConstraint):
         )
 
 
-def perturbed_models(
+def perturb_models(
     model: RobotModel, count: int, spread: float, rng: np.random.Generator
 ) -> tuple[RobotModel, ...]:
     """Return the model and `count` versions with random mass properties.

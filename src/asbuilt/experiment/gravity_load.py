@@ -52,7 +52,7 @@ def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float
     return np.array([np.median(np.abs(each)) for each in found])
 
 
-def unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "deg"] | None:
+def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "deg"] | None:
     """Return the unit of positions (N, n) that torques (N, n) support, None if neither clearly.
 
     Gravity's torque at the right positions is most of the torque [N m], with either sign; torques
@@ -60,7 +60,7 @@ def unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "
     """
     if not all(joint.is_revolute for joint in model.joints):
         return None
-    shares = [_explained(model, q, tau, scale) for scale in (1.0, DEGREE)]
+    shares = [_measure_explained_share(model, q, tau, scale) for scale in (1.0, DEGREE)]
     matches = [load_matches(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
     for (plain, turned), least, apart in (
         (shares, RULES.clearly_explained, RULES.clearly_explained),
@@ -82,7 +82,7 @@ def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]
     return step, gravity_torque(model, scale * rows)
 
 
-def _explained(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
+def _measure_explained_share(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
     """Return the share of the torques' variance that gravity's torque explains, at least 0."""
     step, load = _load(model, q, scale)
     if load is None:

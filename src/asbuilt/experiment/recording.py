@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError, refuse
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "command", "unknown")
@@ -177,7 +177,8 @@ class Recording:
     def __repr__(self) -> str:
         return (
             f"Recording({self.source!r}: {self.n_samples} samples x {self.n_joints} joints"
-            f" ({joined(self.joint_names)}), {self.duration:.4g} s at {self.rate:.4g} Hz, torque"
+            f" ({join_names(self.joint_names)}), {self.duration:.4g} s at {self.rate:.4g} Hz,"
+            " torque"
             f" from {self.torque_source})"
         )
 
@@ -380,12 +381,13 @@ def time_span(t: Array) -> float:
     return float(np.nanmax(t) - np.nanmin(t)) if np.any(np.isfinite(t)) else float("nan")
 
 
-def advancing(t: Array, kept: Mask) -> Mask:
+def find_advancing_rows(t: Array, kept: Mask) -> Mask:
     """Return which of the kept rows (N,) are later than all kept ones before them.
 
     Examples
     --------
-    >>> advancing(np.array([0.0, 2.0, 1.0, 3.0]), np.array([True, True, True, False])).tolist()
+    >>> kept = np.array([True, True, True, False])
+    >>> find_advancing_rows(np.array([0.0, 2.0, 1.0, 3.0]), kept).tolist()
     [True, True, False, False]
     """
     latest = np.maximum.accumulate(np.where(kept, t, -np.inf))

@@ -17,18 +17,18 @@ from asbuilt.findings import Finding
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
 from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
-from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.delay_errors import DelayErrors, delay_errors
+from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.errors.delay_errors import DelayErrors, estimate_delay_errors
 from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
     NonlinearPlace,
-    nonlinear_errors,
+    estimate_nonlinear_errors,
 )
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
-    block_uncertainty,
-    textbook_uncertainty,
+    estimate_block_uncertainty,
+    estimate_textbook_uncertainty,
 )
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
@@ -41,7 +41,7 @@ from asbuilt.identification.result.conclusion import conclude
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import carrying, predict_torque
+from asbuilt.identification.result.torque_prediction import predict_torque, set_link_parameters
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -252,8 +252,8 @@ def fit_samples(
         information, estimate = _with_own_load(model, information, estimate, reduced, estimated)
     nonlinear = None
     if fitted_nonlinear:
-        nonlinear = nonlinear_errors(
-            carrying(model, base, estimate.beta) if base.drive.needs_load else model,
+        nonlinear = estimate_nonlinear_errors(
+            set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model,
             base,
             estimate,
             samples,
@@ -262,8 +262,8 @@ def fit_samples(
             block_seconds=block_seconds,
         )
         estimate = replace(estimate, notes=(*estimate.notes, nonlinear.sentence(model.joint_names)))
-    delay = delay_errors(
-        carrying(model, base, estimate.beta) if base.drive.needs_load else model,
+    delay = estimate_delay_errors(
+        set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model,
         base,
         estimate,
         samples,
@@ -276,7 +276,9 @@ def fit_samples(
         model=model,
         information=information,
         estimate=estimate,
-        uncertainty=_uncertainty(information, estimate, errors, automatic=method == "auto"),
+        uncertainty=_estimate_uncertainty(
+            information, estimate, errors, automatic=method == "auto"
+        ),
         nonlinear=nonlinear,
         delay=delay,
         design=design,
@@ -286,15 +288,17 @@ def fit_samples(
     )
 
 
-def _uncertainty(
+def _estimate_uncertainty(
     information: SquareRootInformation, estimate: Estimate, errors: ErrorKind, *, automatic: bool
 ) -> Uncertainty:
     information = estimate.information or information
     if errors == "textbook":
-        return textbook_uncertainty(information, estimate)
+        return estimate_textbook_uncertainty(information, estimate)
     if errors == "blocks":
-        return block_uncertainty(information, estimate)
-    uncertainty = bootstrap_uncertainty(information, estimate, redraw(information, estimate))
+        return estimate_block_uncertainty(information, estimate)
+    uncertainty = estimate_bootstrap_uncertainty(
+        information, estimate, redraw(information, estimate)
+    )
     held = list(uncertainty.basis.held_fixed)
     if automatic:
         held.insert(0, f"the choice of {estimate.method}")
@@ -313,7 +317,7 @@ def _with_own_load(
     """Repeat until friction depends on the load of the estimate, not of CAD."""
     base = information.base
     for _ in range(LOAD.most):
-        loading = carrying(model, base, estimate.beta)
+        loading = set_link_parameters(model, base, estimate.beta)
         information, less = reduced(loading)
         renewed = estimated(information, less, loading)
         step = information.residual_energy(renewed.beta) / np.maximum(

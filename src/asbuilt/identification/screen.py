@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.tables import WIDTH, Table, plus_minus, significant, wrapped
+from asbuilt.tables import WIDTH, Table, format_plus_minus, round_significant, wrap_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class ScreenRules:
 RULES = ScreenRules()
 
 
-def screen_text(
+def compose_screen(
     opening: str,
     effects: Sequence[FoundEffect],
     joints: Table,
@@ -63,20 +63,20 @@ def screen_text(
     cure_text
         Function that writes a cure, for an interface that adds the names of its options.
     """
-    lines = [line for each in opening.split("\n") for line in wrapped(each).split("\n")]
-    lines += effect_lines(effects, cure_text)
+    lines = [line for each in opening.split("\n") for line in wrap_text(each).split("\n")]
+    lines += format_effects(effects, cure_text)
     lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
     room = RULES.lines - len(lines)
-    return "\n".join([*lines, *brief_findings(findings, room, cure_text)]) + "\n"
+    return "\n".join([*lines, *shorten_findings(findings, room, cure_text)]) + "\n"
 
 
-def _elsewhere(cure_text: Callable[[Cure], str]) -> str:
+def _word_further_output(cure_text: Callable[[Cure], str]) -> str:
     """Return where everything is, with the option of an interface that has one."""
     option = cure_text(Cure("", {"full": True})).strip(" ()")
     return f"({', '.join(filter(None, (option, 'summary.txt')))})"
 
 
-def effect_lines(
+def format_effects(
     effects: Sequence[FoundEffect], cure_text: Callable[[Cure], str] = str
 ) -> list[str]:
     """Return a line for each effect: what is in the model that CAD lacks, then what is not."""
@@ -87,32 +87,32 @@ def effect_lines(
         ("Not in the model", RULES.named_only, [e for e in ordered if not e.in_model]),
     ):
         if part:
-            rows = [(effect_text(each), error_text(each)) for each in part[:most]]
+            rows = [(format_effect(each), format_effect_errors(each)) for each in part[:most]]
             width = max(len(text) for text, _ in rows)
             lines.append(f"{head} (torque error without it -> with it):")
-            lines += [wrapped(f"{text:<{width}}  {gain}", "  ") for text, gain in rows]
+            lines += [wrap_text(f"{text:<{width}}  {gain}", "  ") for text, gain in rows]
             if len(part) > most:
-                lines.append(f"  ... {len(part) - most} more {_elsewhere(cure_text)}")
+                lines.append(f"  ... {len(part) - most} more {_word_further_output(cure_text)}")
     return lines
 
 
-def effect_text(each: FoundEffect) -> str:
+def format_effect(each: FoundEffect) -> str:
     """Return an effect with its place and size, and its standard error if the line has room."""
     title = EFFECTS[each.effect].title if each.effect in EFFECTS else each.effect
     where = f"{title} at {each.joint}" if each.joint else title
     unit = "" if each.unit == "1" else each.unit
-    sizes = (plus_minus(each.estimate, each.std_error), significant(each.estimate, 2))
+    sizes = (format_plus_minus(each.estimate, each.std_error), round_significant(each.estimate, 2))
     texts = [f"{where} {size} {unit}".rstrip() for size in sizes]
     return next((text for text in texts if len(text) <= RULES.effect_width), texts[-1])
 
 
-def error_text(each: FoundEffect) -> str:
+def format_effect_errors(each: FoundEffect) -> str:
     """Return the relative torque errors without and with an effect."""
-    before, after = (significant(100.0 * e, 2) for e in (each.error_before, each.error_after))
+    before, after = (round_significant(100.0 * e, 2) for e in (each.error_before, each.error_after))
     return f"{before} -> {after} %"
 
 
-def brief_findings(
+def shorten_findings(
     findings: Sequence[Finding], room: int, cure_text: Callable[[Cure], str] = str
 ) -> list[str]:
     """Return the first warnings, a sentence each, within `room` lines, and how many are left."""
@@ -123,11 +123,11 @@ def brief_findings(
         label = f"{finding.severity.upper():<7}  "
         # Lines end at spaces: each costs up to a word.
         width = RULES.finding_lines * (WIDTH - len(label)) - RULES.finding_lines * 8
-        text = wrapped(finding.brief(width, cure_text), label).split("\n")
+        text = wrap_text(finding.brief(width, cure_text), label).split("\n")
         if shown >= RULES.fewest and len(lines) + len(text) + 1 > room:
             break
         lines += text
         shown += 1
     left = len(findings) - shown
-    more = [f"... {left} more finding{'s' if left > 1 else ''} {_elsewhere(cure_text)}"]
+    more = [f"... {left} more finding{'s' if left > 1 else ''} {_word_further_output(cure_text)}"]
     return [*([""] if lines and len(lines) + 2 <= room else []), *lines, *(more if left else [])]

@@ -70,7 +70,7 @@ def filter_pole(bandwidth: float, rate: float) -> float:
     return float(min(4.0 * 2.0 * np.pi * bandwidth, 0.25 * 2.0 * np.pi * rate))
 
 
-def pole_for(steps: Array, bandwidth: float) -> float:
+def choose_pole(steps: Array, bandwidth: float) -> float:
     """Return the pole [rad/s] for an observer of `bandwidth` [Hz] and time steps [s] of a log.
 
     Steps that are not positive do not count.
@@ -79,7 +79,7 @@ def pole_for(steps: Array, bandwidth: float) -> float:
     return filter_pole(bandwidth, 1.0 / float(np.median(forward)) if forward.size else 1e3)
 
 
-def filtered_log(dt: Array, q: Array, tau: Array, pole: float) -> tuple[Array, Array, Array, Mask]:
+def filter_log(dt: Array, q: Array, tau: Array, pole: float) -> tuple[Array, Array, Array, Mask]:
     """Return filtered positions, their derivatives and filtered torques of a log, three (N, n).
 
     `dt` (N,) are the steps before each sample; one that is not positive starts again. The mask (N,)
@@ -133,16 +133,16 @@ def largest_velocity_error(
         if pole is not None:
             x = q[kept]
             found.append(
-                _noise(x, x[ORDER:] - x[:-ORDER])
-                * _derivative_gain(pole, float(np.median(np.diff(t))))
+                _estimate_noise(x, x[ORDER:] - x[:-ORDER])
+                * _evaluate_derivative_gain(pole, float(np.median(np.diff(t))))
             )
         elif qd is not None:
             x = qd[kept & np.isfinite(qd).all(axis=1)]
-            found.append(_noise(x, x[ORDER:] + x[:-ORDER]))
+            found.append(_estimate_noise(x, x[ORDER:] + x[:-ORDER]))
     return np.asarray(LARGEST * np.max(found, axis=0))
 
 
-def _noise(x: Array, rate: Array) -> Array:
+def _estimate_noise(x: Array, rate: Array) -> Array:
     """Return the standard deviation (n,) of white noise in columns (N, n) where `rate` is least."""
     sizes, found = np.abs(np.diff(x, ORDER, axis=0)), []
     for size, speed in zip(sizes.T, np.abs(rate).T, strict=True):
@@ -152,7 +152,7 @@ def _noise(x: Array, rate: Array) -> Array:
     return np.array(found) / (0.6745 * GAIN)
 
 
-def _derivative_gain(pole: float, spacing: float) -> float:
+def _evaluate_derivative_gain(pole: float, spacing: float) -> float:
     """Return the standard deviation of the filter's derivative for unit white noise."""
     running, total = CausalFilter(pole), 0.0
     running.start(np.zeros(1))

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_jacobians, link_poses
-from asbuilt.monitoring.causal_filter import pole_for
+from asbuilt.monitoring.causal_filter import choose_pole
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import HALF
@@ -66,22 +66,22 @@ def estimate_contact(
         Link that carries the frame, counted from 0, and pose (4, 4) of the frame in it.
     """
     jacobian = frame_jacobian(model, q, link, placement)
-    force, error, misfit = _fitted(jacobian[3:].T, residual, covariance)
+    force, error, misfit = _fit_columns(jacobian[3:].T, residual, covariance)
     freedom = max(len(residual) - int(np.linalg.matrix_rank(jacobian[3:])), 0)
     p_value = float(chdtrc(freedom, misfit)) if freedom else float("nan")
     errors = np.sqrt(np.diag(error))
     if np.linalg.matrix_rank(jacobian) < 6:
         return Contact(force, errors, p_value)
-    wrench, error, _ = _fitted(jacobian.T, residual, covariance)
+    wrench, error, _ = _fit_columns(jacobian.T, residual, covariance)
     size = float(np.linalg.norm(wrench[3:]))
     along = wrench[3:] / size if size > 0.0 else np.zeros(3)
     # 3.0: force, in standard errors, from which a point is given.
     if size < 3.0 * np.sqrt(along @ error[3:, 3:] @ along):
         return Contact(force, errors, p_value)
-    point = _nearest_point(wrench)
+    point = _find_nearest_point(wrench)
     slopes = np.column_stack(
         [
-            (_nearest_point(wrench + STEP * size * unit) - point) / (STEP * size)
+            (_find_nearest_point(wrench + STEP * size * unit) - point) / (STEP * size)
             for unit in np.eye(6)
         ]
     )
@@ -96,7 +96,7 @@ def frame_jacobian(model: RobotModel, q: Array, link: int, placement: Array) -> 
     return np.vstack([turned @ angular, turned @ moved])
 
 
-def _fitted(columns: Array, values: Array, covariance: Array) -> tuple[Array, Array, float]:
+def _fit_columns(columns: Array, values: Array, covariance: Array) -> tuple[Array, Array, float]:
     """Return estimate, its covariance and the weighted sum of squares left."""
     root = np.linalg.cholesky(covariance)
     A, b = np.linalg.solve(root, columns), np.linalg.solve(root, values)
@@ -107,13 +107,13 @@ def _fitted(columns: Array, values: Array, covariance: Array) -> tuple[Array, Ar
     return found, error, float(np.sum((b - A @ found) ** 2))
 
 
-def _nearest_point(wrench: Array) -> Array:
+def _find_nearest_point(wrench: Array) -> Array:
     """Return the point p of `m = p x f` that is nearest to the origin, `f x m / f^2`."""
     moment, force = wrench[:3], wrench[3:]
     return np.asarray(np.cross(force, moment) / (force @ force))
 
 
-def smallest_forces(
+def find_smallest_forces(
     observer: Observer,
     observed: Observed,
     limit: Array,
@@ -142,7 +142,7 @@ def smallest_forces(
     rng = np.random.default_rng(0)
     steps = np.diff(observed.t)
     pole, spacing = (
-        pole_for(steps, observer.bandwidth) if filtered else None,
+        choose_pole(steps, observer.bandwidth) if filtered else None,
         float(np.median(steps)),
     )
     share = excess_response(observer, within, spacing, pole)

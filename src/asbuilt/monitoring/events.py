@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.monitoring.contact import Contact, estimate_contact
 from asbuilt.monitoring.observed import Observed
@@ -88,7 +88,7 @@ class Event:
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists."""
-        return dict(plain(self))
+        return dict(make_plain(self))
 
 
 def find_events(
@@ -122,12 +122,14 @@ def find_events(
         return ()
     cuts = np.flatnonzero(np.diff(observed.t[places]) > apart) + 1
     return tuple(
-        _event(observer, observed, scale, limit, thresholds, slice(part[0], part[-1] + 1), tool)
+        _make_event(
+            observer, observed, scale, limit, thresholds, slice(part[0], part[-1] + 1), tool
+        )
         for part in np.split(places, cuts)
     )
 
 
-def joined_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
+def join_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
     """Return events with those closer than `apart` [s] joined, as chunks of a log divide them."""
     found: list[Event] = []
     for event in events:
@@ -145,7 +147,7 @@ def joined_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
     return tuple(found)
 
 
-def _event(
+def _make_event(
     observer: Observer,
     observed: Observed,
     scale: Array,
@@ -166,14 +168,14 @@ def _event(
         end=float(t[-1]),
         peak=float(observed.t[peak]),
         joints=tuple(model.joint_names[k] for k in responding),
-        link=model.link_names[_last(model.parents, responding, ratio)],
+        link=model.link_names[_find_last_joint(model.parents, responding, ratio)],
         residual=r,
         threshold=limit[peak],
         contact=estimate_contact(model, q, r, error, *tool),
     )
     if event.duration < RULES.persistent:
         return event
-    mass = payload_change(observer, observed.part(part), scale[part], tool[0])
+    mass = estimate_payload_change(observer, observed.part(part), scale[part], tool[0])
     if mass is not None:
         return replace(event, kind="payload", mass=mass[0], mass_error=mass[1])
     lasting = np.mean(ratio > 1.0, axis=0) > RULES.mostly
@@ -182,15 +184,15 @@ def _event(
     return event
 
 
-def _last(parents: Sequence[int], responding: NDArray[Any], ratio: Array) -> int:
+def _find_last_joint(parents: Sequence[int], responding: NDArray[Any], ratio: Array) -> int:
     """Return the responding joint farthest from the root; of branches that responding most."""
     carriers = range(len(parents))
-    depth = [sum(_above(parents, other, k) for other in carriers) for k in carriers]
-    ends = [int(k) for k in responding if not any(_above(parents, k, j) for j in responding)]
+    depth = [sum(_is_above(parents, other, k) for other in carriers) for k in carriers]
+    ends = [int(k) for k in responding if not any(_is_above(parents, k, j) for j in responding)]
     return max(ends, key=lambda k: (float(ratio[:, k].max()), depth[k]))
 
 
-def _above(parents: Sequence[int], joint: int, other: int) -> bool:
+def _is_above(parents: Sequence[int], joint: int, other: int) -> bool:
     """Whether a joint carries another."""
     other = parents[other]
     while other >= 0:
@@ -200,7 +202,7 @@ def _above(parents: Sequence[int], joint: int, other: int) -> bool:
     return False
 
 
-def payload_change(
+def estimate_payload_change(
     observer: Observer, observed: Observed, scale: Array, link: int
 ) -> tuple[float, float] | None:
     """Return the change of mass [kg] at a link that explains the residual, and its error, or None.
@@ -226,13 +228,13 @@ def payload_change(
     found = np.linalg.lstsq(A, b, rcond=None)[0]
     left = float(np.sum((b - A @ found) ** 2))
     times = np.repeat(t[rows], observed.q.shape[1])
-    error = _clustered_error(A, b - A @ found, np.floor((times - t[0]) / RULES.cluster))
+    error = _estimate_clustered_error(A, b - A @ found, np.floor((times - t[0]) / RULES.cluster))
     if left > (1.0 - RULES.explained) * float(b @ b) or abs(found[3]) < RULES.clear * error:
         return None
     return float(found[3]), float(error)
 
 
-def _clustered_error(A: Array, left: Array, cluster: Array) -> float:
+def _estimate_clustered_error(A: Array, left: Array, cluster: Array) -> float:
     """Return the standard error of the last of p parameters, from sums over clusters of rows."""
     names, place = np.unique(cluster, return_inverse=True)
     scores = np.zeros((len(names), A.shape[1]))

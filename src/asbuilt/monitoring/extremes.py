@@ -115,23 +115,23 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
             value=blocks,
             expected=TAIL.fewest_blocks,
         )
-    counts = {_peaks(blocks, share) for share in shares}
-    found = [_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
+    counts = {_count_peaks(blocks, share) for share in shares}
+    found = [_fit_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
     return max(found, key=lambda tail: tail.level)
 
 
-def _tail(x: Array, peaks: int, probability: float) -> Tail:
+def _fit_tail(x: Array, peaks: int, probability: float) -> Tail:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
     blocks = len(x)
     start, mean = _start(x, peaks)
-    shape, scale, weight = _posterior((x[-peaks:] - start) / mean)
+    shape, scale, weight = _evaluate_posterior((x[-peaks:] - start) / mean)
     above = (peaks + 1) / (blocks + 1)
     low, high = 0.0, 1.0
-    while above * _survival(high, shape, scale, weight) > probability and high < 1e9:
+    while above * _evaluate_survival(high, shape, scale, weight) > probability and high < 1e9:
         high *= 2.0
     for _ in range(80):
         middle = 0.5 * (low + high)
-        over = above * _survival(middle, shape, scale, weight) > probability
+        over = above * _evaluate_survival(middle, shape, scale, weight) > probability
         low, high = (middle, high) if over else (low, middle)
     if probability >= above:
         return Tail(float(np.quantile(x, 1.0 - probability)), start, peaks, blocks, 0.0, mean)
@@ -145,19 +145,19 @@ def _tail(x: Array, peaks: int, probability: float) -> Tail:
     )
 
 
-def largest(maxima: Array) -> Array:
+def select_largest(maxima: Array) -> Array:
     """Return the largest `TAILS[0]` of maxima (B,), at least `TAIL.fewest_peaks`, in order."""
-    return np.sort(maxima)[-_peaks(len(maxima), TAILS[0]) :]
+    return np.sort(maxima)[-_count_peaks(len(maxima), TAILS[0]) :]
 
 
-def _peaks(blocks: int, share: float) -> int:
+def _count_peaks(blocks: int, share: float) -> int:
     """Return how many maxima of blocks are the tail of a share of them."""
     return min(max(round(share * blocks), TAIL.fewest_peaks), blocks // 2)
 
 
 def exponential_level(maxima: Array, probability: float) -> float:
     """Return the level that maxima (B,) exceed at a probability if their tail is exponential."""
-    x, peaks = np.sort(maxima), len(largest(maxima))
+    x, peaks = np.sort(maxima), len(select_largest(maxima))
     start, mean = _start(x, peaks)
     return start + mean * max(float(np.log(peaks / (len(x) * probability))), 0.0)
 
@@ -180,7 +180,7 @@ def gumbel_level(maxima: Array, probability: float) -> float:
     return float(place - scale * np.log(-np.log1p(-probability)))
 
 
-def _posterior(y: Array) -> tuple[Array, Array, Array]:
+def _evaluate_posterior(y: Array) -> tuple[Array, Array, Array]:
     """Return shapes, scales and weights (K,) for excesses y (m,) of mean 1; flat in log scale."""
     shape, scale = (grid.ravel() for grid in np.meshgrid(SHAPES, SCALES, indexing="ij"))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -196,7 +196,7 @@ def _posterior(y: Array) -> tuple[Array, Array, Array]:
     return shape, scale, weight / weight.sum()
 
 
-def _survival(y: float, shape: Array, scale: Array, weight: Array) -> float:
+def _evaluate_survival(y: float, shape: Array, scale: Array, weight: Array) -> float:
     inside = np.maximum(1.0 + shape * y / scale, 0.0)
     with np.errstate(divide="ignore", over="ignore"):
         exponent = np.where(

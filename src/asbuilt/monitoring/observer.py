@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.momentum import Momentum, lagged
+from asbuilt.dynamics.momentum import Momentum, apply_lag
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.causal_filter import CausalFilter, filter_pole, filtered_log, pole_for
+from asbuilt.monitoring.causal_filter import CausalFilter, choose_pole, filter_log, filter_pole
 from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.thresholds import Thresholds
 
@@ -66,7 +66,7 @@ class MomentumBalance:
         return p + qd @ self.armature, gradient - self._rigid.gravity(q), friction
 
 
-def friction_between(before: Array, friction: Array) -> tuple[Array, Array]:
+def bracket_friction(before: Array, friction: Array) -> tuple[Array, Array]:
     """Return friction between two samples, and its largest error, of the shape of a sample.
 
     Both samples have it at the ends of the velocities that they stand for, (2, ...). Where the
@@ -78,7 +78,7 @@ def friction_between(before: Array, friction: Array) -> tuple[Array, Array]:
     return middle, np.maximum(four.max(axis=0) - middle, middle - four.min(axis=0))
 
 
-def torque_model(robot: IdentificationResult | RobotModel | TorqueModel) -> TorqueModel:
+def build_torque_model(robot: IdentificationResult | RobotModel | TorqueModel) -> TorqueModel:
     """Return a robot as built, as described with its drives, or as it is given."""
     if isinstance(robot, IdentificationResult):
         return robot.torque_model
@@ -152,7 +152,7 @@ class Observer:
         velocity_error: ArrayLike = 0.0,
         thresholds: Thresholds | None = None,
     ) -> None:
-        self.torque_model = torque_model(robot)
+        self.torque_model = build_torque_model(robot)
         self.model = self.torque_model.model
         if thresholds is not None:
             thresholds.check_joints(self.model.joint_names)
@@ -160,7 +160,7 @@ class Observer:
         if not (np.isfinite(bandwidth) and bandwidth > 0.0):
             raise UsageError(f"the bandwidth must be a positive number [Hz], got {bandwidth}")
         self.bandwidth, self.thresholds = bandwidth, thresholds
-        self.velocity_error = _of_joints(velocity_error, self.model.n_joints)
+        self.velocity_error = _expand_velocity_error(velocity_error, self.model.n_joints)
         self.model_error = ModelError.of(robot)
         self._balance = MomentumBalance(self.torque_model, self.velocity_error)
         self._gain = 2.0 * np.pi * bandwidth
@@ -263,7 +263,7 @@ class Observer:
             )
         steps[steps > LONGEST_STEP] = -1.0
         if qd is None:
-            q, v, tau, settled = filtered_log(steps, q, tau, pole_for(steps, self.bandwidth))
+            q, v, tau, settled = filter_log(steps, q, tau, choose_pole(steps, self.bandwidth))
             steps[~settled] = -1.0
         else:
             v = np.ascontiguousarray(qd, dtype=np.float64)
@@ -272,11 +272,11 @@ class Observer:
         p, b, friction = self._balance.of_samples(q, v)
         s, inner = tau + b, np.maximum(steps, 1e-12)[1:, None]
         rate, step, unknown, external = np.zeros((4, *q.shape))
-        middle, unknown[1:] = friction_between(friction[:, :-1], friction[:, 1:])
+        middle, unknown[1:] = bracket_friction(friction[:, :-1], friction[:, 1:])
         external[1:] = np.diff(p, axis=0) / inner - 0.5 * (s[1:] + s[:-1]) + middle
         rate[1:] = np.diff(v, axis=0) / inner
         step[1:] = np.abs(np.diff(tau, axis=0))
-        parts = (lagged(share, x) for x in (rate, step, unknown, external))
+        parts = (apply_lag(share, x) for x in (rate, step, unknown, external))
         return Observed(times, share, q, v, *parts)
 
     def _filtered(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
@@ -297,7 +297,7 @@ class Observer:
         s = tau + b
         if dt <= LONGEST_STEP:
             share = -np.expm1(-self._gain * dt)
-            middle, unknown = friction_between(self._friction, f)
+            middle, unknown = bracket_friction(self._friction, f)
             external = (p - self._p) / dt - 0.5 * (s + self._s) + middle
             self.residual = self.residual + share * (external - self.residual)
             self.qdd = self.qdd + share * ((qd - self.qd) / dt - self.qdd)
@@ -311,7 +311,7 @@ class Observer:
         self._p, self._s, self._friction, self._tau, self.q, self.qd = p, s, f, tau, q, qd
 
 
-def _of_joints(velocity_error: ArrayLike, n: int) -> Array:
+def _expand_velocity_error(velocity_error: ArrayLike, n: int) -> Array:
     """Return velocity errors as (n,), or raise `UsageError`."""
     given = np.asarray(velocity_error, dtype=np.float64)
     if given.shape not in ((), (n,)) or not np.all(np.isfinite(given) & (given >= 0.0)):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.momentum import lagged
+from asbuilt.dynamics.momentum import apply_lag
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.extremes import (
@@ -19,7 +19,7 @@ from asbuilt.monitoring.extremes import (
     block_maxima,
     exponential_level,
     gumbel_level,
-    largest,
+    select_largest,
     tail_level,
 )
 from asbuilt.monitoring.observed import ModelError, Observed
@@ -165,11 +165,11 @@ class Thresholds:
 
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
-        before = velocities_before(observed)
-        slowness = lagged(observed.share, self.slow(before, observed.qd))
+        before = delay_velocities(observed)
+        slowness = apply_lag(observed.share, self.slow(before, observed.qd))
         model = error.std(observed.q, observed.qd, observed.qdd)
         scale = self.scale(observed.qd, slowness, model)
-        return scale, self.level * scale + bounded(observed)
+        return scale, self.level * scale + bound_residual(observed)
 
     def covariance(self, observed: Observed, scale: Array, error: ModelError) -> Array:
         """Return the covariance (n, n) of the residuals of one sample without contact.
@@ -187,10 +187,10 @@ class Thresholds:
 
 def deviation(observed: Observed, scale: Array) -> Array:
     """Return `sqrt(S^2 + b^2 / 3)` (N, n) of a scale S and errors that are uniform within b."""
-    return np.asarray(np.hypot(scale, UNIFORM * bounded(observed)))
+    return np.asarray(np.hypot(scale, UNIFORM * bound_residual(observed)))
 
 
-def bounded(observed: Observed) -> Array:
+def bound_residual(observed: Observed) -> Array:
     """Return what errors of known bounds may add to the residual (N, n) [N m or N]."""
     return HALF * observed.step + observed.unknown_friction
 
@@ -207,7 +207,7 @@ def least_speed(before: Array, qd: Array) -> Array:
     return np.asarray(np.where(before * qd < 0.0, 0.0, smaller))
 
 
-def velocities_before(observed: Observed) -> Array:
+def delay_velocities(observed: Observed) -> Array:
     """Return the velocities one sample earlier (N, n), where a lag starts its own."""
     before = np.vstack([observed.qd[:1], observed.qd[:-1]])
     return np.where(observed.share[:, None] < 0.0, observed.qd, before)
@@ -278,7 +278,7 @@ def set_thresholds(
             expected=highest,
         )
     for last in (held_out, True):
-        parts = [_parts(j, logs, models, kept, seconds, probability) for j in range(n)]
+        parts = [_fit_parts(j, logs, models, kept, seconds, probability) for j in range(n)]
         made = Thresholds(
             joint_names=names,
             bandwidth=bandwidth,
@@ -299,25 +299,27 @@ def set_thresholds(
         )
         scales = [made.of_log(log, error)[0] for log in logs]
         ratios = [
-            np.maximum(np.abs(log.residual) - bounded(log), 0.0) / scale
+            np.maximum(np.abs(log.residual) - bound_residual(log), 0.0) / scale
             for log, scale in zip(logs, scales, strict=True)
         ]
         if last:
             break
-        kept = [_quiet(log, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
-    made = replace(made, spread=_spread(logs, scales, kept))
+        kept = [_find_quiet(log, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
+    made = replace(made, spread=_measure_spread(logs, scales, kept))
     maxima = np.concatenate(
         [block_maxima(log.t, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
     )
     if held_out:
-        level = levels(maxima, false_alarms_per_hour * seconds / 3600.0)
+        level = estimate_levels(maxima, false_alarms_per_hour * seconds / 3600.0)
     else:
         level = np.array([gumbel_level(column, probability) for column in maxima.T])
     # Where no residual leaves the bounds of known errors there is no tail to extrapolate.
     return replace(made, level=np.where(level > 0.0, level, LEVELS.within))
 
 
-def _spread(logs: Sequence[Observed], scales: Sequence[Array], kept: Sequence[Mask]) -> Array:
+def _measure_spread(
+    logs: Sequence[Observed], scales: Sequence[Array], kept: Sequence[Mask]
+) -> Array:
     """Return the RMS residual of each joint (n,) per deviation."""
     ratios = [
         (log.residual / deviation(log, scale))[keep]
@@ -326,7 +328,7 @@ def _spread(logs: Sequence[Observed], scales: Sequence[Array], kept: Sequence[Ma
     return np.asarray(np.sqrt(np.mean(np.concatenate(ratios) ** 2, axis=0)))
 
 
-def levels(maxima: Array, expected: float) -> Array:
+def estimate_levels(maxima: Array, expected: float) -> Array:
     """Return levels (n,) of block maxima (B, n), for a number of false alarms per block.
 
     With `MANY` blocks the largest of all joints, each in units of the mean of its own largest block
@@ -345,15 +347,18 @@ def levels(maxima: Array, expected: float) -> Array:
         return np.array([tail_level(column, each).level for column in maxima.T])
     part = np.arange(len(maxima)) * LEVELS.parts // len(maxima)
     pooled = [
-        (maxima[part == k] / _sizes(maxima[part != k])).max(axis=1) for k in range(LEVELS.parts)
+        (maxima[part == k] / _average_largest(maxima[part != k])).max(axis=1)
+        for k in range(LEVELS.parts)
     ]
     tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
-    return _sizes(maxima) * tail.level
+    return _average_largest(maxima) * tail.level
 
 
-def _sizes(maxima: Array) -> Array:
+def _average_largest(maxima: Array) -> Array:
     """Return the mean of the largest maxima of each joint (n,)."""
-    return np.maximum([np.mean(largest(column)) for column in maxima.T], np.finfo(float).tiny)
+    return np.maximum(
+        [np.mean(select_largest(column)) for column in maxima.T], np.finfo(float).tiny
+    )
 
 
 def _check_measured(logs: Sequence[Observed], names: Sequence[str]) -> None:
@@ -366,7 +371,7 @@ def _check_measured(logs: Sequence[Observed], names: Sequence[str]) -> None:
             )
 
 
-def _non_negative(columns: Array, target: Array) -> Array:
+def _solve_nonnegative(columns: Array, target: Array) -> Array:
     """Return nonnegative coefficients of least squares, from the normal equations."""
     normal = columns.T @ columns
     root = np.linalg.cholesky(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)))
@@ -374,7 +379,7 @@ def _non_negative(columns: Array, target: Array) -> Array:
     return found
 
 
-def _quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
+def _find_quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
     """Return which samples lie in the quieter half of the blocks."""
     block = np.floor((log.t - log.t[0]) / seconds).astype(np.int64)
     starts = np.flatnonzero(np.diff(block, prepend=-1))
@@ -383,7 +388,7 @@ def _quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
     return np.repeat(largest <= np.median(largest), counts)
 
 
-def _parts(
+def _fit_parts(
     j: int,
     logs: Sequence[Observed],
     models: Sequence[Array],
@@ -412,17 +417,17 @@ def _parts(
     )
     size = float(np.sqrt(np.mean(residual**2)))
     top = float(np.abs(speed).max()) or 1.0
-    starts = _block_starts(logs, kept, seconds)
+    starts = _find_block_starts(logs, kept, seconds)
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
     few = slice(None, None, max(1, len(residual) // LEVELS.most_rows))
     extra = np.column_stack([step, unknown]) / size
-    least = [least_speed(velocities_before(log), log.qd) for log in logs]
+    least = [least_speed(delay_velocities(log), log.qd) for log in logs]
     best: tuple[float, tuple[float, float, float, float, float]] | None = None
     for part in SLOW:
         slow_speed = part * top
         slowness = np.concatenate(
             [
-                lagged(log.share, np.exp(-((speed_of[:, j : j + 1] / slow_speed) ** 2)))[keep, 0]
+                apply_lag(log.share, np.exp(-((speed_of[:, j : j + 1] / slow_speed) ** 2)))[keep, 0]
                 for log, speed_of, keep in zip(logs, least, kept, strict=True)
             ]
         )
@@ -431,7 +436,7 @@ def _parts(
         )
         whole = np.column_stack([columns, extra**2])[few]
         for floor in LEAST:
-            found = _variances(whole, (residual[few] / size) ** 2, floor)
+            found = _fit_variances(whole, (residual[few] / size) ** 2, floor)
             scale = np.sqrt(columns @ found[:4])
             level = exponential_level(np.maximum.reduceat(excess / scale, starts), probability)
             cost = float(np.log(max(level, np.finfo(float).tiny)) + np.mean(np.log(scale)))
@@ -442,18 +447,20 @@ def _parts(
     return best[1]
 
 
-def _variances(columns: Array, squares: Array, floor: float) -> Array:
+def _fit_variances(columns: Array, squares: Array, floor: float) -> Array:
     """Return coefficients of the columns of a variance, the first at least `floor**2`."""
     variance = np.ones(len(squares))
     found = np.zeros(columns.shape[1])
     for _ in range(6):
-        found = _non_negative(columns / variance[:, None], squares / variance)
+        found = _solve_nonnegative(columns / variance[:, None], squares / variance)
         found[0] = max(found[0], floor**2)
         variance = columns @ found
     return found
 
 
-def _block_starts(logs: Sequence[Observed], kept: Sequence[Mask], seconds: float) -> NDArray[Any]:
+def _find_block_starts(
+    logs: Sequence[Observed], kept: Sequence[Mask], seconds: float
+) -> NDArray[Any]:
     """Return the first rows of the blocks of the samples kept of all logs."""
     blocks = [
         np.floor((log.t - log.t[0]) / seconds)[keep] for log, keep in zip(logs, kept, strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from asbuilt.errors import UsageError
-from asbuilt.tables import share
+from asbuilt.tables import format_share
 
 NO_BETTER = "F"
 """The letter of a model that is no better than none."""
@@ -49,9 +49,10 @@ class LetterRule:
     def text(self) -> str:
         """The rule in a sentence."""
         (first, least), *graded, (last, _) = self.limits
-        more = ", ".join(f"{name} {share(limit, 0)}" for name, limit in graded)
+        more = ", ".join(f"{name} {format_share(limit, 0)}" for name, limit in graded)
         return (
-            f"{first} within {share(least, 0)}, {more}, {last} better than no model, {NO_BETTER} no"
+            f"{first} within {format_share(least, 0)}, {more}, {last} better than no model,"
+            f" {NO_BETTER} no"
             " better"
         )
 

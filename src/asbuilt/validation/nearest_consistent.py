@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
-from asbuilt.tables import Column, Table, significant
-from asbuilt.tables import share as percentage
+from asbuilt.codec import make_plain
+from asbuilt.tables import Column, Table, round_significant
+from asbuilt.tables import format_share as percentage
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import torque_units
 
@@ -68,8 +68,9 @@ class NearestModel:
     def objection(self) -> str:
         """Return which joints it predicts poorly; empty if none."""
         poor = [
-            f"{self.joint_names[k]}: {significant(self.nearest[k])} {self.units[k]} RMS in place"
-            f" of {significant(self.identified[k])} (of {significant(self.torque[k])})"
+            f"{self.joint_names[k]}: {round_significant(self.nearest[k])} {self.units[k]} RMS in"
+            " place"
+            f" of {round_significant(self.identified[k])} (of {round_significant(self.torque[k])})"
             for k in self.bad
         ]
         if not poor and self.worse_than_cad:
@@ -110,12 +111,12 @@ class NearestModel:
         return {
             "judged_by": self.judged_by,
             "joints": list(self.joint_names),
-            **plain(errors),
+            **make_plain(errors),
             "bad_joints": [self.joint_names[k] for k in self.bad],
         }
 
 
-def nearest_model(result: IdentificationResult, beta: ArrayLike) -> NearestModel | None:
+def compare_with_nearest(result: IdentificationResult, beta: ArrayLike) -> NearestModel | None:
     """Compare other base parameters (p,) with a result's on its own recordings.
 
     None if the result has no cause data.

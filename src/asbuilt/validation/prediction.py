@@ -18,15 +18,15 @@ from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
-    beside_measured,
+    pair_with_measured,
+    predict_in_spans,
     predict_torque,
-    torque_in_spans,
 )
 from asbuilt.validation.residuals import (
     ResidualAnalysis,
     VelocityCurve,
     analyse_residual,
-    velocity_curve,
+    bin_by_velocity,
 )
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class Validation:
     def friction_curves(self) -> tuple[VelocityCurve, ...]:
         """Return the torque of the drives against velocity, one curve per joint."""
         return tuple(
-            velocity_curve(qd, torque)
+            bin_by_velocity(qd, torque)
             for qd, torque in zip(self.velocity.T, self.friction.T, strict=True)
         )
 
@@ -121,7 +121,7 @@ def validate_samples(
     ResultError
         If joints or geometry do not fit.
     """
-    design = result.cad_values if cad is None else cad_values(result, cad)
+    design = result.cad_values if cad is None else derive_cad_values(result, cad)
     return predict_both(result.model, result.base, result.estimates, design, samples, cad=cad)
 
 
@@ -140,10 +140,12 @@ def predict_both(
     """
     as_built = predict_torque(model, base, estimates, samples)
     described = model.as_described if cad is None else cad
-    by_design = _by_design(model, base, np.nan_to_num(design, nan=0.0), samples, described)
+    by_design = _predict_under_gravity(
+        model, base, np.nan_to_num(design, nan=0.0), samples, described
+    )
     if not described.drives_by_design:
         # Damping and friction of a URDF or MJCF may be a simulator's; where they help they count.
-        candidates = (by_design, _described(described, samples))
+        candidates = (by_design, _predict_described(described, samples))
         by_design = min(candidates, key=lambda each: each.metrics().relative_error)
     return Validation(
         source=samples.source,
@@ -154,13 +156,13 @@ def predict_both(
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=samples.filtered(friction_torque(model, base, estimates, samples)),
+        drive=samples.filtered(predict_friction_torque(model, base, estimates, samples)),
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
 
 
-def _by_design(
+def _predict_under_gravity(
     model: RobotModel, base: BaseParameters, design: Array, samples: Samples, described: RobotModel
 ) -> Prediction:
     """Predict by base parameters under the gravity of a description."""
@@ -168,9 +170,9 @@ def _by_design(
     if not turned.any():
         return predict_torque(model, base, design, samples)
     torque, turning = np.zeros(samples.q.shape), described.with_gravity(turned)
-    for span, _, part in torque_in_spans(model, base, design, samples):
+    for span, _, part in predict_in_spans(model, base, design, samples):
         torque[span] = part + gravity_torque(turning, samples.q[span])
-    return beside_measured(model, samples, torque)
+    return pair_with_measured(model, samples, torque)
 
 
 def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:
@@ -181,10 +183,10 @@ def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:
     ResultError
         If joints do not fit.
     """
-    return _described(model, samples).metrics()
+    return _predict_described(model, samples).metrics()
 
 
-def _described(model: RobotModel, samples: Samples) -> Prediction:
+def _predict_described(model: RobotModel, samples: Samples) -> Prediction:
     if tuple(samples.joint_names) != model.joint_names:
         raise ResultError(
             f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)};"
@@ -196,7 +198,7 @@ def _described(model: RobotModel, samples: Samples) -> Prediction:
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         load = inverse_dynamics(model, *state)
         torque[span] = load + drive_torque(drive, values, *state, load=load, shares=shares)
-    return beside_measured(model, samples, torque)
+    return pair_with_measured(model, samples, torque)
 
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:
@@ -204,7 +206,7 @@ def torque_units(model: RobotModel) -> tuple[str, ...]:
     return tuple("N m" if joint.is_revolute else "N" for joint in model.joints)
 
 
-def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
+def derive_cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
     """Return the base parameters by another description of the same robot, shape (p,), NaN unknown.
 
     Raises
@@ -246,7 +248,7 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
     return design_values(cad, result.base)
 
 
-def friction_torque(
+def predict_friction_torque(
     model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples
 ) -> Array:
     """Return the torque (N, n) of the identified drive terms other than armature and springs.
@@ -258,7 +260,7 @@ def friction_torque(
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
     values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
     torque, shares = np.zeros(samples.q.shape), model.motor_shares
-    for span, rigid, _ in torque_in_spans(model, base, estimates, samples):
+    for span, rigid, _ in predict_in_spans(model, base, estimates, samples):
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         load = rigid if own.needs_load else None
         torque[span] = drive_torque(own, values, *state, load=load, shares=shares)

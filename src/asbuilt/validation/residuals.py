@@ -40,10 +40,10 @@ class ResidualSettings:
 SETTINGS = ResidualSettings()
 
 
-def contiguous_segments(t: Array) -> Segments:
+def find_contiguous_segments(t: Array) -> Segments:
     """Return the (start, stop) index ranges of `t` (N,) between which time jumps.
 
-    >>> contiguous_segments(np.array([0.0, 0.1, 0.2, 1.0, 1.1, 0.0]))
+    >>> find_contiguous_segments(np.array([0.0, 0.1, 0.2, 1.0, 1.1, 0.0]))
     ((0, 3), (3, 5), (5, 6))
     """
     if len(t) == 0:
@@ -111,7 +111,7 @@ def effective_samples(rho: Array, n_samples: int) -> float:
     return float(np.clip(n_samples / max(2.0 * kept.sum() - 1.0, 1.0 / n_samples), 1.0, n_samples))
 
 
-def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, Array]:
+def measure_whiteness(t: Array, residual: Array, cutoff: float) -> tuple[Array, Array]:
     """Return how white a low-passed `residual` (N, n) is up to `cutoff` [Hz], two arrays (n,).
 
     Neither depends on the rate at which the residual is sampled, at the times `t` (N,). First,
@@ -119,7 +119,7 @@ def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
     e_(t-1/2f))^2 / mean e_t^2`: 2 for a residual white up to the cutoff, near 0 for a slow one.
     Second, the effective samples as a fraction of the 2 f a second of a white residual.
     """
-    segments, step = contiguous_segments(t), float(np.median(np.diff(t)))
+    segments, step = find_contiguous_segments(t), float(np.median(np.diff(t)))
     lag = max(1, round(0.5 / (cutoff * step)))
     apart = np.concatenate(
         [
@@ -172,14 +172,14 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
 
     Ljung-Box uses at most 20 lags; the spectrum is Welch's, averaged over segments by their length.
     """
-    segments = contiguous_segments(t)
+    segments = find_contiguous_segments(t)
     longest = max(stop - start for start, stop in segments)
     forward = np.diff(t)[np.diff(t) > 0]
     step = float(np.median(forward)) if len(forward) else 1.0
     n_lags = max(1, min(round(SETTINGS.longest_lag / step), longest - 1))
     rho = np.column_stack([autocorrelation(column, segments, n_lags) for column in residual.T])
     tests = [ljung_box(column, len(t), SETTINGS.ljung_box_lags) for column in rho.T]
-    frequencies, spectrum = _spectrum(residual, segments, 1.0 / step)
+    frequencies, spectrum = _estimate_spectrum(residual, segments, 1.0 / step)
     return ResidualAnalysis(
         joint_names=joint_names,
         n_samples=len(t),
@@ -196,7 +196,7 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
     )
 
 
-def _spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, Array]:
+def _estimate_spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, Array]:
     """Return frequencies (F,) and one-sided density (F, n): Welch, Hann windows in each segment."""
     lengths = [stop - start for start, stop in segments]
     window = min(SETTINGS.window, max(lengths))
@@ -224,7 +224,7 @@ class VelocityCurve:
     count: NDArray[np.int64]
 
 
-def velocity_curve(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve:
+def bin_by_velocity(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve:
     """Sort `torque` (N,) of a joint by its velocity `qd` (N,) into bins that do not span zero."""
     largest = float(np.max(np.abs(qd), initial=0.0)) or 1.0
     half = max(1, bins // 2)

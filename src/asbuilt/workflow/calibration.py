@@ -10,13 +10,13 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
-from asbuilt.experiment.command.usable_samples import moving_faster
+from asbuilt.experiment.command.usable_samples import drop_slow_rows
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
     as_recordings,
-    fitted_recordings,
+    read_fitted_recordings,
 )
 from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
 from asbuilt.experiment.recording import Recording
@@ -26,12 +26,12 @@ from asbuilt.findings import Cure
 from asbuilt.identification.calibration.added_moments import AddedMoments, identify_added_moments
 from asbuilt.identification.calibration.payload import (
     Payload,
+    choose_payload_frame,
     identify_payload_samples,
-    payload_frame,
 )
 from asbuilt.identification.calibration.torque_gains import (
     TorqueGains,
-    gains_in_use,
+    find_gains_in_use,
     identify_gains,
 )
 from asbuilt.identification.calibration.two_channels import (
@@ -105,7 +105,7 @@ def identify_payload(
         progress=progress,
     )
     if options.checked:
-        refuse_swapped(result, prepared.training, *payload_frame(model, options.frame)[1:])
+        refuse_swapped(result, prepared.training, *choose_payload_frame(model, options.frame)[1:])
     bare, others = prepared.others
     return identify_payload_samples(
         result,
@@ -195,7 +195,7 @@ def find_gains(
     """
     options = options or GainOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (bare, under) = fitted_recordings(model, (recordings, loaded))
+    model, (bare, under) = read_fitted_recordings(model, (recordings, loaded))
     prepared = prepare(
         model,
         [*bare, *under],
@@ -206,7 +206,7 @@ def find_gains(
     )
     heads = [head_of(item) for item in (*bare, *under) if not isinstance(item, Samples)]
     samples = [
-        _of_known_direction(each, item, prepared)
+        _select_known_direction(each, item, prepared)
         for each, item in zip(prepared.training, (*bare, *under), strict=True)
     ]
     return identify_gains(
@@ -217,19 +217,19 @@ def find_gains(
         com=options.com,
         drive=options.drive,
         frame=options.frame,
-        in_use=gains_in_use(heads),
+        in_use=find_gains_in_use(heads),
         of_command=any(head.torque_source == "command" for head in heads),
     )
 
 
-def _of_known_direction(samples: Samples, item: Recorded, prepared: Prepared) -> Samples:
+def _select_known_direction(samples: Samples, item: Recorded, prepared: Prepared) -> Samples:
     """Return the samples of a servo's command whose direction of motion is known; others whole."""
     if isinstance(item, Samples) or prepared.chain is None:
         return samples
     head = head_of(item)
     if head.torque_source != "command":
         return samples
-    return moving_faster(samples, head, prepared.chain.cutoff or np.inf)
+    return drop_slow_rows(samples, head, prepared.chain.cutoff or np.inf)
 
 
 def identify_channels(
@@ -268,13 +268,13 @@ def identify_channels(
     """
     options = options or ChannelOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (sensors, motors) = fitted_recordings(model, (sensor, motor))
+    model, (sensors, motors) = read_fitted_recordings(model, (sensor, motor))
     if len(sensors) != len(motors):
         raise UsageError(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
             " of motors"
         )
-    pairs = [_same_instants(*pair) for pair in zip(sensors, motors, strict=True)]
+    pairs = [_match_instants(*pair) for pair in zip(sensors, motors, strict=True)]
     prepared = prepare(
         model,
         [sensor for sensor, _ in pairs],
@@ -294,7 +294,7 @@ def identify_channels(
     )
 
 
-def _same_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Recorded]:
+def _match_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Recorded]:
     """Return what two channels logged at the same instants, each with the torque of the other.
 
     The signal chain drops rows that repeat the row before. Both torques decide about that, so that

@@ -18,10 +18,10 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import Table, share, wrapped
+from asbuilt.tables import Table, format_share, wrap_text
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.validation.comparison.torque_change import torque_error_table
+from asbuilt.validation.comparison.torque_change import tabulate_named_errors
 from asbuilt.validation.prediction import torque_units, validate_samples
 from asbuilt.workflow.options import ControllerOptions
 from asbuilt.workflow.prepare import prepare
@@ -52,10 +52,11 @@ class ControllerComparison:
         named = (("CAD", self.cad), ("controller", self.controller), ("as built", self.as_built))
         note = (
             "controller: prediction of the controller's own model, torque less external torque;"
-            f" parameters identified from it repeat it to {share(self.rebuilt.relative_error)}."
+            " parameters identified from it repeat it to"
+            f" {format_share(self.rebuilt.relative_error)}."
         )
         title = f"RMS torque error on {recording_name(self.as_built.source)}"
-        return torque_error_table(named, torque_units(self.identified.model), title, (note,))
+        return tabulate_named_errors(named, torque_units(self.identified.model), title, (note,))
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
@@ -63,14 +64,15 @@ class ControllerComparison:
         return (
             "The robot as built predicts torque better than its controller's model at"
             f" {better} of {len(self.as_built.rms)} joints: relative error"
-            f" {share(self.as_built.relative_error)} against"
-            f" {share(self.controller.relative_error)} (CAD {share(self.cad.relative_error)})."
+            f" {format_share(self.as_built.relative_error)} against"
+            f" {format_share(self.controller.relative_error)} (CAD"
+            f" {format_share(self.cad.relative_error)})."
         )
 
     def as_text(self, full: bool = False) -> str:
         """Return verdict and tables for a terminal; all rows and notes if `full`."""
         tables = (self.torque_table().as_text(full), self.difference.as_text(full))
-        return "\n".join([wrapped(self.verdict()), "", *tables])
+        return "\n".join([wrap_text(self.verdict()), "", *tables])
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -119,7 +121,7 @@ def compare_controller(
     """
     options = options or ControllerOptions()
     result = result.result if isinstance(result, Study) else result
-    logged = _whole(result, recording)
+    logged = _read_whole(result, recording)
     external = logged.extra.get(EXTERNAL)
     if external is None or external.shape != logged.tau.shape:
         present = f"; it has torque and {', '.join(logged.extra)}" if logged.extra else ""
@@ -159,7 +161,7 @@ def compare_controller(
     )
 
 
-def _whole(result: IdentificationResult, recording: RecordingLike) -> Recording:
+def _read_whole(result: IdentificationResult, recording: RecordingLike) -> Recording:
     """Return a recording read as a whole, since streams leave out external torques."""
     if isinstance(recording, str | Path):
         return read_recording(recording, model=result.model)

@@ -18,10 +18,10 @@ from asbuilt.experiment.signal.hold_out import parse_rule
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import identify_samples
-from asbuilt.tables import MISSING, Column, Table, significant
+from asbuilt.tables import MISSING, Column, Table, round_significant
 from asbuilt.validation.prediction import validate_samples
-from asbuilt.validation.residuals import whiteness_in_band
-from asbuilt.workflow.prepare import divided
+from asbuilt.validation.residuals import measure_whiteness
+from asbuilt.workflow.prepare import divide_recordings
 
 Array = NDArray[np.float64]
 
@@ -90,11 +90,11 @@ class CutoffSweep:
         """Return the trials as a table."""
         rows = tuple(
             (
-                significant(trial.cutoff),
+                round_significant(trial.cutoff),
                 "<- chosen" if trial.cutoff == self.chosen else "",
                 f"{trial.score:.3f}",
                 f"{trial.in_band:.3f}",
-                *(significant(float(x)) for x in trial.rms_recorded),
+                *(round_significant(float(x)) for x in trial.rms_recorded),
                 f"{trial.durbin_watson:.2f}" if np.isfinite(trial.durbin_watson) else MISSING,
                 f"{100 * trial.effective_share:.0f}",
             )
@@ -199,7 +199,7 @@ def sweep_cutoffs(
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
     tried = sorted(
-        map(float, cutoffs or _worth_trying(start.cutoff, SWEEP.highest_share * min(rates)))
+        map(float, cutoffs or _list_cutoffs(start.cutoff, SWEEP.highest_share * min(rates)))
     )
     short = min(recording.duration for recording in recordings) < SWEEP.short
     rule = holdout or (SHORT_HOLDOUT if short else HOLDOUT)
@@ -212,7 +212,7 @@ def sweep_cutoffs(
             progress("cutoff", k / len(tried))
         at = replace(start, cutoff=cutoff, parallel_cutoff=None)
         try:
-            training, held_out = divided(recordings, at, rule)
+            training, held_out = divide_recordings(recordings, at, rule)
             result = identify_samples(model, training, base=base, method=method)
             validations = [validate_samples(result, held) for held in held_out]
             if min(item.t.size for item in validations) < SWEEP.fewest:
@@ -227,7 +227,7 @@ def sweep_cutoffs(
             for name in ("rms_recorded", "rms")
         )
         whiteness, share = np.mean(
-            [whiteness_in_band(each.t, each.error, cutoff) for each in validations], axis=(0, 2)
+            [measure_whiteness(each.t, each.error, cutoff) for each in validations], axis=(0, 2)
         )
         found.append((cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
@@ -250,8 +250,9 @@ def sweep_cutoffs(
     chosen = good[0]
     worst = max(trials, key=lambda trial: trial.score)
     why = (
-        f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within"
-        f" {100 * (SWEEP.as_good - 1):.0f} % of the smallest; {significant(worst.cutoff)} Hz would"
+        f"{round_significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within"
+        f" {100 * (SWEEP.as_good - 1):.0f} % of the smallest; {round_significant(worst.cutoff)}"
+        " Hz would"
         f" cost {100 * (worst.score - 1):.0f} % more."
     )
     if chosen in (trials[0], trials[-1]) and len(trials) > 1:
@@ -259,7 +260,7 @@ def sweep_cutoffs(
     return CutoffSweep(model.joint_names, trials, chosen.cutoff, why, rule)
 
 
-def _worth_trying(usual: float, highest: float) -> list[float]:
+def _list_cutoffs(usual: float, highest: float) -> list[float]:
     below = [
         multiple * usual for multiple in MULTIPLES if multiple * usual * SWEEP.apart <= highest
     ]

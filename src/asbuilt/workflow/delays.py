@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
@@ -22,7 +22,7 @@ from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
 from asbuilt.identification.result.recording_delay import (
     JointDelay,
     RecordingDelay,
-    stated_delay,
+    state_delay,
 )
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -84,7 +84,7 @@ def settle_delays(
         chain = replace(chain, delay=None)  # the torque of a joint is in the rows of all
     if chain.delay != "auto" or not heads:
         stated = tuple(
-            stated_delay(head, digest, chain.delays)
+            state_delay(head, digest, chain.delays)
             for head, digest in zip(heads, digests, strict=True)
         )
         return Delays(chain, stated)
@@ -99,20 +99,24 @@ def settle_delays(
         filters = filters or MotionFilters()
         motions = [filters.prepare(head, chain) for head in heads]
         found = find_delays(
-            model, prepared, drive=_drive(model, heads[0].torque_source), count=len(heads)
+            model, prepared, drive=_choose_drive(model, heads[0].torque_source), count=len(heads)
         )
     except (AsbuiltError, np.linalg.LinAlgError):
         return Delays(replace(chain, delay=None))
-    recordings = tuple(_recording(head, digests[r], found, r) for r, head in enumerate(heads))
-    return Delays(replace(chain, delay=_mean(recordings)), recordings)
+    recordings = tuple(
+        _make_recording_delay(head, digests[r], found, r) for r, head in enumerate(heads)
+    )
+    return Delays(replace(chain, delay=_average_delays(recordings)), recordings)
 
 
-def _drive(model: RobotModel, source: str) -> DriveSet:
-    usual = usual_drive(model, source)
+def _choose_drive(model: RobotModel, source: str) -> DriveSet:
+    usual = choose_usual_drive(model, source)
     return DriveSet((*usual.terms, *FRICTION.without(*usual.keys).terms))
 
 
-def _recording(head: Recording, digest: str, found: DelayEstimate, place: int) -> RecordingDelay:
+def _make_recording_delay(
+    head: Recording, digest: str, found: DelayEstimate, place: int
+) -> RecordingDelay:
     joints: tuple[JointDelay, ...] = ()
     estimate, error = float(found.estimates[place]), float(found.std_errors[place])
     applied = estimate if found.applied[place] else 0.0
@@ -126,7 +130,7 @@ def _recording(head: Recording, digest: str, found: DelayEstimate, place: int) -
     return RecordingDelay(head.source, digest, estimate, error, applied, joints)
 
 
-def _mean(recordings: Sequence[RecordingDelay]) -> float | tuple[float, ...] | None:
+def _average_delays(recordings: Sequence[RecordingDelay]) -> float | tuple[float, ...] | None:
     """Return the mean of applied delays, weighted by their errors; None if none was applied."""
     if not any(each.delays for each in recordings):
         return None
@@ -139,7 +143,7 @@ def _mean(recordings: Sequence[RecordingDelay]) -> float | tuple[float, ...] | N
     return mean[0] if n == 1 else tuple(mean)
 
 
-def delay_findings(
+def report_delays(
     result: IdentificationResult, recordings: Sequence[RecordingDelay], moved: Array | None
 ) -> tuple[Finding, ...]:
     """Return a finding if torques are late; `moved` (p,) is what that does to parameters."""

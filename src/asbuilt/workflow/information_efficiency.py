@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.excitation.information.efficiency import InformationEfficiency, information_efficiency
-from asbuilt.excitation.information.information import limited_model
+from asbuilt.excitation.information.information import complete_limits
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 from asbuilt.workflow.prepare import prepare
 
 
@@ -90,7 +90,7 @@ class RecordedInformation:
 
         `cure_text` writes the cure, for an interface that adds the names of its commands.
         """
-        limits = f"; limits of {joined(list(self.assumed))} assumed" if self.assumed else ""
+        limits = f"; limits of {join_names(list(self.assumed))} assumed" if self.assumed else ""
         paragraphs = [
             f"The motion has {100 * self.efficiency.d_efficiency:.2g} % of the information that the"
             f" joint limits allow at most (drive terms {self.drive}{limits})."
@@ -103,7 +103,7 @@ class RecordedInformation:
             parts = [
                 self._listed(slow, self.top_speed, "of the speed limit"),
                 self._listed(narrow, self.travel, "of the range"),
-                f"{joined(rest)}, gently or in step with others" if rest else "",
+                f"{join_names(rest)}, gently or in step with others" if rest else "",
             ]
             advice = cure_text(BETTER_MOTION)
             paragraphs += [
@@ -123,7 +123,7 @@ class RecordedInformation:
         return {
             "d_efficiency": self.efficiency.d_efficiency,
             **{
-                key: dict(zip(self.joint_names, plain(values), strict=True))
+                key: dict(zip(self.joint_names, make_plain(values), strict=True))
                 for key, values in by_joint.items()
             },
             "moved_too_little": list(self.too_little),
@@ -137,7 +137,7 @@ class RecordedInformation:
 
     def _listed(self, joints: list[int], parts: Array, of_what: str) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
-        return f"{joined(named)} {of_what}" if named else ""
+        return f"{join_names(named)} {of_what}" if named else ""
 
     def _beyond(self) -> str:
         outside = [
@@ -149,7 +149,7 @@ class RecordedInformation:
             return ""
         return (
             " The bound holds for the speeds and accelerations recorded, noise included, which"
-            f" exceed the limits: {joined(outside)}."
+            f" exceed the limits: {join_names(outside)}."
         )
 
     def _worst(self) -> str:
@@ -164,7 +164,7 @@ class RecordedInformation:
             f"{name} {float(f'{ratio:.2g}'):g} times" if np.isfinite(ratio) else f"{name} infinite"
             for name, ratio in names
         ]
-        return f"Largest standard errors relative to the best motion: {joined(listed)}."
+        return f"Largest standard errors relative to the best motion: {join_names(listed)}."
 
 
 def recorded_information(
@@ -180,20 +180,20 @@ def recorded_information(
         If the recording is too short for the filters.
     """
     source = head_of(recording).torque_source
-    drive = usual_drive(model, source) if model.usual_drive else DriveSet.default(source)
+    drive = choose_usual_drive(model, source) if model.usual_drive else DriveSet.default(source)
     (samples,) = prepare(model, [recording], checked=False).training
-    travel, top_speed = _use_of_limits(model, samples)
+    travel, top_speed = _measure_limit_use(model, samples)
     return RecordedInformation(
         model.joint_names,
         drive,
         information_efficiency(model, drive, samples),
         travel,
         top_speed,
-        limited_model(model)[1],
+        complete_limits(model)[1],
     )
 
 
-def _use_of_limits(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
+def _measure_limit_use(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
     """Return position range and top speed of each joint, as shares of its limits, two (n,)."""
     bounds = MotionBounds.assumed(model)
     turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, np.inf)

@@ -14,7 +14,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
@@ -35,7 +35,7 @@ def settle_rates(
     if chain.velocity != "auto" or not model.n_floating or any(head.qd is None for head in heads):
         return chain
     alike = resolve_chain(chain, *heads, filters=filters)
-    base = find_base_parameters(model, usual_drive(model, heads[0].torque_source))
+    base = find_base_parameters(model, choose_usual_drive(model, heads[0].torque_source))
 
     def residual(velocity: Velocity) -> float:
         own = replace(alike, velocity=velocity, delay=None)

@@ -34,12 +34,12 @@ AUTOMATIC = "auto"
 """Hold out for the verdict, by the usual rule, and fit the final values to everything."""
 
 
-def _drive(text: str) -> DriveSet | str:
+def _parse_drive(text: str) -> DriveSet | str:
     automatic = "auto" in [part.strip().lower() for part in text.split(",")]
     return text if automatic else DriveSet.parse(text)
 
 
-def _method(text: str) -> str:
+def _parse_method(text: str) -> str:
     return methods.find(text).name
 
 
@@ -47,7 +47,7 @@ HORIZONS = Range(1e-4, 3600.0, "s")
 """Lengths of simulated windows."""
 
 
-def horizons(text: str) -> tuple[float, ...]:
+def parse_horizons(text: str) -> tuple[float, ...]:
     """Return the lengths of rollouts [s] that a text lists, such as "0.1,0.5,2".
 
     Raises
@@ -79,7 +79,7 @@ def _check_rule(rule: str | None) -> None:
         parse_rule(rule)
 
 
-def _option(default: Any, metavar: str, help: str, **further: Any) -> Any:
+def _make_option(default: Any, metavar: str, help: str, **further: Any) -> Any:
     """Return a field with its description, and how an interface reads it from text."""
     return field(default=default, metadata={"metavar": metavar, "help": help} | further)
 
@@ -90,7 +90,7 @@ ROLLOUT = {
     "help": (
         "simulate held-out windows of these lengths [s] from the measured state, such as 0.1,0.5,2"
     ),
-    "parse": horizons,
+    "parse": parse_horizons,
 }
 HOLDOUT = {
     "metavar": "RULE",
@@ -162,62 +162,62 @@ class StudyOptions:
         If the rule cannot be read.
     """
 
-    drive: DriveSet | str | None = _option(
+    drive: DriveSet | str | None = _make_option(
         None,
         "LIST",
         "drive terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives),"
         " none, or auto: chosen on held-out blocks (auto,spring: with a spring)",
-        parse=_drive,
+        parse=_parse_drive,
     )
-    method: str = _option(
+    method: str = _make_option(
         "auto",
         "NAME",
         "estimator; auto chooses one, an unknown name lists all",
-        parse=_method,
+        parse=_parse_method,
         names=lambda: list(methods),
     )
     chain: SignalChain | None = None
     sweep_cutoff: bool = False
     holdout: str | None = field(default=AUTOMATIC, metadata=HOLDOUT_AND_REFIT)
-    undetermined: Literal["toward_prior", "refuse"] = _option(
+    undetermined: Literal["toward_prior", "refuse"] = _make_option(
         "toward_prior",
         "HOW",
         "what no motion excites: cad (keep at CAD, named) or refuse",
         choices={"cad": "toward_prior", "refuse": "refuse"},
         also=("--prior",),
     )
-    effects: EffectsWanted | str = _option(
+    effects: EffectsWanted | str = _make_option(
         EffectsWanted(),
         "HOW",
         "effects that the description lacks: auto (into the model), find (named), none, or a list"
         " such as spring:joints=2,tilt",
         parse=EffectsWanted.parse,
     )
-    mounting: Literal["as_described", "estimate"] = _option(
+    mounting: Literal["as_described", "estimate"] = _make_option(
         "as_described",
         "HOW",
         "direction of gravity: cad (as described) or estimate",
         choices={"cad": "as_described", "estimate": "estimate"},
     )
-    total_mass: tuple[float, float] | str | None = _option(
+    total_mass: tuple[float, float] | str | None = _make_option(
         None,
         "KG+-KG[,root=KG]",
         "mass of all moving links, from a scale; with root=KG less the root link's",
         parse=total_mass_from_text,
     )
-    link_mass: Mapping[str, tuple[float, float]] | str | None = _option(
+    link_mass: Mapping[str, tuple[float, float]] | str | None = _make_option(
         None,
         "NAME=KG+-KG,...",
         "known masses of moving links: NAME=KG+-KG, NAME<=KG or NAME>=KG",
         parse=link_masses_from_text,
     )
-    siblings: Sibling | str | Path | None = _option(
+    siblings: Sibling | str | Path | None = _make_option(
         None,
         "FILE",
         "numbers of a robot of the type as built (the JSON of its page) as prior in place of CAD",
         parse=read_sibling,
     )
-    errors: ErrorKind = _option(
+    errors: ErrorKind = _make_option(
         "blocks",
         "KIND",
         "standard errors: blocks (time blocks, by formula), bootstrap (time blocks drawn with"
@@ -226,7 +226,7 @@ class StudyOptions:
     )
     block_seconds: float | None = None
     rollout: tuple[float, ...] = field(default=(), metadata=ROLLOUT)
-    refine: Literal["rollout"] | None = _option(
+    refine: Literal["rollout"] | None = _make_option(
         None,
         "HOW",
         "continue the fit: rollout (by simulated trajectories)",
@@ -244,7 +244,7 @@ class StudyOptions:
         if isinstance(self.effects, str):
             object.__setattr__(self, "effects", EffectsWanted.parse(self.effects))
         if isinstance(self.drive, str):
-            object.__setattr__(self, "drive", _drive(self.drive))
+            object.__setattr__(self, "drive", _parse_drive(self.drive))
         if isinstance(self.total_mass, str):
             object.__setattr__(self, "total_mass", total_mass_from_text(self.total_mass))
         if isinstance(self.link_mass, str):
@@ -323,10 +323,10 @@ class PayloadOptions:
         If the rule cannot be read.
     """
 
-    frame: str | None = _option(
+    frame: str | None = _make_option(
         None, "NAME", "link or frame that carries the payload (default: the flange)"
     )
-    arm: Literal["refined", "frozen"] = _option(
+    arm: Literal["refined", "frozen"] = _make_option(
         "refined",
         "HOW",
         "refined (with the payload, held by the result) or frozen",

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.command.usable_samples import outside_saturation
+from asbuilt.experiment.command.usable_samples import drop_saturated
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out, usual_rule
+from asbuilt.experiment.signal.hold_out import choose_usual_rule, hold_out
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
@@ -135,33 +135,37 @@ def prepare(
     report("check", 0.0)
     groups = (recordings, validation, *others)
     checks = (
-        _checked(model, [item for group in groups for item in group], tolerated) if checked else ()
+        _check_recordings(model, [item for group in groups for item in group], tolerated)
+        if checked
+        else ()
     )
     report("filter", 0.0)
-    chosen, settled = _chosen_by([*recordings, *validation]), chain or SignalChain()
+    chosen, settled = _list_recording_heads([*recordings, *validation]), chain or SignalChain()
     if chosen:
         settled = settle_rates(model, chosen, settled, filters)
         settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
-        settled = settle(settled, _chosen_by(recordings))
-    automatic, holdout = holdout == AUTOMATIC, settled_rule(recordings, holdout)
-    digests = tuple(digest(head) for head in _chosen_by(recordings))
+        settled = settle(settled, _list_recording_heads(recordings))
+    automatic, holdout = holdout == AUTOMATIC, settle_rule(recordings, holdout)
+    digests = tuple(digest_recording(head) for head in _list_recording_heads(recordings))
     late = Delays(settled, tuple(delays))
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
         report("delay", 0.0)
         rule = None if automatic else holdout
-        late = settle_delays(model, _chosen_by(recordings), digests, settled, rule, filters)
+        late = settle_delays(
+            model, _list_recording_heads(recordings), digests, settled, rule, filters
+        )
         settled = late.chain
     whole = with_equation_noise(
-        model, [_samples(item, settled, filters, late) for item in recordings]
+        model, [_prepare_samples(item, settled, filters, late) for item in recordings]
     )
-    parts = _parts_with_enough(whole, holdout) if automatic else _parts(whole, holdout)
+    parts = _divide_if_enough(whole, holdout) if automatic else _divide_samples(whole, holdout)
     if parts is None:
         holdout, parts = None, (whole, ())
     training, held_out = parts
 
     def alike(item: Recorded) -> Samples:
-        return replace(_samples(item, settled, filters), noise=whole[0].noise)
+        return replace(_prepare_samples(item, settled, filters), noise=whole[0].noise)
 
     return Prepared(
         chain=settled if chosen else None,
@@ -177,32 +181,34 @@ def prepare(
     )
 
 
-def divided(
+def divide_recordings(
     recordings: Sequence[Recorded], chain: SignalChain, holdout: str | None
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
     """Filter recordings and divide them into training and held-out samples."""
-    return _parts([_samples(item, chain, MotionFilters()) for item in recordings], holdout)
+    return _divide_samples(
+        [_prepare_samples(item, chain, MotionFilters()) for item in recordings], holdout
+    )
 
 
-def settled_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
+def settle_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
     """Return the rule that `AUTOMATIC` stands for: the usual rule of the shortest recording."""
-    return usual_rule(shortest(recordings)) if holdout == AUTOMATIC else holdout
+    return choose_usual_rule(measure_shortest(recordings)) if holdout == AUTOMATIC else holdout
 
 
-def shortest(recordings: Sequence[Recorded]) -> float:
+def measure_shortest(recordings: Sequence[Recorded]) -> float:
     """Return the length of the shortest recording [s]."""
     parts = (item if isinstance(item, Samples) else head_of(item) for item in recordings)
     return min(float(part.t[-1] - part.t[0]) for part in parts)
 
 
-def digest(recording: Recording) -> str:
+def digest_recording(recording: Recording) -> str:
     """Return a fingerprint of the first times and positions of a recording."""
     # Samples in a fingerprint; a stream holds more at once.
     parts = [part[:50_000].tobytes() for part in (recording.t, recording.q)]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
-def _checked(
+def _check_recordings(
     model: RobotModel, recordings: Sequence[Recorded], tolerated: Collection[str]
 ) -> tuple[RecordingCheck, ...]:
     checks = tuple(
@@ -215,11 +221,11 @@ def _checked(
     return checks
 
 
-def _chosen_by(recordings: Sequence[Recorded]) -> list[Recording]:
+def _list_recording_heads(recordings: Sequence[Recorded]) -> list[Recording]:
     return [head_of(item) for item in recordings if not isinstance(item, Samples)]
 
 
-def _parts(
+def _divide_samples(
     whole: Sequence[Samples], holdout: str | None, *, shared: bool = False
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
     """Divide samples into training and held-out ones."""
@@ -232,31 +238,31 @@ def _parts(
     )
 
 
-def _parts_with_enough(
+def _divide_if_enough(
     whole: Sequence[Samples], holdout: str | None
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]] | None:
     """Return the divided samples; None if the filters do not leave enough of every part."""
     if holdout is None:
         return None
     try:
-        parts = _parts(whole, holdout, shared=True)
+        parts = _divide_samples(whole, holdout, shared=True)
     except RecordingError:
         return None
     enough = min(part.n_filtered for side in parts for part in side) >= FEWEST
     return parts if enough else None
 
 
-def _samples(
+def _prepare_samples(
     item: Recorded, chain: SignalChain, filters: MotionFilters, delays: Delays | None = None
 ) -> Samples:
     if isinstance(item, Samples):
         return item
     own = ""
     if delays is not None and delays.recordings:
-        own = digest(head_of(item))
+        own = digest_recording(head_of(item))
         chain = delays.chain_of(own)
     if isinstance(item, RecordingStream):
         samples = item.prepared(resolve_chain(chain, item.head))
     else:
-        samples = outside_saturation(filters.prepare(item, chain).samples(chain.delay), item)
+        samples = drop_saturated(filters.prepare(item, chain).samples(chain.delay), item)
     return samples if delays is None else delays.applied(samples, own)

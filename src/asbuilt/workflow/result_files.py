@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from asbuilt.errors import ResultError
-from asbuilt.identification.result.stored_document import stored_document
+from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.untrusted import read_text
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     """
     text = read_text(Path(path), "result", ResultError, LARGEST)
     try:
-        stored_document(text)
+        parse_stored_document(text)
         from asbuilt.workflow.study import Study  # noqa: PLC0415 (heavy, and of no use before)
 
         return Study.from_json(text)

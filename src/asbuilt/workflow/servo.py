@@ -10,27 +10,27 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, described_servo
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, read_described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.command.servo_torque import driven_by_command
-from asbuilt.experiment.command.usable_samples import moving_faster
+from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.command.usable_samples import drop_slow_rows
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.uncertainty import recording_variances
+from asbuilt.identification.errors.uncertainty import estimate_recording_variances
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
-from asbuilt.tables import rounded
+from asbuilt.tables import round_with_error
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.prepare import Prepared, settled_rule
+from asbuilt.workflow.prepare import Prepared, settle_rule
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
@@ -57,11 +57,11 @@ def settle_servo(
     UsageError
         If recordings have different servos, or only some have one.
     """
-    servos = [_servo(item) for item in (*recordings, *validation)]
+    servos = [_read_servo(item) for item in (*recordings, *validation)]
     if not any(servo is not None for servo in servos):
         return [*recordings], [*validation], None, options
     first = servos[0]
-    if first is None or any(servo is None or not _alike(servo, first) for servo in servos):
+    if first is None or any(servo is None or not _is_same_servo(servo, first) for servo in servos):
         raise UsageError(
             "the recordings have torques of different kinds, or of different position servos;"
             " identify from recordings of one servo"
@@ -72,15 +72,15 @@ def settle_servo(
 
     heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
     chain = options.chain or SignalChain()
-    drive = _linear(options.drive) or usual_drive(model, "command")
+    drive = _select_linear_terms(options.drive) or choose_usual_drive(model, "command")
     found = estimate_servo(
         model,
         heads,
         drive,
         resolve_chain(chain, *heads, filters=filters),
-        delay=_stated_delay(chain),
+        delay=_read_stated_delay(chain),
         shared=options.same_servos,
-        holdout=settled_rule(recordings, options.holdout),
+        holdout=settle_rule(recordings, options.holdout),
         filters=filters,
     )
     seconds = sum(block.stop - block.start for block in found.unexplained)
@@ -89,7 +89,7 @@ def settle_servo(
     return (
         [
             with_servo(item, found.servo if isinstance(item, Samples) else found.of_recording(k))
-            for k, item in _numbered(recordings)
+            for k, item in _number_recordings(recordings)
         ],
         [with_servo(item, found.servo) for item in validation],
         found,
@@ -97,23 +97,23 @@ def settle_servo(
     )
 
 
-def _numbered(recordings: Sequence[Recorded]) -> list[tuple[int, Recorded]]:
+def _number_recordings(recordings: Sequence[Recorded]) -> list[tuple[int, Recorded]]:
     """Return recordings with their place among those that are no samples."""
     numbers = np.cumsum([not isinstance(item, Samples) for item in recordings]) - 1
     return list(zip(numbers.tolist(), recordings, strict=True))
 
 
-def servo_delays(
+def list_servo_delays(
     found: ServoEstimate | None, recordings: Sequence[Recorded], digests: Sequence[str]
 ) -> tuple[RecordingDelay, ...]:
     """Return the delay of the command of every recording."""
     if found is None:
         return ()
     names = [recording_name(item.source) for item in recordings]
-    return delays_of(found, tuple(zip(names, digests, strict=True)))
+    return make_recording_delays(found, tuple(zip(names, digests, strict=True)))
 
 
-def delays_of(
+def make_recording_delays(
     found: ServoEstimate, recordings: Sequence[tuple[str, str]]
 ) -> tuple[RecordingDelay, ...]:
     """Return the delay of a servo as that of recordings, given by name and digest."""
@@ -124,7 +124,7 @@ def delays_of(
     return tuple(RecordingDelay(*each, estimate, error, late) for each in recordings)
 
 
-def _stated_delay(chain: SignalChain) -> float | None:
+def _read_stated_delay(chain: SignalChain) -> float | None:
     """Return the delay of the command that was given; None if it is to be identified."""
     if chain.delay is None:
         return 0.0
@@ -149,7 +149,7 @@ def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
         servo = replace(servo, goal_acceleration=tuple(kept.tolist()), goal_speed=stated.goal_speed)
     if isinstance(item, RecordingStream):
         return replace(item, servo=servo)
-    return driven_by_command(item, servo) if item.command is not None else item
+    return drive_by_command(item, servo) if item.command is not None else item
 
 
 def has_open_servo(item: Recorded) -> bool:
@@ -165,7 +165,7 @@ def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
     """
     if isinstance(item, Samples) or not has_open_servo(item):
         return item
-    stated, described = head_of(item).servo, described_servo(model)
+    stated, described = head_of(item).servo, read_described_servo(model)
     servo = stated.completed(described) if stated and described else stated
     if servo is None or not servo.known:
         raise UsageError(
@@ -177,7 +177,7 @@ def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
     return with_servo(item, servo)
 
 
-def explained(
+def drop_unexplained(
     prepared: Prepared, recordings: Sequence[Recorded], found: ServoEstimate | None
 ) -> Prepared:
     """Return the samples of commands without the time that the servo does not explain.
@@ -189,12 +189,14 @@ def explained(
     cutoff = prepared.chain.cutoff or np.inf
     return replace(
         prepared,
-        training=_explained(prepared.training, recordings, found, cutoff),
-        whole=_explained(prepared.whole, recordings, found, cutoff) if prepared.whole else (),
+        training=_drop_unexplained(prepared.training, recordings, found, cutoff),
+        whole=_drop_unexplained(prepared.whole, recordings, found, cutoff)
+        if prepared.whole
+        else (),
     )
 
 
-def _explained(
+def _drop_unexplained(
     parts: Sequence[Samples], recordings: Sequence[Recorded], found: ServoEstimate, cutoff: float
 ) -> tuple[Samples, ...]:
     kept = []
@@ -204,13 +206,13 @@ def _explained(
             for block in found.unexplained
             if block.source == samples.source
         ]
-        left = _outside(samples, windows)
+        left = _select_outside(samples, windows)
         if left is not None and not isinstance(item, Samples):
-            kept.append(moving_faster(left, head_of(item), cutoff))
+            kept.append(drop_slow_rows(left, head_of(item), cutoff))
     return tuple(kept) or tuple(parts)
 
 
-def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Samples | None:
+def _select_outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Samples | None:
     """Return the samples outside the windows; None if they are too short for the filters."""
     try:
         left = samples.outside(windows)
@@ -229,10 +231,10 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
     late = None
     if found.slopes is not None:
         from asbuilt.identification.servo.servo_delay import (  # noqa: PLC0415 - light start
-            servo_delay_errors,
+            estimate_servo_delay_errors,
         )
 
-        late = servo_delay_errors(
+        late = estimate_servo_delay_errors(
             fit.information,
             fit.estimate,
             found.slopes,
@@ -244,49 +246,52 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
         doubt = found.expected.doubt(fit.information, fit.estimate)
         late = late or DelayErrors(np.zeros_like(doubt), np.zeros(len(doubt)))
         late = replace(late, covariance=late.covariance + doubt)
-    beyond = _beyond_blocks(fit, late)
+    beyond = _measure_recording_excess(fit, late)
     if beyond is not None:
         late = late or DelayErrors(np.zeros_like(beyond), np.zeros(len(beyond)))
         late = replace(late, covariance=late.covariance + beyond)
     return fit if late is None else replace(fit, delay=late)
 
 
-def _beyond_blocks(fit: Fit, late: DelayErrors | None) -> Array | None:
+def _measure_recording_excess(fit: Fit, late: DelayErrors | None) -> Array | None:
     """Return by how much variances between recordings exceed those so far (p, p); None if not."""
     if fit.uncertainty.basis.kind != "blocks":
         return None
     known = np.diag(fit.uncertainty.covariance)
     if late is not None:
         known = known + np.diag(late.covariance)
-    beyond = np.maximum(recording_variances(fit.information, fit.estimate) - known, 0.0)
+    beyond = np.maximum(estimate_recording_variances(fit.information, fit.estimate) - known, 0.0)
     return np.diag(beyond) if np.any(beyond) else None
 
 
-def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:
+def describe_servo_torque(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:
     """Return what the torque of a command rests on, as a sentence."""
     if found is None:
         return ()
     servo, errors = found.servo, found.errors
     gains = "; ".join(
-        f"{name} {_shown(kp, error)}"
+        f"{name} {_format_estimate(kp, error)}"
         for name, kp, error in zip(model.joint_names, servo.kp, errors.kp, strict=True)
     )
-    late = f"{_shown(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
+    late = f"{_format_estimate(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
     goal = ""
     if any(servo.deadband):
-        goal = f"; no torque within {_shown(1e3 * max(servo.deadband), 1e3 * errors.deadband)} mrad"
+        goal = (
+            "; no torque within"
+            f" {_format_estimate(1e3 * max(servo.deadband), 1e3 * errors.deadband)} mrad"
+        )
     if any(servo.falling):
         goal += "; torque limits that fall with the speed"
     if servo.limits_goal:
         limit = min(servo.goal_acceleration)
-        goal += f"; goal limited to {_shown(limit, errors.goal_acceleration)} rad/s^2"
+        goal += f"; goal limited to {_format_estimate(limit, errors.goal_acceleration)} rad/s^2"
     return (
         "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command held"
         f" until the next; kp [N m/rad] {gains}; delay {late}{goal}.",
     )
 
 
-def servo_findings(
+def report_servo(
     model: RobotModel, found: ServoEstimate | None, drive: DriveSet
 ) -> tuple[Finding, ...]:
     """Return what is worth knowing of an identified servo."""
@@ -303,7 +308,7 @@ def servo_findings(
             Finding(
                 "servo_gain_undetermined",
                 "warning",
-                f"The stiffness of the position servo of {joined(names[lost].tolist())} is"
+                f"The stiffness of the position servo of {join_names(names[lost].tolist())} is"
                 " undetermined: only ratios of parameters to it are determined",
                 Cure("give it, or record a motion with more gravity, or a known payload"),
             )
@@ -316,7 +321,8 @@ def servo_findings(
                 "servo_gain_from_cad",
                 "info",
                 f"The stiffness of the position servo was unknown: {one},"
-                f" {_shown(found.servo.kp[0], errors.kp[0])} N m/rad for {names[0]}, from the"
+                f" {_format_estimate(found.servo.kp[0], errors.kp[0])} N m/rad for {names[0]},"
+                " from the"
                 f" {' and '.join(sources)} of CAD. All torques have its relative error",
                 Cure(
                     "give the stiffness if it is known, or find it from a payload of known mass",
@@ -324,10 +330,10 @@ def servo_findings(
                 ),
             )
         )
-    findings += _goal_findings(found)
-    late = _shown(1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)
+    findings += _report_goals(found)
+    late = _format_estimate(1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)
     if errors.lead:
-        lead = _shown(1e3 * max(found.servo.lead), 1e3 * errors.lead)
+        lead = _format_estimate(1e3 * max(found.servo.lead), 1e3 * errors.lead)
         findings.append(
             Finding(
                 "servo_lead",
@@ -345,7 +351,8 @@ def servo_findings(
                 "servo_ahead",
                 "info",
                 "The torque precedes the command by"
-                f" {_shown(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms, which no"
+                f" {_format_estimate(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms,"
+                " which no"
                 " delay does: positions are logged later than commands, or the servo has another"
                 " law, such as a gain on the rate of its control error. Torques do not tell which;"
                 " under larger steps of the command these differ",
@@ -361,7 +368,8 @@ def servo_findings(
             Finding(
                 "servo_deadband",
                 "info",
-                f"The servo gives no torque within {_shown(width, error)} mrad of its goal (mm for"
+                f"The servo gives no torque within {_format_estimate(width, error)} mrad of its"
+                " goal (mm for"
                 " a sliding joint), which time that was not fitted confirms; the fit and"
                 " simulations have this deadband",
                 Cure("give the deadband if it is known"),
@@ -379,8 +387,8 @@ def servo_findings(
             )
         )
     if found.unexplained:
-        findings.append(_unexplained(found))
-    findings += _current_findings(model, found)
+        findings.append(_report_unexplained(found))
+    findings += _report_currents(model, found)
     if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
         findings.append(
             Finding(
@@ -394,7 +402,7 @@ def servo_findings(
     return tuple(findings)
 
 
-def _current_findings(model: RobotModel, found: ServoEstimate) -> list[Finding]:
+def _report_currents(model: RobotModel, found: ServoEstimate) -> list[Finding]:
     """Return what magnitudes logged beside the commands show of the servo's damping."""
     listed = [
         (name, law)
@@ -405,7 +413,8 @@ def _current_findings(model: RobotModel, found: ServoEstimate) -> list[Finding]:
         return []
     late = found.servo.delay or 0.0
     lags = "; ".join(
-        f"{name} {_shown(1e3 * (law.lag - late), 1e3 * law.lag_error)} ms, {law.kind} current,"
+        f"{name} {_format_estimate(1e3 * (law.lag - late), 1e3 * law.lag_error)} ms, {law.kind}"
+        " current,"
         f" {100.0 * law.explained:.0f} % explained"
         for name, law in listed
     )
@@ -421,7 +430,7 @@ def _current_findings(model: RobotModel, found: ServoEstimate) -> list[Finding]:
     ]
 
 
-def _goal_findings(found: ServoEstimate) -> list[Finding]:
+def _report_goals(found: ServoEstimate) -> list[Finding]:
     """Return what recordings show of a limit of the goal's acceleration."""
     findings = []
     for goal in found.goals:
@@ -434,7 +443,7 @@ def _goal_findings(found: ServoEstimate) -> list[Finding]:
                 "servo_goal_limited",
                 "info",
                 "The servo limits the acceleration of its goal to"
-                f" {_shown(goal.acceleration, goal.std_error)} rad/s^2 in"
+                f" {_format_estimate(goal.acceleration, goal.std_error)} rad/s^2 in"
                 f" {recording_name(first.source)} (seen in {seconds:.3g} s, first at"
                 f" {first.start:.1f} s); the command is passed through this limit"
                 + ("" if everywhere else " in this recording, as the others do not show it"),
@@ -445,14 +454,14 @@ def _goal_findings(found: ServoEstimate) -> list[Finding]:
     return findings
 
 
-def _unexplained(found: ServoEstimate) -> Finding:
+def _report_unexplained(found: ServoEstimate) -> Finding:
     from asbuilt.identification.servo.servo_estimate import (  # noqa: PLC0415 - light start
         UNEXPLAINED,
     )
 
     blocks = found.unexplained
     seconds = sum(block.stop - block.start for block in blocks)
-    listed = joined(
+    listed = join_names(
         [
             f"{recording_name(block.source)} {block.start:.0f} to {block.stop:.0f} s"
             for block in blocks
@@ -469,21 +478,21 @@ def _unexplained(found: ServoEstimate) -> Finding:
     )
 
 
-def _servo(item: Recorded) -> PositionServo | None:
+def _read_servo(item: Recorded) -> PositionServo | None:
     if isinstance(item, Samples):
         return None
     head = head_of(item)
     return head.servo if head.torque_source == "command" and head.command is not None else None
 
 
-def _alike(one: PositionServo, other: PositionServo) -> bool:
+def _is_same_servo(one: PositionServo, other: PositionServo) -> bool:
     return all(
         np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
         for name in PER_JOINT
     )
 
 
-def _linear(drive: DriveSet | str | None) -> DriveSet | None:
+def _select_linear_terms(drive: DriveSet | str | None) -> DriveSet | None:
     """Return the linear terms of a given drive; None where it is not given or chosen later."""
     if not isinstance(drive, DriveSet):
         return None
@@ -491,9 +500,11 @@ def _linear(drive: DriveSet | str | None) -> DriveSet | None:
     return DriveSet(terms) if terms else None
 
 
-def _shown(value: float, error: float) -> str:
+def _format_estimate(value: float, error: float) -> str:
     if not error:
         return f"{value:.4g}"
     return (
-        " +- ".join(rounded(value, error)) if np.isfinite(error) else f"{value:.3g} (undetermined)"
+        " +- ".join(round_with_error(value, error))
+        if np.isfinite(error)
+        else f"{value:.3g} (undetermined)"
     )

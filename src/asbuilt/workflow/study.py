@@ -10,42 +10,42 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain, restored
+from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
+from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.determination import Determination, determination
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.stored_document import stored_document
+from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.identification.result.summary import Summary, summarise
-from asbuilt.registry import shared_settings
+from asbuilt.registry import divide_settings
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.rollout.joint_errors import joint_table
+from asbuilt.validation.rollout.joint_errors import tabulate_joint_errors
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
-from asbuilt.validation.verdicts.verdict_error import decisive_rollout
+from asbuilt.validation.verdicts.verdict_error import choose_decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fitting.conclusion import conclude_study
 from asbuilt.workflow.fitting.fits import fit_study
 from asbuilt.workflow.fitting.hold_out_plan import hold_out_findings, with_settled_holdout
 from asbuilt.workflow.options import BLOCKS, StudyOptions
-from asbuilt.workflow.prepare import Prepared, Progress, prepare, settled_rule
-from asbuilt.workflow.servo import explained, servo_delays, settle_servo
+from asbuilt.workflow.prepare import Prepared, Progress, prepare, settle_rule
+from asbuilt.workflow.servo import drop_unexplained, list_servo_delays, settle_servo
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
@@ -114,10 +114,10 @@ class Study:
         The errors of the joints are those that decide: of torque, or of simulated motion.
         """
         found = summarise(self.result, findings=self.findings, verdict=self.verdict.text)
-        simulated = decisive_rollout(self.rollouts)
+        simulated = choose_decisive_rollout(self.rollouts)
         if self.verdict.measure == "torque" or simulated is None:
             return found
-        return replace(found, joints=joint_table(self.result.model, simulated))
+        return replace(found, joints=tabulate_joint_errors(self.result.model, simulated))
 
     def plot(self, kind: str = "torque", axes: Any = None) -> Array:
         """Draw a figure as `IdentificationResult.plot`, of what was held out if anything was."""
@@ -146,7 +146,7 @@ class Study:
         warnings = [{"code": each.code, "message": each.text} for each in self.findings]
         return self.result.to_json(
             warnings=warnings,
-            study={"findings": plain(self.findings), "verdict": plain(self.verdict)},
+            study={"findings": make_plain(self.findings), "verdict": make_plain(self.verdict)},
         )
 
     @classmethod
@@ -158,13 +158,13 @@ class Study:
         ResultError
             If the text is not a stored result, or is damaged.
         """
-        result, whole = IdentificationResult.from_json(text), stored_document(text)
+        result, whole = IdentificationResult.from_json(text), parse_stored_document(text)
         if "study" not in whole:
             return cls(result, result.findings)
         try:
-            found = tuple(restored(Finding, item) for item in whole["study"]["findings"])
+            found = tuple(restore_dataclass(Finding, item) for item in whole["study"]["findings"])
             verdict = whole["study"].get("verdict")
-            verdict = None if verdict is None else restored(Verdict, verdict)
+            verdict = None if verdict is None else restore_dataclass(Verdict, verdict)
         except (KeyError, TypeError, ValueError, AttributeError) as problem:
             raise ResultError(
                 f"findings or verdict of the stored result are damaged: {type(problem).__name__}"
@@ -230,7 +230,7 @@ def identify(
     >>> study.result.rank == study.result.n_base
     True
     """
-    of_study, of_reading = shared_settings(settings, StudyOptions, ReadingOptions)
+    of_study, of_reading = divide_settings(settings, StudyOptions, ReadingOptions)
     wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
@@ -241,20 +241,20 @@ def identify(
             contacts=reading.contacts or "",
         )
     refuse_ground(robot.name, robot.contacts, wanted.rollout or wanted.refine)
-    model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
+    model, (trained, others) = read_fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_prior(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
     filters = MotionFilters()
     trained, others, servo, options = settle_servo(model, trained, others, options, filters)
     if options.rollout and options.holdout is None and not others:
-        raise _all_fitted()
-    prepared, cutoffs = _prepared(model, trained, others, options, servo, filters, report)
+        raise _make_all_fitted_error()
+    prepared, cutoffs = _prepare_recordings(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts, horizons = None, options.rollout or _horizons_of_verdict(servo)
+    parts, horizons = None, options.rollout or _choose_verdict_horizons(servo)
     if options.refine or horizons:
-        from asbuilt.workflow.simulation.rollout import simulated_parts  # noqa: PLC0415 - light start
+        from asbuilt.workflow.simulation.rollout import select_simulated_parts  # noqa: PLC0415 - light start
 
-        parts = simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
+        parts = select_simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     del filters  # motions of whole recordings
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
@@ -278,10 +278,10 @@ def identify(
     if parts is None or not horizons or not (options.rollout or parts.held_out):
         return study
     report("roll out", 0.0)
-    return _rolled_out(study, parts.held_out, horizons, workers)
+    return _roll_out(study, parts.held_out, horizons, workers)
 
 
-def _prepared(
+def _prepare_recordings(
     model: RobotModel,
     trained: Sequence[Recorded],
     others: Sequence[Recorded],
@@ -294,7 +294,7 @@ def _prepared(
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
-        sweeps.append(_swept(model, heads, chain, options, report))
+        sweeps.append(_sweep_cutoff(model, heads, chain, options, report))
         return replace(chain, cutoff=sweeps[0].chosen, parallel_cutoff=None)
 
     prepared = prepare(
@@ -310,48 +310,48 @@ def _prepared(
         filters=filters,
         progress=report,
     )
-    prepared = explained(prepared, trained, servo)
+    prepared = drop_unexplained(prepared, trained, servo)
     if servo is not None:
-        prepared = replace(prepared, delay=servo_delays(servo, trained, prepared.digests))
+        prepared = replace(prepared, delay=list_servo_delays(servo, trained, prepared.digests))
     return prepared, sweeps[0] if sweeps else None
 
 
-def _horizons_of_verdict(servo: ServoEstimate | None) -> tuple[float, ...]:
+def _choose_verdict_horizons(servo: ServoEstimate | None) -> tuple[float, ...]:
     """Return the length of the rollouts that a verdict on a robot under commands goes by."""
     simulates = servo is not None and find_spec("mujoco") is not None
     return (HORIZON_OF_VERDICT,) if simulates else ()
 
 
-def _all_fitted() -> UsageError:
+def _make_all_fitted_error() -> UsageError:
     return UsageError(
         "a rollout needs a recording, or a part of one, that the model is not fitted to",
         cure=Cure("hold out a part, or give another recording", settings={"holdout": BLOCKS}),
     )
 
 
-def _rolled_out(
+def _roll_out(
     study: Study,
     held: Sequence[Simulated],
     horizons: Sequence[float],
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
-    from asbuilt.workflow.simulation.rollout import simulated_rollouts  # noqa: PLC0415 - light start
+    from asbuilt.workflow.simulation.rollout import simulate_rollouts  # noqa: PLC0415 - light start
 
     if not held:
-        raise _all_fitted()
+        raise _make_all_fitted_error()
     result = study.result.of_training
-    rollouts = simulated_rollouts([result] * len(held), held, horizons, workers=workers)
+    rollouts = simulate_rollouts([result] * len(held), held, horizons, workers=workers)
     known = study.findings
-    if result.servo is not None and decisive_rollout(rollouts) is not None:
+    if result.servo is not None and choose_decisive_rollout(rollouts) is not None:
         known = tuple(
             replace(each, severity="info") if each.code in OF_TORQUE else each for each in known
         )
-    findings = ranked((*known, *rollout_findings(rollouts)))
+    findings = rank_findings((*known, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)
 
 
-def _swept(
+def _sweep_cutoff(
     model: RobotModel,
     recordings: Sequence[Recording],
     chain: SignalChain,
@@ -365,7 +365,7 @@ def _swept(
     drive = (
         options.drive
         if isinstance(options.drive, DriveSet)
-        else usual_drive(model, recordings[0].torque_source)
+        else choose_usual_drive(model, recordings[0].torque_source)
     )
     return sweep_cutoffs(
         model,
@@ -373,6 +373,6 @@ def _swept(
         drive=drive,
         method=options.method,
         chain=chain,
-        holdout=settled_rule(recordings, options.holdout),
+        holdout=settle_rule(recordings, options.holdout),
         progress=report,
     )

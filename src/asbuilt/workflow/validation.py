@@ -14,13 +14,13 @@ from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
     as_recordings,
-    fitted_recordings,
+    read_fitted_recordings,
 )
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
@@ -33,7 +33,7 @@ from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.options import AUTOMATIC, StudyOptions, ValidationOptions
-from asbuilt.workflow.prepare import Progress, digest, prepare
+from asbuilt.workflow.prepare import Progress, digest_recording, prepare
 from asbuilt.workflow.servo import has_open_servo, with_servo
 from asbuilt.workflow.study import Study, identify
 
@@ -78,7 +78,7 @@ def validate(
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     found = []
     for recording in as_recordings(result.model, recordings):
-        samples = _prepared(result, recording, options)
+        samples = _prepare_recording(result, recording, options)
         # Samples that were held out of the result are predicted with the values of its training.
         held = result.holdout is not None and samples.source.endswith(
             f", held out {result.holdout}"
@@ -88,7 +88,7 @@ def validate(
     return tuple(found)
 
 
-def validation_verdict(
+def decide_validation_verdict(
     result: IdentificationResult,
     recordings: RecordingLike | Sequence[RecordingLike],
     validations: Sequence[Validation],
@@ -100,7 +100,8 @@ def validation_verdict(
     """
     logged = as_recordings(result.model, recordings)
     own = result.holdout is None and all(
-        not isinstance(each, Samples) and digest(head_of(each)) in result.digests for each in logged
+        not isinstance(each, Samples) and digest_recording(head_of(each)) in result.digests
+        for each in logged
     )
     in_training = (
         Finding("nothing_held_out", "warning", "the result was identified from these logs"),
@@ -136,7 +137,7 @@ def validate_robot(
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     refuse_ground(model.name, model.contacts, options.rollout)
-    model, (logged,) = fitted_recordings(model, (recordings,))
+    model, (logged,) = read_fitted_recordings(model, (recordings,))
     for name in (each.source for each in logged if has_open_servo(each)):
         raise UsageError(
             f"{name} holds commands and no gains of the servo, so that it has"
@@ -158,12 +159,15 @@ def validate_robot(
     )
 
 
-def _prepared(
+def _prepare_recording(
     result: IdentificationResult, recording: Recorded, options: ValidationOptions
 ) -> Samples:
     """Return the samples of a recording; those held out, if the result was identified from it."""
     recording = with_servo(recording, result.servo)
-    trained = not isinstance(recording, Samples) and digest(head_of(recording)) in result.digests
+    trained = (
+        not isinstance(recording, Samples)
+        and digest_recording(head_of(recording)) in result.digests
+    )
     prepared = prepare(
         result.model,
         [recording],
@@ -237,22 +241,22 @@ def review(
     if options.holdout == AUTOMATIC:
         options = replace(options, holdout=None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (logged,) = fitted_recordings(model, (recordings,))
+    model, (logged,) = read_fitted_recordings(model, (recordings,))
     study = identify(model, logged, options=options, progress=progress)
     result = study.result
     unlimited = result.servo is not None and not np.any(np.isfinite(result.servo.torque_limit))
     return review_result(
         result,
-        peaks=None if result.servo is None else _peaks(logged, result.servo),
+        peaks=None if result.servo is None else _find_peaks(logged, result.servo),
         motions=study.training if unlimited else (),
         tolerance=tolerance,
         findings=study.findings,
     )
 
 
-def _peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
+def _find_peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
     """Return the largest torque (n,) that the servo of each joint was asked for."""
     free = replace(servo, torque_limit=())
     heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
-    asked = [driven_by_command(head, free).tau for head in heads if head.command is not None]
+    asked = [drive_by_command(head, free).tau for head in heads if head.command is not None]
     return np.asarray(np.max([np.abs(tau).max(axis=0) for tau in asked], axis=0))

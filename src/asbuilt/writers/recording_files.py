@@ -20,7 +20,7 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
 from asbuilt.experiment import FreeMotion, Recording, SimulatedRecording
-from asbuilt.tables import significant, wrapped
+from asbuilt.tables import round_significant, wrap_text
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.tables.tabular import write_json
@@ -96,7 +96,7 @@ def write_simulation(
         "notes": list(simulated.recording.notes),
         "settings": dict(simulated.settings),
     }
-    sheet, robot = _sheet_text(simulated.recording, log.name), robot_that_moved(simulated)
+    sheet, robot = _write_sheet_text(simulated.recording, log.name), restore_moved_robot(simulated)
     return {
         "recording": log,
         "sheet": atomic_write(log.with_name(f"{log.name}.toml"), sheet),
@@ -105,7 +105,7 @@ def write_simulation(
     }
 
 
-def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
+def restore_moved_robot(simulated: SimulatedRecording) -> RobotModel:
     """Return the robot that moved, with the drive values that its logged torques contain."""
     model, drive = simulated.model, simulated.drive
     values = simulated.truth[len(model.parameters) :].reshape(model.n_joints, -1)
@@ -118,7 +118,7 @@ def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
     return replace(model, joints=tuple(joints))
 
 
-def _sheet_text(recording: Recording, log: str) -> str:
+def _write_sheet_text(recording: Recording, log: str) -> str:
     head = f"# Recording sheet of {log}, read together with it.\n"
     if recording.torque_source == "current":
         head += (
@@ -150,7 +150,7 @@ def simulation_text(simulated: SimulatedRecording) -> str:
         f"{simulated.model.name}: {recording.n_samples} samples x {recording.n_joints} joints,"
         f" {recording.duration:.4g} s at {recording.rate:.4g} Hz"
     )
-    return "\n".join([head, *map(wrapped, recording.notes)])
+    return "\n".join([head, *map(wrap_text, recording.notes)])
 
 
 def simulate_document(simulated: SimulatedRecording, files: Mapping[str, Path]) -> dict[str, Any]:
@@ -237,7 +237,7 @@ def free_motion_document(motion: FreeMotion, files: Mapping[str, Path]) -> dict[
 def free_motion_text(motion: FreeMotion) -> str:
     """Return the energy balance in three lines."""
     energies = motion.kinetic.max(), motion.potential.min(), motion.work[-1], motion.dissipated[-1]
-    kinetic, potential, work, dissipated = map(significant, energies)
+    kinetic, potential, work, dissipated = map(round_significant, energies)
     return (
         f"{motion.model.name}, {WHAT[motion.release]}, {motion.t[-1]:g} s\n"
         f"kinetic energy up to {kinetic} J, potential energy down to {potential} J\n"

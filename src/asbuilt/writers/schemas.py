@@ -8,11 +8,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from asbuilt.codec import json_text
+from asbuilt.codec import format_json
 from asbuilt.description.formats.toml_tables import RobotFile
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.registry import did_you_mean
+from asbuilt.registry import suggest_name
 from asbuilt.writers.files import atomic_write
 
 SCHEMAS: dict[str, type[BaseModel]] = {"robot": RobotFile, "sheet": RecordingSheet}
@@ -29,21 +29,21 @@ def json_schema(kind: str) -> dict[str, Any]:
     """
     if kind not in SCHEMAS:
         raise UsageError(
-            f"there is no schema {kind!r}; {did_you_mean(kind, SCHEMAS)}there are"
+            f"there is no schema {kind!r}; {suggest_name(kind, SCHEMAS)}there are"
             f" {', '.join(SCHEMAS)}",
             value=kind,
             available=[*SCHEMAS],
         )
-    schema: dict[str, Any] = _finite(SCHEMAS[kind].model_json_schema())
+    schema: dict[str, Any] = _drop_infinite_defaults(SCHEMAS[kind].model_json_schema())
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 def write_schema(kind: str, path: Path) -> Path:
     """Write the JSON Schema of a kind of file."""
-    return atomic_write(path, json_text(json_schema(kind)))
+    return atomic_write(path, format_json(json_schema(kind)))
 
 
-def _finite(part: Any) -> Any:
+def _drop_infinite_defaults(part: Any) -> Any:
     """Return a part of a schema without infinite defaults, which JSON cannot say."""
     if isinstance(part, dict):
         endless = {
@@ -51,5 +51,9 @@ def _finite(part: Any) -> Any:
             for name, value in part.items()
             if isinstance(value, float) and not math.isfinite(value)
         }
-        return {name: _finite(value) for name, value in part.items() if name not in endless}
-    return [_finite(each) for each in part] if isinstance(part, list) else part
+        return {
+            name: _drop_infinite_defaults(value)
+            for name, value in part.items()
+            if name not in endless
+        }
+    return [_drop_infinite_defaults(each) for each in part] if isinstance(part, list) else part

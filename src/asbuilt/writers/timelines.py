@@ -27,7 +27,7 @@ from asbuilt.monitoring.events import Event
 from asbuilt.validation import Validation, recording_name
 from asbuilt.workflow.watching.watched_log import WatchedLog
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.pictures.skeleton import round_mesh
+from asbuilt.writers.pictures.skeleton import build_round_mesh
 
 STATE, LOG = "sensor_msgs/msg/JointState", "rcl_interfaces/msg/Log"
 LEVELS: dict[Severity, int] = {"info": 20, "warning": 30, "error": 40}
@@ -62,11 +62,11 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
     for timeline in timelines:
         name = "".join(c if c.isalnum() else "_" for c in timeline.name)
         prefix, begin = f"/{name}" if len(timelines) > 1 else "", min(timeline.start, 0.0)
-        for topic, kind, messages in _topics(timeline):
+        for topic, kind, messages in _list_topics(timeline):
             channel = writer.register_channel(f"{prefix}/{topic}", "cdr", schemas[kind])
             for time, fields in messages:
                 nanoseconds = round((time - begin) * 1e9)
-                data = _serialised(store, kind, nanoseconds, fields)
+                data = _serialise_message(store, kind, nanoseconds, fields)
                 written.append((nanoseconds, channel, data))
     # Viewers read messages in the order of time.
     for nanoseconds, channel, data in sorted(written, key=itemgetter(0)):
@@ -75,13 +75,13 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
     return atomic_write(path, stream.getvalue())
 
 
-def _topics(
+def _list_topics(
     timeline: Timeline,
 ) -> Iterator[tuple[str, str, list[tuple[float, dict[str, Any]]]]]:
     """Yield each topic of a timeline, its type, and times and fields of its messages."""
     names = list(timeline.model.joint_names)
     for track in timeline.tracks:
-        samples = _samples(track, names)
+        samples = _list_samples(track, names)
         efforts = [(t, {"name": joints, "effort": torque}) for t, joints, torque in samples]
         yield track.name, STATE, efforts
     moved = zip(timeline.t.tolist(), timeline.q, strict=True)
@@ -92,7 +92,7 @@ def _topics(
     yield "events", LOG, marks
 
 
-def _serialised(store: Any, kind: str, nanoseconds: int, fields: Mapping[str, Any]) -> bytes:
+def _serialise_message(store: Any, kind: str, nanoseconds: int, fields: Mapping[str, Any]) -> bytes:
     """Return a message of a type, the fields that are not given empty."""
     types, empty = store.types, np.empty(0)
     stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
@@ -104,7 +104,7 @@ def _serialised(store: Any, kind: str, nanoseconds: int, fields: Mapping[str, An
     return bytes(store.serialize_cdr(types[kind](**{**usual[kind], **fields}), kind))
 
 
-def _samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[str], Array]]:
+def _list_samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[str], Array]]:
     """Yield time, joints and their torques, of one joint each where it has times of its own."""
     if not track.has_own_times:
         for time, torque in zip(track.t.tolist(), track.torque, strict=True):
@@ -163,7 +163,7 @@ def _write_timeline(rerun: Any, stream: Any, timeline: Timeline, above: list[str
             stream.log(place, lines, static=True)
             stream.send_columns(
                 rerun.new_entity_path(place),
-                [_times(rerun, t[valid])],
+                [_make_time_column(rerun, t[valid])],
                 rerun.Scalars.columns(scalars=torque[valid]),
             )
     if timeline.marks:
@@ -171,7 +171,7 @@ def _write_timeline(rerun: Any, stream: Any, timeline: Timeline, above: list[str
             text=[mark.text for mark in timeline.marks],
             level=[RERUN_LEVELS[mark.severity] for mark in timeline.marks],
         )
-        times = _times(rerun, np.array([mark.time for mark in timeline.marks]))
+        times = _make_time_column(rerun, np.array([mark.time for mark in timeline.marks]))
         stream.send_columns(rerun.new_entity_path([*above, "events"]), [times], texts)
 
 
@@ -181,7 +181,7 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
     links = [[*place, f"{k + 1} {link.name}"] for k, link in enumerate(model.links)]
     for number, solid in enumerate(link_solids(model)):
         parent = place if solid.link == ROOT else links[solid.link]
-        vertices, faces = round_mesh(solid)
+        vertices, faces = build_round_mesh(solid)
         colour = ROD if solid.kind == "rod" else HOUSING
         mesh = rerun.Mesh3D(vertex_positions=vertices, triangle_indices=faces, albedo_factor=colour)
         stream.log([*parent, f"{solid.kind} {number}"], mesh, static=True)
@@ -192,10 +192,12 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
         columns = rerun.Transform3D.columns(
             translation=poses[:, k, :3, 3], mat3x3=poses[:, k, :3, :3]
         )
-        stream.send_columns(rerun.new_entity_path(link), [_times(rerun, timeline.t)], columns)
+        stream.send_columns(
+            rerun.new_entity_path(link), [_make_time_column(rerun, timeline.t)], columns
+        )
 
 
-def _times(rerun: Any, t: Array) -> Any:
+def _make_time_column(rerun: Any, t: Array) -> Any:
     return rerun.TimeColumn("time", duration=t)
 
 
@@ -286,7 +288,7 @@ def timelines_of_validations(
         Timeline(
             recording_name(each.source),
             model,
-            *_positions(model, each.source, each.t, recordings),
+            *_interpolate_positions(model, each.source, each.t, recordings),
             (
                 Track("measured", each.t, each.measured),
                 Track("as_built", each.t, each.predicted),
@@ -305,7 +307,7 @@ def timeline_of_watched(
     """Return the timeline of a watched log: measured and external torque, thresholds, events."""
     head, trace = head_of(recording), watched.trace
     marks = [
-        Mark(event.start, SEVERITY_OF_EVENT[event.kind], _event_text(event))
+        Mark(event.start, SEVERITY_OF_EVENT[event.kind], _describe_event(event))
         for event in watched.events
     ]
     valid = np.all(np.isfinite(head.q), axis=1)
@@ -323,7 +325,7 @@ def timeline_of_watched(
     )
 
 
-def _positions(
+def _interpolate_positions(
     model: RobotModel, source: str, t: Array, recordings: Sequence[Recorded]
 ) -> tuple[Array, Array]:
     """Return times and positions (N, n) of a recording at times (N,), those that it covers."""
@@ -345,6 +347,6 @@ def _positions(
     return times, np.column_stack([np.interp(times, logged, column) for column in q.T])
 
 
-def _event_text(event: Event) -> str:
+def _describe_event(event: Event) -> str:
     joints = ", ".join(event.joints)
     return f"{event.kind} at {joints} from {event.start:.3f} to {event.end:.3f} s"

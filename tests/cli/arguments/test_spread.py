@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pytest
 import typer
 
-from asbuilt.cli.arguments.spread import Common, option_name, spread
+from asbuilt.cli.arguments.spread import Common, name_option, spread
 from asbuilt.errors import UsageError
 
 
@@ -86,5 +86,5 @@ def test_wrong_values_name_the_option_and_what_is_available() -> None:
 
 
 def test_spelling() -> None:
-    assert option_name("torque_source") == "--torque-source"
-    assert option_name("checked") == "--unchecked"
+    assert name_option("torque_source") == "--torque-source"
+    assert name_option("checked") == "--unchecked"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.cli.demos.arm import Demo, demo_document, demo_text, run_demo
+from asbuilt.cli.demos.arm import Demo, demo_document, describe_demo, run_demo
 from asbuilt.description.load import load_robot
 from asbuilt.writers.tables.tabular import json_text
 from command_line import documented_fields
@@ -54,7 +54,7 @@ def test_files_are_there_and_load_again(story: Demo) -> None:
 
 
 def test_it_ends_in_one_screen_and_one_document(story: Demo) -> None:
-    screen = demo_text(story)
+    screen = describe_demo(story)
     assert str(story.files["report"]) in screen
     assert len(screen.splitlines()) <= 40
     folder = str(story.files["report"].parent)
@@ -72,7 +72,7 @@ def test_the_readme_shows_this_screen(story: Demo) -> None:
     )
     shown, printed = (
         re.sub(r"motion in \d+ s", "motion in so many s", text)
-        for text in (block.partition("\n...")[0], demo_text(story))
+        for text in (block.partition("\n...")[0], describe_demo(story))
     )
     lacking = missing(shown, printed, TOLERANCE)
     assert not lacking, f"the README shows\n{lacking}\nand the demo prints\n{printed}"

@@ -9,11 +9,11 @@ import pytest
 
 from asbuilt.cli.demos.fleet import (
     CHANGED,
+    describe_fleet_demo,
     fleet_demo_document,
-    fleet_demo_text,
     run_fleet_demo,
 )
-from asbuilt.codec import json_text
+from asbuilt.codec import format_json
 from command_line import documented_fields
 
 
@@ -21,11 +21,11 @@ from command_line import documented_fields
 def test_the_robot_that_changed_stands_out(tmp_path: Path) -> None:
     demo = run_fleet_demo(tmp_path, robots=(CHANGED - 1, CHANGED), days=7)
     assert not demo.addition.failed
-    document = json.loads(json_text(fleet_demo_document(demo)))
+    document = json.loads(format_json(fleet_demo_document(demo)))
     assert set(document) in documented_fields()["demo"]
     change = {each["id"]: each["change"] for each in document["robots"]}
     changed = change.pop(f"arm-{CHANGED:02d}")
     assert changed > 100.0 * max(change.values())
-    screen = fleet_demo_text(demo)
+    screen = describe_fleet_demo(demo)
     assert f"arm-{CHANGED:02d} changed most" in screen
     assert all(len(line) <= 80 or str(tmp_path) in line for line in screen.splitlines())

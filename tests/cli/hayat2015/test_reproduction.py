@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.cli.hayat2015.facts import published
+from asbuilt.cli.hayat2015.facts import read_paper
 from asbuilt.cli.hayat2015.pages import (
+    describe_reproduction,
     reproduction_document,
-    reproduction_text,
     write_reproduction,
 )
 from asbuilt.cli.hayat2015.reproduction import Reproduction, reproduce_paper
-from asbuilt.cli.hayat2015.tables import table_1
+from asbuilt.cli.hayat2015.tables import tabulate_links
 from command_line import documented_fields
 
 
@@ -27,7 +27,7 @@ def redone() -> Reproduction:
 
 def test_bundled_facts_are_the_papers_tables(shared: Path) -> None:
     rows = list(csv.DictReader((shared / "paper" / "table2.csv").open()))
-    paper = published()
+    paper = read_paper()
     assert [row.id for row in paper.parameters] == [int(row["id"]) for row in rows]
     assert [row.expression for row in paper.parameters] == [
         row["expression_corrected"] for row in rows
@@ -70,7 +70,7 @@ def test_table_1_is_the_papers_except_for_the_twist_of_link_7(
     shared: Path, redone: Reproduction
 ) -> None:
     rows = list(csv.DictReader((shared / "paper" / "table1.csv").open()))
-    ours = list(csv.DictReader(table_1(redone).as_csv().splitlines()))
+    ours = list(csv.DictReader(tabulate_links(redone).as_csv().splitlines()))
     for theirs, row in zip(rows, ours, strict=True):
         values = {name.split(" [")[0]: float(value) for name, value in row.items()}
         twist = 0.0 if theirs["link"] == "7" else float(theirs["alpha_deg"])
@@ -115,7 +115,7 @@ def test_table_3_of_the_virtual_robot_shows_the_papers_conclusion(redone: Reprod
 def test_text_fits_a_screen_and_every_table_and_figure_is_written(
     redone: Reproduction, tmp_path: Path
 ) -> None:
-    text = reproduction_text(redone)
+    text = describe_reproduction(redone)
     assert "43 of 43 ids, 43 of 43 expressions and 43 of 43 CAD values" in " ".join(text.split())
     assert "not public" in text
     assert max(map(len, text.splitlines())) <= 80

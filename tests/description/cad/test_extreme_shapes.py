@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.description.cad.meshes import density_of
+from asbuilt.description.cad.meshes import look_up_density
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
-from asbuilt.excitation.collision.capsules import surroundings
+from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.workflow.masses.link_masses import link_masses
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.urdf import format_urdf
 
 SHAPES = [
     '<cylinder radius="-0.1" length="1"/>', '<cylinder radius="0.1" length="-1"/>',
@@ -30,11 +30,11 @@ SAID = "(radius|length|size) of <.*(it must be|finite)"
 def test_shapes_without_sense(shape: str, kind: str, tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     body = f"</inertial><{kind}><geometry>{shape}</geometry></{kind}>"
-    path.write_text(urdf_text(bundled_robot("two-link")).replace("</inertial>", body))
+    path.write_text(format_urdf(bundled_robot("two-link")).replace("</inertial>", body))
     model = load_robot(path)
     measure = {
         "visual": lambda: link_masses(model, density=2700.0),
-        "collision": lambda: surroundings(model, str(path)),
+        "collision": lambda: build_surroundings(model, str(path)),
     }
     with pytest.raises(DescriptionError, match=rf"r\.urdf.*{SAID}"):
         measure[kind]()
@@ -43,4 +43,4 @@ def test_shapes_without_sense(shape: str, kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("density", [-1.0, 0.0, math.nan, math.inf, 1e308])
 def test_densities_of_no_matter(density: float) -> None:
     with pytest.raises(DescriptionError, match="it must be a number above 0 to 100000 kg"):
-        density_of(density, "link_1")
+        look_up_density(density, "link_1")

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.cad.meshes import MATERIALS, MeshPart, link_from_meshes, with_cad_links
-from asbuilt.description.cad.table import read_cad_table, unit_factor
+from asbuilt.description.cad.table import parse_unit_factor, read_cad_table
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.rotation import placement
@@ -256,4 +256,4 @@ def test_conventions_must_be_said(tmp_path):
     ],
 )
 def test_units(text, value):
-    assert np.isclose(unit_factor(text, mass=1, length=2), value, rtol=1e-14)
+    assert np.isclose(parse_unit_factor(text, mass=1, length=2), value, rtol=1e-14)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.formats.dh import DHRow, read_dh_table, robot_from_dh
-from asbuilt.description.lengths import length_values
+from asbuilt.description.lengths import evaluate_lengths
 from asbuilt.description.model import ROOT
 from asbuilt.description.rotation import placement, rotation_x, rotation_z
 from asbuilt.errors import DescriptionError
@@ -46,7 +46,7 @@ def test_symbols_stand_for_the_translations(convention):
             if symbols is None:
                 assert not T[:3, 3].any()
             else:
-                assert np.allclose(length_values(symbols, model.lengths), T[:3, 3], atol=1e-16)
+                assert np.allclose(evaluate_lengths(symbols, model.lengths), T[:3, 3], atol=1e-16)
 
 
 def test_an_origin_with_plain_numbers_leaves_numbers():

@@ -8,11 +8,11 @@ import pytest
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.dynamics.drives.position_servo import described_servo
+from asbuilt.dynamics.drives.position_servo import read_described_servo
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import Windows
 
 STEP = 1e-3
@@ -107,7 +107,7 @@ def test_the_servo_moves_the_arm_as_mujocos_actuators_do() -> None:
         '<position name="d" joint="right 1" kp="80" kv="6"/>',
     )
     model, scene = read_mjcf(text), compiled(text)
-    servo = described_servo(model)
+    servo = read_described_servo(model)
     assert servo is not None
     t = STEP * np.arange(401)
     command = np.sin(7.0 * t[:, None] + np.arange(5)) * np.array([0.6, 0.5, 0.7, 0.4, 0.2])
@@ -116,7 +116,7 @@ def test_the_servo_moves_the_arm_as_mujocos_actuators_do() -> None:
         "made up", 0.4, 1.0 / STEP, np.zeros(1), np.zeros((1, 401, 5)), start[None],
         np.zeros((1, 5)), DriveSignal("command", t, command),
     )  # fmt: skip
-    (own,) = simulate_windows(robot_as_described(model, servo), windows)
+    (own,) = simulate_windows(build_robot_as_described(model, servo), windows)
     (controls,) = windows.inputs()
     data, found = mujoco.MjData(scene), list[Array]()
     data.qpos[:] = start

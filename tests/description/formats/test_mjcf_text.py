@@ -11,7 +11,7 @@ from pinocchio_oracle import random_robot
 from asbuilt.description.appearance import inertia_ellipsoid, link_solids
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.description.rotation import quaternion_from_rotation, rotation_from_quaternion
@@ -28,7 +28,7 @@ from asbuilt.errors import InertiaError
     ids=lambda m: m.name,
 )
 def test_written_robot_is_read_back(model: RobotModel) -> None:
-    text = mjcf_text(model)
+    text = format_mjcf(model)
     back = read_mjcf(text)
     assert back.joint_names == model.joint_names
     assert back.link_names == model.link_names
@@ -51,7 +51,7 @@ def test_drive_values_and_frames_survive() -> None:
     model = bundled_robot("ur10e")
     drive = DriveValues(armature=0.3, viscous=2.0, coulomb=1.5)
     model = replace(model, joints=tuple(replace(joint, drive=drive) for joint in model.joints))
-    back = read_mjcf(mjcf_text(model))
+    back = read_mjcf(format_mjcf(model))
     assert {joint.drive for joint in back.joints} == {drive}
     assert [frame.name for frame in back.frames] == [frame.name for frame in model.frames]
     np.testing.assert_allclose(back.frames[0].placement, model.frames[0].placement, atol=1e-12)
@@ -66,7 +66,7 @@ def test_an_impossible_inertia_is_refused_by_name() -> None:
             r"two-link: link 'link_2' cannot be written as MJCF, whose bodies must be possible: .*"
         ),
     ):
-        mjcf_text(replace(model, links=(model.links[0], replace(model.links[1], inertia=odd))))
+        format_mjcf(replace(model, links=(model.links[0], replace(model.links[1], inertia=odd))))
 
 
 def test_quaternions_of_rotations() -> None:

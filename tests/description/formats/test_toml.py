@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.formats.toml import read_robot_toml, robot_from_toml
-from asbuilt.description.lengths import length_values, parsed_length
+from asbuilt.description.lengths import evaluate_lengths, parse_length
 from asbuilt.description.model import ROOT
 from asbuilt.description.rotation import placement, rotation_from_rpy, rotation_z
 from asbuilt.errors import DescriptionError
@@ -110,7 +110,7 @@ def test_named_lengths_become_symbols_and_numbers_beside_them_get_one():
             (joint.after_symbols, joint.after),
         ):
             if symbols is not None:
-                assert np.allclose(length_values(symbols, model.lengths), T[:3, 3], atol=1e-16)
+                assert np.allclose(evaluate_lengths(symbols, model.lengths), T[:3, 3], atol=1e-16)
     assert model.joints[0].before_symbols == (
         ((1.0, "L1"),),
         ((1.0, "y1"),),
@@ -141,7 +141,7 @@ def test_dh_rows_may_stand_on_a_named_origin():
 )
 def test_lengths_are_sums_and_nothing_else(text):
     with pytest.raises(DescriptionError, match="length"):
-        parsed_length(text, {"L1": 1.0, "L2": 2.0})
+        parse_length(text, {"L1": 1.0, "L2": 2.0})
 
 
 def link(fields: str) -> str:

@@ -10,7 +10,7 @@ import pytest
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.rotation import right_angle
+from asbuilt.description.rotation import round_to_right_angle
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from shared_urdfs import SHARED_URDFS
 
@@ -18,7 +18,9 @@ from shared_urdfs import SHARED_URDFS
 def straightened_text(text: str) -> str:
     def replace(match: re.Match[str]) -> str:
         return (
-            'rpy="' + " ".join(repr(right_angle(float(angle))) for angle in match[1].split()) + '"'
+            'rpy="'
+            + " ".join(repr(round_to_right_angle(float(angle))) for angle in match[1].split())
+            + '"'
         )
 
     return re.sub(r'rpy="([^"]*)"', replace, text)

@@ -12,7 +12,7 @@ import pytest
 from asbuilt.description.formats.expansion import BUILTINS, MATH, evaluate
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
-from asbuilt.isolation import isolated_command
+from asbuilt.isolation import build_isolated_command
 
 ARM = """<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">{}
 <link name="floor"/><link name="arm"><inertial><mass value="2"/>
@@ -169,7 +169,10 @@ def test_what_the_evaluator_would_overlook_meets_the_audit_hook(tmp_path: Path) 
         ("e.os.remove(text)", b"os.remove is not allowed"),
     ):
         done = subprocess.run(
-            isolated_command(program.format(instead)), env={}, capture_output=True, check=False
+            build_isolated_command(program.format(instead)),
+            env={},
+            capture_output=True,
+            check=False,
         )
         assert done.returncode == 2
         assert said in done.stderr, done.stderr

@@ -18,7 +18,7 @@ from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import placement, rotation_x
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.base.symbols import same_build
+from asbuilt.dynamics.base.symbols import replace_lengths
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -193,7 +193,7 @@ def test_symbols_hold_for_other_lengths(arm: str) -> None:
     base = find_base_parameters(model, drive)
     rng = np.random.default_rng(3)
     lengths = {symbol: float(rng.uniform(0.1, 1.0)) for symbol in model.lengths}
-    other = find_base_parameters(same_build(model, lengths), drive)
+    other = find_base_parameters(replace_lengths(model, lengths), drive)
     chi = random_parameters(base, rng)
     beta = other.values(list(chi.values()))
     np.testing.assert_allclose(

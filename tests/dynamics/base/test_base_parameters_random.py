@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
-from asbuilt.description.rotation import composed, placement, rotation_x, rotation_y, rotation_z
+from asbuilt.description.rotation import (
+    compose_placements,
+    placement,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+)
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.base.observation_rank import observation_rank
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -31,7 +37,7 @@ def placements(draw: st.DrawFn) -> np.ndarray:
     turn = draw(st.sampled_from([rotation_x, rotation_y, rotation_z]))(draw(QUARTERS))
     if draw(st.booleans()):
         turn = turn @ rotation_x(draw(st.sampled_from([0.0, 0.0, 0.7, -1.1])))
-    return composed(placement(turn, [draw(LENGTHS) for _ in range(3)]))
+    return compose_placements(placement(turn, [draw(LENGTHS) for _ in range(3)]))
 
 
 @st.composite
@@ -140,7 +146,9 @@ def test_row_space_is_pinocchios(seed: int) -> None:
             rotation_x(rng.choice([0.0, np.pi / 2, 0.8])) @ rotation_z(rng.uniform(-3, 3))
             for _ in range(2)
         ]
-        before, after = (composed(placement(turn, rng.normal(scale=0.4, size=3))) for turn in turns)
+        before, after = (
+            compose_placements(placement(turn, rng.normal(scale=0.4, size=3))) for turn in turns
+        )
         kind = "prismatic" if rng.uniform() < 0.3 else "revolute"
         joints.append(Joint(name=f"j{i}", kind=kind, parent=parent, before=before, after=after))
         here = before if parent == ROOT else joints[parent].after @ before

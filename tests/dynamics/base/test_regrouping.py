@@ -11,7 +11,7 @@ from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.base.regrouping import AXIAL, structural_regrouping, symbolic_regrouping
+from asbuilt.dynamics.base.regrouping import AXIAL, regroup_structurally, regroup_symbolically
 from asbuilt.dynamics.drives.selection import DriveSet
 
 from .test_base_parameters_random import assert_regroups, first_independent, stacked
@@ -29,12 +29,12 @@ def test_axial_directions_span_exactly_the_masses_on_the_axis() -> None:
 
 def test_a_row_in_symbols_that_is_not_the_numbers_keeps_the_numbers() -> None:
     model, drive = load_robot("ur10e"), DriveSet()
-    found = structural_regrouping(model, drive)
+    found = regroup_structurally(model, drive)
     longer = {symbol: 2.0 * length for symbol, length in model.lengths.items()}
 
     def has_letters(matrix):
         """Which rows change with the lengths."""
-        rows = symbolic_regrouping(model, drive, replace(found, matrix=matrix))
+        rows = regroup_symbolically(model, drive, replace(found, matrix=matrix))
         return [
             any(each.value(longer) != each.value(model.lengths) for each in row.values())
             for row in rows

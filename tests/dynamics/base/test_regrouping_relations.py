@@ -9,7 +9,7 @@ import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
-from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z
+from asbuilt.description.rotation import compose_placements, placement, rotation_x, rotation_z
 from asbuilt.dynamics.base.regrouping_relations import (
     SHIFT_LINEAR,
     SHIFT_SQUARE,
@@ -140,7 +140,7 @@ def chain(kinds: str, seed: int, gravity=(1.0, -2.0, 9.0)) -> RobotModel:
     joints = []
     for i, kind in enumerate(kinds):
         before, after = (
-            composed(
+            compose_placements(
                 placement(
                     rotation_x(rng.choice([0.0, np.pi / 2, 0.8])) @ rotation_z(rng.uniform(-3, 3)),
                     rng.choice([0.0, 0.3, -0.6], size=3),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from asbuilt.dynamics.drives.goal_profile import goal_path
+from asbuilt.dynamics.drives.goal_profile import derive_goal_path
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
 
@@ -28,7 +28,7 @@ def test_goal_is_that_of_time_optimal_control(fastest):
     t = 0.05 * np.arange(30)
     command = np.cumsum(rng.normal(scale=0.05, size=30))
     times, path = integrated(t, command, 8.0, fastest)
-    fine, goal = goal_path(t, command[:, None], 8.0, fastest)
+    fine, goal = derive_goal_path(t, command[:, None], 8.0, fastest)
     middles = fine + 0.5 * np.median(np.diff(fine))
     expected = np.interp(middles, times, path)
     inside = middles < times[-1]
@@ -40,7 +40,7 @@ def test_goal_is_that_of_time_optimal_control(fastest):
 
 
 def test_goal_without_limit_is_the_held_command():
-    _, goal = goal_path([0.0, 0.02, 0.04], [[0.0], [1.0], [0.5]], np.inf)
+    _, goal = derive_goal_path([0.0, 0.02, 0.04], [[0.0], [1.0], [0.5]], np.inf)
     assert goal[:, 0].tolist() == [0.0] * 20 + [1.0] * 20 + [0.5] * 20
 
 

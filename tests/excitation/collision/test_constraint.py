@@ -11,12 +11,12 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import DescriptionError, MotionError, UsageError
 from asbuilt.excitation.collision.capsules import (
     Capsule,
-    skeleton_capsules,
-    surroundings,
-    urdf_capsules,
+    build_skeleton_capsules,
+    build_surroundings,
+    read_urdf_capsules,
 )
-from asbuilt.excitation.collision.constraint import CollisionGuard, ToolBox, constraints_of
-from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_to_box
+from asbuilt.excitation.collision.constraint import CollisionGuard, ToolBox, build_constraints
+from asbuilt.excitation.collision.distances import find_nearest_on_segments, find_nearest_to_box
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.static_poses import design_static_poses
@@ -51,7 +51,7 @@ def upright(start: np.ndarray, stop: np.ndarray) -> np.ndarray:
 def test_distances_between_capsules_are_those_of_coal() -> None:
     rng = np.random.default_rng(0)
     ends = rng.normal(size=(4, 300, 3))
-    near = nearest_on_segments(ends[0], ends[1] - ends[0], ends[2], ends[3] - ends[2])
+    near = find_nearest_on_segments(ends[0], ends[1] - ends[0], ends[2], ends[3] - ends[2])
     for k in range(300):
         shapes = [
             coal.Capsule(0.1, float(np.linalg.norm(ends[i + 1, k] - ends[i, k]))) for i in (0, 2)
@@ -76,7 +76,7 @@ def test_points_and_parallel_segments_are_no_exception() -> None:
         ((origin, x), (up, x), 2.0),
         ((origin, x), (up + 3 * x, x), np.hypot(2, 2)),
     ):
-        a, b = nearest_on_segments(*first, *second)
+        a, b = find_nearest_on_segments(*first, *second)
         assert float(np.linalg.norm(a - b)) == pytest.approx(apart)
 
 
@@ -84,7 +84,7 @@ def test_distances_to_boxes_are_those_of_coal() -> None:
     rng = np.random.default_rng(1)
     half = np.array([0.3, 0.5, 0.1])
     start, stop = rng.normal(size=(2, 300, 3))
-    _, distance, normal = nearest_to_box(start, stop - start, half)
+    _, distance, normal = find_nearest_to_box(start, stop - start, half)
     assert np.linalg.norm(normal, axis=1) == pytest.approx(1.0)
     outside = 0
     for k in range(300):
@@ -107,7 +107,7 @@ def guard(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text(CELL)
     model = load_robot("kuka-iiwa7-r800")
-    return model, CollisionGuard(model, surroundings(model, path))
+    return model, CollisionGuard(model, build_surroundings(model, path))
 
 
 def test_derivatives_are_central_differences(guard) -> None:
@@ -129,7 +129,7 @@ def test_derivatives_are_central_differences(guard) -> None:
 def test_pairs_that_touch_by_construction_or_permission_are_left_out(guard) -> None:
     model, watch = guard
     assert "link_1 - link_3" in watch.left_out
-    names = [model.link_names[capsule.link] for capsule in skeleton_capsules(model, 0.05)]
+    names = [model.link_names[capsule.link] for capsule in build_skeleton_capsules(model, 0.05)]
     assert not any(
         {names[a], names[b]} == {"link_2", "link_4"} for a, b in watch.pairs if b < len(names)
     )
@@ -143,7 +143,7 @@ def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
         " 0.5]\n"
     )
     model = load_robot("kuka-iiwa7-r800")
-    constraints = constraints_of(model, collision=str(cell))
+    constraints = build_constraints(model, collision=str(cell))
     options = DesignOptions(duration=6.0, size=4, starts=1, time_limit=4.0, drive="none")
     design = design_motion(model, options, constraints=constraints, with_bound=False, cores=1)
     standing = design_static_poses(model, 4, constraints=constraints)
@@ -205,7 +205,7 @@ URDF = """<robot name="r"><link name="base"/>
 def test_geometry_of_a_urdf_becomes_capsules_on_the_links_that_carry_it(tmp_path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(URDF)
-    arm, hand = urdf_capsules(load_robot(str(path)), path)
+    arm, hand = read_urdf_capsules(load_robot(str(path)), path)
     assert (arm.link, hand.link) == (0, 0)
     assert arm.radius == pytest.approx(0.1, rel=0.02)
     assert sorted([arm.start[2], arm.stop[2]]) == pytest.approx([0.0, 1.0], abs=0.03)
@@ -236,7 +236,7 @@ def test_files_that_make_no_sense_are_refused(tmp_path, text: str, said: str) ->
     path = tmp_path / "cell.toml"
     path.write_text(text)
     with pytest.raises(DescriptionError, match=said):
-        surroundings(load_robot("kuka-iiwa7-r800"), path)
+        build_surroundings(load_robot("kuka-iiwa7-r800"), path)
 
 
 @pytest.mark.parametrize(
@@ -252,14 +252,14 @@ def test_shapes_that_cannot_be_read_are_named(tmp_path, shape: str, said: str) -
     path = tmp_path / "r.urdf"
     path.write_text(re.sub(r"<(cylinder|sphere|box) [^>]*/>", shape, URDF))
     with pytest.raises(DescriptionError, match=said):
-        urdf_capsules(load_robot(str(path)), path)
+        read_urdf_capsules(load_robot(str(path)), path)
 
 
 def test_wrong_boxes_and_frames_are_refused() -> None:
     model = load_robot("kuka-iiwa7-r800")
     with pytest.raises(UsageError, match="six numbers"):
-        constraints_of(model, tool_box=(1.0, 2.0))
+        build_constraints(model, tool_box=(1.0, 2.0))
     with pytest.raises(MotionError, match="positive extent"):
-        constraints_of(model, tool_box=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+        build_constraints(model, tool_box=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
     with pytest.raises(MotionError, match="no moving frame 'hand'"):
-        constraints_of(model, tool_box=(0.0, 1.0, 0.0, 1.0, 0.0, 1.0), tool_frame="hand")
+        build_constraints(model, tool_box=(0.0, 1.0, 0.0, 1.0, 0.0, 1.0), tool_frame="hand")

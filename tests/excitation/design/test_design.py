@@ -14,8 +14,8 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.design.design import design_motion
-from asbuilt.excitation.design.designed_motion import position_of
-from asbuilt.excitation.design.fixed_duration import sized
+from asbuilt.excitation.design.designed_motion import locate_base_parameter
+from asbuilt.excitation.design.fixed_duration import choose_size
 from asbuilt.excitation.design.multistart import Candidate, Deadline, SearchProgress, search_all
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.efficiency import information_efficiency
@@ -153,7 +153,7 @@ def test_other_families_respect_the_limits_too(parametrisation: str, size: int) 
 def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     model, design = arm
     focused = design_motion(model, replace(QUICK, focus=("Izz2", "11")), with_bound=False)
-    places = [position_of(design.base, name) for name in ("Izz2", "11")]
+    places = [locate_base_parameter(design.base, name) for name in ("Izz2", "11")]
     det = [
         np.linalg.det(np.linalg.inv(d.information)[np.ix_(places, places)])
         for d in (focused, design)
@@ -169,7 +169,7 @@ def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
 
 def test_what_a_motion_cannot_tell_has_an_infinite_error(arm) -> None:
     _, design = arm
-    pair = [position_of(design.base, name) for name in ("Fv1", "Fc1")]
+    pair = [locate_base_parameter(design.base, name) for name in ("Fv1", "Fc1")]
     alike = np.eye(design.base.n_base)
     alike[:, pair[1]] = 3.0 * alike[:, pair[0]]
     blind = replace(design, mean_information=alike.T @ design.mean_information @ alike)
@@ -186,7 +186,7 @@ def test_what_a_motion_cannot_tell_has_an_infinite_error(arm) -> None:
 
 def test_what_is_known_already_need_not_be_told_again(arm) -> None:
     model, design = arm
-    weak = position_of(design.base, "Fo1")
+    weak = locate_base_parameter(design.base, "Fo1")
     known = 1e6 * np.diag(np.diag(design.information))
     known[weak] = known[:, weak] = 0.0
     follow = design_motion(model, QUICK, prior=known, with_bound=False)
@@ -385,10 +385,10 @@ def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
     quick = replace(slow, acceleration=6.0 * slow.velocity)
 
     def size(bounds, **options):
-        return sized(DesignOptions(**{"duration": 20.0, **options}), bounds)[0].size
+        return choose_size(DesignOptions(**{"duration": 20.0, **options}), bounds)[0].size
 
     def size_and_periods(bounds, **options):
-        found = sized(DesignOptions(duration=100.0, **options), bounds)[0]
+        found = choose_size(DesignOptions(duration=100.0, **options), bounds)[0]
         return found.size, found.periods
 
     assert size(slow) == 5

@@ -12,8 +12,8 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError
-from asbuilt.excitation.collision.constraint import constraints_of
-from asbuilt.excitation.design.route import Roadmap, route_through, short_tour
+from asbuilt.excitation.collision.constraint import build_constraints
+from asbuilt.excitation.design.route import Roadmap, find_short_tour, plan_route
 from asbuilt.excitation.design.static_poses import design_static_poses
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_constraint import StateConstraint
@@ -44,7 +44,7 @@ def test_the_way_turns_over_a_wall_and_rests_at_every_pose_once() -> None:
     stations = np.random.default_rng(0).uniform(-1, 1, (200, 2))
     wall = Wall(0.5)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
-    poses, motion, turns = route_through(
+    poses, motion, turns = plan_route(
         POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.5
     )
     q, qd, qdd = motion.at(motion.sample_times(500.0))
@@ -60,11 +60,11 @@ def test_the_way_turns_over_a_wall_and_rests_at_every_pose_once() -> None:
 
 def test_a_free_way_has_no_turns_and_one_that_is_closed_is_refused() -> None:
     stations = np.random.default_rng(0).uniform(-1, 1, (200, 2))
-    assert route_through(POSES, None, PLANE, [], [], 0.0)[2] == 0
+    assert plan_route(POSES, None, PLANE, [], [], 0.0)[2] == 0
     wall = Wall(2.0)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
     with pytest.raises(MotionError, match="no route without collision was found from"):
-        route_through(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.0)
+        plan_route(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.0)
 
 
 def test_a_roadmap_is_one_piece() -> None:
@@ -85,7 +85,7 @@ def test_short_tours_of_few_places_are_the_shortest() -> None:
             sum(apart[i, j] for i, j in itertools.pairwise(order))
             for order in itertools.permutations(range(7))
         )
-        tour = short_tour(apart)
+        tour = find_short_tour(apart)
         assert sorted(tour) == list(range(7))
         assert sum(apart[i, j] for i, j in itertools.pairwise(tour)) < 1.1 * best
 
@@ -94,7 +94,7 @@ def test_short_tours_of_few_places_are_the_shortest() -> None:
 def test_standing_poses_are_reached_clear_of_bodies_and_within_the_box() -> None:
     model = load_robot("franka-panda")
     box = (-1.2, 1.2, -1.2, 1.2, 0.05, 1.6)
-    guard = constraints_of(model, collision="skeleton:0.06", tool_box=box)
+    guard = build_constraints(model, collision="skeleton:0.06", tool_box=box)
     design = design_static_poses(model, 12, constraints=guard)
     q = design.motion.at(design.motion.sample_times(1000.0))[0]
     assert len(design.poses) == 12

@@ -10,7 +10,7 @@ from asbuilt.excitation.information.criteria import (
     DOptimality,
     EOptimality,
     FocusedDOptimality,
-    criterion_of,
+    select_criterion,
 )
 
 EVERY = (DOptimality(), AOptimality(), EOptimality(), ConditionNumber(), FocusedDOptimality((0, 4)))
@@ -71,6 +71,6 @@ def test_units_do_not_move_the_best_design_for_d() -> None:
 
 def test_unknown_names_are_refused_with_the_known_ones() -> None:
     with pytest.raises(UsageError, match="available: d, a, e, condition"):
-        criterion_of("best")
+        select_criterion("best")
     with pytest.raises(UsageError, match="D_s"):
-        criterion_of("a", [1])
+        select_criterion("a", [1])

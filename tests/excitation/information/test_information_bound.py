@@ -9,7 +9,7 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.information.information import Information, mean_information, random_states
+from asbuilt.excitation.information.information import Information, draw_states, mean_information
 from asbuilt.excitation.information.information_bound import information_bound
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
@@ -54,7 +54,7 @@ def test_the_bound_is_that_of_the_convex_program(two_link) -> None:
         program = cp.Problem(cp.Maximize(cp.log_det(mean)), [cp.sum(weights) == 1])
         return float(program.solve(solver=cp.CLARABEL)) + 2 * float(np.log(size).sum())
 
-    assert best(random_states(bounds, 150, np.random.default_rng(3), extreme=0.5)) < bound.upper
+    assert best(draw_states(bounds, 150, np.random.default_rng(3), extreme=0.5)) < bound.upper
     heavy = np.argsort(-bound.weights)[:150]
     on_support = best([x[heavy] for x in bound.support])
     assert on_support == pytest.approx(bound.log_det, abs=0.02 * base.n_base)

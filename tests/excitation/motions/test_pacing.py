@@ -15,7 +15,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion, paced_moves
+from asbuilt.excitation.motions.point_to_point import PointToPointMotion, pace_moves
 from asbuilt.excitation.state_constraint import StateConstraint, WeightLimit
 
 PLANE = MotionBounds(*(np.array([value, value]) for value in (-1.0, 1.0, 1.0, 4.0, np.inf, np.inf)))
@@ -53,7 +53,7 @@ def test_only_the_move_that_asks_for_it_is_slowed_down() -> None:
     fast = PointToPointMotion.within(
         POSES, velocity=PLANE.velocity, acceleration=PLANE.acceleration
     )
-    paced = paced_moves(POSES, PLANE, [SlowAbove(0.4)])
+    paced = pace_moves(POSES, PLANE, [SlowAbove(0.4)])
     assert paced is not None
     arrival = (
         fast.breaks[-1]
@@ -67,7 +67,7 @@ def test_only_the_move_that_asks_for_it_is_slowed_down() -> None:
 
 
 def test_what_no_pace_cures_has_no_motion() -> None:
-    assert paced_moves(POSES, PLANE, [SlowAbove(0.01)]) is None
+    assert pace_moves(POSES, PLANE, [SlowAbove(0.01)]) is None
 
 
 def test_the_weight_is_gravity_by_pinocchio() -> None:

@@ -8,14 +8,14 @@ import pytest
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import (
+    fit_logged_magnitude_laws,
+    fit_magnitude_laws,
     is_magnitude,
-    logged_magnitude_laws,
-    magnitude_laws,
-    signed_by_command,
+    sign_by_command,
 )
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.torque.signal_checks import law_text
+from asbuilt.experiment.quality.torque.signal_checks import describe_laws
 from asbuilt.experiment.recording import Recording
 
 DUTY, VOLTAGE, RESISTANCE, INDUCED = 3.0, 12.0, 4.0, 1.8
@@ -68,7 +68,9 @@ def noisy(values, rng):
 
 def test_the_current_of_a_motor_gives_the_damping_of_its_servo(log):
     recording, motor, _ = log
-    law = magnitude_laws(recording, [noisy(np.abs(motor), np.random.default_rng(1))[:, None]])[0]
+    law = fit_magnitude_laws(recording, [noisy(np.abs(motor), np.random.default_rng(1))[:, None]])[
+        0
+    ]
     assert law.kind == "motor"
     assert law.holds
     assert law.explained > 0.9
@@ -79,19 +81,19 @@ def test_the_current_of_a_motor_gives_the_damping_of_its_servo(log):
 def test_the_current_of_a_supply_grows_with_the_square(log):
     recording, _, supply = log
     drawn = noisy(np.maximum(supply, 0.0), np.random.default_rng(2))
-    law = magnitude_laws(recording, [drawn[:, None]])[0]
+    law = fit_magnitude_laws(recording, [drawn[:, None]])[0]
     assert law.kind == "supply"
     assert law.holds
     assert law.lag == pytest.approx(LAG, abs=0.01)
     assert law.scale == pytest.approx(DUTY**2 * VOLTAGE / RESISTANCE, rel=0.05)
     assert law.lag_error < 0.01
     with pytest.raises(RecordingError, match="supply currents"):
-        signed_by_command(dataclasses.replace(recording, tau=drawn[:, None]))
+        sign_by_command(dataclasses.replace(recording, tau=drawn[:, None]))
 
 
 def test_the_sign_of_a_current_is_that_of_the_command(log):
     recording, motor, _ = log
-    signed = signed_by_command(recording)
+    signed = sign_by_command(recording)
     clear = np.abs(motor) > 0.1 * np.abs(motor).max()
     assert np.mean(np.sign(signed.tau[clear, 0]) == np.sign(motor[clear])) > 0.995
     assert "sign of command" in signed.notes[-1]
@@ -100,29 +102,29 @@ def test_the_sign_of_a_current_is_that_of_the_command(log):
 def test_a_column_that_does_not_follow_the_command_has_no_sign(log):
     recording, _, _ = log
     noise = np.abs(np.random.default_rng(3).normal(size=recording.tau.shape))
-    assert not magnitude_laws(recording, [noise])[0].holds
+    assert not fit_magnitude_laws(recording, [noise])[0].holds
     with pytest.raises(RecordingError, match="do not follow the command"):
-        signed_by_command(dataclasses.replace(recording, tau=noise))
-    unused = signed_by_command(dataclasses.replace(recording, tau=noise), ["joint_1"])
+        sign_by_command(dataclasses.replace(recording, tau=noise))
+    unused = sign_by_command(dataclasses.replace(recording, tau=noise), ["joint_1"])
     assert np.abs(unused.tau) == pytest.approx(noise)
 
 
 def test_no_command_and_torques_with_a_sign_are_refused(log):
     recording, motor, _ = log
     with pytest.raises(RecordingError, match="no commanded positions"):
-        signed_by_command(dataclasses.replace(recording, command=None))
+        sign_by_command(dataclasses.replace(recording, command=None))
     with pytest.raises(RecordingError, match="they have a sign"):
-        signed_by_command(dataclasses.replace(recording, tau=motor[:, None]))
+        sign_by_command(dataclasses.replace(recording, tau=motor[:, None]))
 
 
 def test_magnitudes_beside_commands_are_a_second_channel(log):
     recording, motor, _ = log
     servo = PositionServo(kp=(np.nan,), kd=(np.nan,))
-    laws = logged_magnitude_laws([driven_by_command(recording, servo)])
+    laws = fit_logged_magnitude_laws([drive_by_command(recording, servo)])
     assert laws[0].holds
-    assert "motor currents" in law_text(("elbow",), laws)
+    assert "motor currents" in describe_laws(("elbow",), laws)
     signed = dataclasses.replace(recording, tau=motor[:, None])
-    assert logged_magnitude_laws([driven_by_command(signed, servo)]) == ()
+    assert fit_logged_magnitude_laws([drive_by_command(signed, servo)]) == ()
 
 
 def test_a_magnitude_is_never_negative():

@@ -7,11 +7,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import command_rate, driven_by_command, held_command
+from asbuilt.experiment.command.servo_torque import command_rate, drive_by_command, hold_command
 from asbuilt.experiment.command.usable_samples import (
-    direction_speeds,
-    outside_saturation,
-    saturated,
+    drop_saturated,
+    estimate_direction_speeds,
+    find_saturated,
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
@@ -55,7 +55,7 @@ def test_torque_of_a_held_and_late_command_is_that_of_the_actuator(delay_steps):
     recording, truth = simulated(delay_steps)
     servo = PositionServo(kp=(15.0,), kd=(0.4,), delay=STEP * delay_steps)
     chain = SignalChain(cutoff=5.0)
-    driven = prepare_samples(driven_by_command(recording, servo), chain)
+    driven = prepare_samples(drive_by_command(recording, servo), chain)
     fine = Recording(
         t=STEP * (np.arange(truth.size) + 0.5),
         q=np.interp(STEP * np.arange(truth.size), recording.t, recording.q[:, 0])[:, None],
@@ -69,7 +69,7 @@ def test_torque_of_a_held_and_late_command_is_that_of_the_actuator(delay_steps):
     inside = slice(20, -20)
     assert np.std(error[inside]) < 0.01 * np.std(known)
     early = prepare_samples(
-        driven_by_command(recording, PositionServo(kp=(15.0,), kd=(0.4,), delay=-PERIOD / 2)),
+        drive_by_command(recording, PositionServo(kp=(15.0,), kd=(0.4,), delay=-PERIOD / 2)),
         chain,
     )
     assert np.std((early.filtered_torque[:, 0] - known)[inside]) > 3.0 * np.std(error[inside])
@@ -79,7 +79,7 @@ def test_rate_is_the_derivative_of_the_held_command():
     t = np.arange(0.0, 4.0, 0.01)
     u = np.sin(3.0 * t)[:, None]
     recording = Recording(t=t, q=u, tau=u, command=u)
-    ahead, behind = (held_command(recording, delay) for delay in (-1e-4, 1e-4))
+    ahead, behind = (hold_command(recording, delay) for delay in (-1e-4, 1e-4))
     numeric = (ahead - behind) / 2e-4
     assert command_rate(recording)[5:-5] == pytest.approx(numeric[5:-5], abs=1e-6)
 
@@ -92,10 +92,10 @@ def test_a_lead_adds_the_rate_of_what_acts():
     at = t - 0.5 * 0.01 - servo.delay
     expected = np.sinc(3.0 * 0.01 / (2.0 * np.pi)) * (np.sin(3.0 * at) + 0.12 * np.cos(3.0 * at))
     inside = slice(20, -20)
-    held = held_command(recording, servo.delay)
+    held = hold_command(recording, servo.delay)
     assert held[inside, 0] == pytest.approx(expected[inside], abs=1e-6)
-    assert driven_by_command(recording, servo).tau == pytest.approx(10.0 * held)
-    numeric = (held_command(recording, 0.0069) - held_command(recording, 0.0071)) / 2e-4
+    assert drive_by_command(recording, servo).tau == pytest.approx(10.0 * held)
+    numeric = (hold_command(recording, 0.0069) - hold_command(recording, 0.0071)) / 2e-4
     assert command_rate(recording, 0.007)[inside] == pytest.approx(numeric[inside], abs=1e-4)
 
 
@@ -103,7 +103,7 @@ def test_an_unknown_stiffness_counts_as_one_and_logged_torques_are_kept():
     t = np.arange(0.0, 1.0, 0.01)
     x = t[:, None]
     recording = Recording(t=t, q=x, tau=x + 1.0, command=x + 0.5)
-    driven = driven_by_command(recording, PositionServo(kp=(np.nan,), kd=(np.nan,)))
+    driven = drive_by_command(recording, PositionServo(kp=(np.nan,), kd=(np.nan,)))
     assert driven.torque_source == "command"
     assert driven.tau[50, 0] == pytest.approx(0.5 - 0.005)
     assert driven.extra["tau_logged"][:, 0] == pytest.approx(t + 1.0)
@@ -114,11 +114,11 @@ def test_samples_at_the_torque_limit_are_left_out():
     q = np.sin(t)[:, None]
     command = q + np.where((t > 8.0) & (t < 9.0), 1.0, 0.1)[:, None]
     servo = PositionServo(kp=(10.0,), kd=(0.0,), torque_limit=(5.0,))
-    recording = driven_by_command(Recording(t=t, q=q, tau=q, command=command), servo)
+    recording = drive_by_command(Recording(t=t, q=q, tau=q, command=command), servo)
     assert np.abs(recording.tau).max() == 5.0
-    limited = t[saturated(recording)[:, 0]]
+    limited = t[find_saturated(recording)[:, 0]]
     assert (limited.min(), limited.max()) == pytest.approx((8.0, 9.0), abs=0.05)
-    left = outside_saturation(prepare_samples(recording), recording)
+    left = drop_saturated(prepare_samples(recording), recording)
     assert not np.any((left.t > 8.05) & (left.t < 8.95))
     assert len(left.segments) == 2
 
@@ -129,7 +129,7 @@ def test_direction_is_unknown_below_half_a_step_of_the_encoder_in_a_period():
     exact = 0.3 * np.sin(t) + 1e-9 * rng.normal(size=t.size)
     step = 2.0 * np.pi / 4096
     q = np.column_stack([np.round(exact / step) * step, exact])
-    coarse, fine = direction_speeds(Recording(t=t, q=q, tau=q), cutoff=8.0)
+    coarse, fine = estimate_direction_speeds(Recording(t=t, q=q, tau=q), cutoff=8.0)
     assert coarse == pytest.approx(np.pi * 8.0 * step)
     assert fine < 0.05 * coarse
 
@@ -142,6 +142,6 @@ def test_the_limit_cuts_what_a_lead_makes_of_a_step(size):
     servo = PositionServo(kp=(11.5,), kd=(0.0,), lead=(0.024,), torque_limit=(4.3,))
     log = Recording(t=t, q=0.0 * command, tau=0.0 * command, command=command, servo=servo)
     plain = replace(log, servo=replace(servo, lead=(0.0,)))
-    impulse = 11.5 * float(np.sum(held_command(log) - held_command(plain))) * 0.02
+    impulse = 11.5 * float(np.sum(hold_command(log) - hold_command(plain))) * 0.02
     pulse = np.clip(11.5 * 0.024 * size / 1e-3, -4.3, 4.3) * 1e-3
     assert impulse == pytest.approx(pulse, rel=1e-6)

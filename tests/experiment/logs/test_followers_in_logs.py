@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.quality.checks import check_recording
 from coupled_robots import palletizer
 
@@ -29,7 +29,7 @@ def columns(wrong: float = 0.0, torque: float = 0.0) -> dict[str, np.ndarray]:
 
 def test_columns_of_followers_are_read_beside_those_of_the_joints() -> None:
     robot = palletizer()
-    model, ((recording,),) = fitted_recordings(robot, [[columns()]])
+    model, ((recording,),) = read_fitted_recordings(robot, [[columns()]])
     assert recording.joint_names == model.joint_names == robot.joint_names
     assert not model.locked_joints
     np.testing.assert_array_equal(recording.q[:, 2], columns()["q_a3"])
@@ -39,7 +39,7 @@ def test_columns_of_followers_are_read_beside_those_of_the_joints() -> None:
 
 
 def test_a_follower_logged_elsewhere_is_named() -> None:
-    model, ((recording,),) = fitted_recordings(palletizer(), [[columns(wrong=0.2)]])
+    model, ((recording,),) = read_fitted_recordings(palletizer(), [[columns(wrong=0.2)]])
     found = [
         f for f in check_recording(model, recording).findings if f.code == "coupling_disagrees"
     ]
@@ -48,14 +48,14 @@ def test_a_follower_logged_elsewhere_is_named() -> None:
 
 
 def test_a_torque_of_a_follower_is_named() -> None:
-    model, ((recording,),) = fitted_recordings(palletizer(), [[columns(torque=2.0)]])
+    model, ((recording,),) = read_fitted_recordings(palletizer(), [[columns(torque=2.0)]])
     found = [f for f in check_recording(model, recording).findings if f.code == "follower_torque"]
     assert {finding.joint for finding in found} == set(OFFSETS)
 
 
 def test_the_log_needs_no_column_of_a_follower() -> None:
     some = {k: v for k, v in columns().items() if k.partition("_")[2] not in OFFSETS}
-    model, ((recording,),) = fitted_recordings(palletizer(), [[some]])
+    model, ((recording,),) = read_fitted_recordings(palletizer(), [[some]])
     assert recording.n_joints == model.n_joints == 5
     assert not model.locked_joints
 
@@ -63,7 +63,7 @@ def test_the_log_needs_no_column_of_a_follower() -> None:
 def test_unnamed_columns_of_all_joints_are_refused() -> None:
     t = np.arange(0.0, 2.0, 0.01)
     with pytest.raises(RecordingError, match=r"8 position columns.*has 5 joints") as caught:
-        fitted_recordings(
+        read_fitted_recordings(
             palletizer(), [[{"t": t, "q": np.ones((t.size, 8)), "tau": np.ones((t.size, 8))}]]
         )
     assert "joints that follow others have no column: level, f2, f3" in str(caught.value)
@@ -71,6 +71,6 @@ def test_unnamed_columns_of_all_joints_are_refused() -> None:
 
 def test_a_follower_of_a_joint_that_the_log_lacks_is_locked_with_it() -> None:
     some = {k: v for k, v in columns().items() if not k.endswith(("_f1", "_f2", "_f3"))}
-    model, _ = fitted_recordings(palletizer(), [[some]])
+    model, _ = read_fitted_recordings(palletizer(), [[some]])
     assert model.locked_joints == pytest.approx({"f1": 0.0, "f2": 0.01, "f3": 0.04})
     assert [joint.name for joint in model.followers] == ["level"]

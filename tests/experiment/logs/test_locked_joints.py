@@ -12,13 +12,13 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.joint_matching import joints_without_label
+from asbuilt.description.joint_matching import find_unlabelled_joints
 from asbuilt.description.model import Joint, JointLimits, Link, Mimic, RobotModel
-from asbuilt.description.structure.locking import lock_findings
+from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.workflow.options import StudyOptions
@@ -57,13 +57,13 @@ def log(hand: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_log_without_fingers_locks_them(hand: RobotModel, log: Path) -> None:
-    model, ((recording,),) = fitted_recordings(hand, [[log]])
+    model, ((recording,),) = read_fitted_recordings(hand, [[log]])
     assert model.locked_joints == pytest.approx({"finger_left": 0.03, "finger_right": 0.03})
     assert recording.joint_names == model.joint_names == bundled_robot("ur10e").joint_names
     check = check_recording(model, recording)
     assert check.ok
     assert "joints_locked" in check.codes
-    other, _ = fitted_recordings(hand, [[log]], ReadingOptions(lock="finger_left=0.02"))
+    other, _ = read_fitted_recordings(hand, [[log]], ReadingOptions(lock="finger_left=0.02"))
     assert other.locked_joints == pytest.approx({"finger_left": 0.02, "finger_right": 0.03})
 
 
@@ -76,11 +76,11 @@ def test_a_finger_that_follows_one_which_moves_is_named(hand: RobotModel, log: P
     arm = coupled.locked(["finger_right"])
     assert arm.held_followers == {"finger_right": "finger_left"}
     assert model_from_document(model_document(arm)).held_followers == arm.held_followers
-    said = {each.code: each for each in lock_findings(arm.locked_joints, arm.held_followers)}
+    said = {each.code: each for each in report_locks(arm.locked_joints, arm.held_followers)}
     assert said["follower_held"].severity == "warning"
     assert "finger_right follows finger_left" in said["follower_held"].message
     assert arm.locked([left.name]).held_followers == {}
-    both, ((recording,),) = fitted_recordings(coupled, [[log]])
+    both, ((recording,),) = read_fitted_recordings(coupled, [[log]])
     assert both.held_followers == {}
     assert "follower_held" not in check_recording(both, recording).codes
 
@@ -99,10 +99,12 @@ def test_a_sheet_locks_joints(hand: RobotModel, log: Path, tmp_path: Path) -> No
     copy = tmp_path / "log.csv"
     copy.write_bytes(log.read_bytes())
     (tmp_path / "log.csv.toml").write_text("[lock]\nfinger_left = 0.015\n")
-    model, _ = fitted_recordings(hand, [[copy]])
+    model, _ = read_fitted_recordings(hand, [[copy]])
     assert model.locked_joints == pytest.approx({"finger_left": 0.015, "finger_right": 0.03})
     (tmp_path / "log.csv.toml").write_text('lock = ["finger_left"]\n')
-    assert fitted_recordings(hand, [[copy]])[0].locked_joints["finger_left"] == pytest.approx(0.03)
+    assert read_fitted_recordings(hand, [[copy]])[0].locked_joints["finger_left"] == pytest.approx(
+        0.03
+    )
 
 
 def test_a_joint_that_is_logged_is_locked_where_it_stands() -> None:
@@ -110,7 +112,9 @@ def test_a_joint_that_is_logged_is_locked_where_it_stands() -> None:
     t = np.arange(0.0, 2.0, 0.01)
     q = np.column_stack([np.sin(t), np.full_like(t, 0.4)])
     columns = {"t": t, "q": q, "tau": np.ones_like(q)}
-    locked, ((recording,),) = fitted_recordings(model, [[columns]], ReadingOptions(lock="joint_2"))
+    locked, ((recording,),) = read_fitted_recordings(
+        model, [[columns]], ReadingOptions(lock="joint_2")
+    )
     assert locked.locked_joints == {"joint_2": 0.4}
     np.testing.assert_array_equal(recording.q, q[:, :1])
 
@@ -118,20 +122,20 @@ def test_a_joint_that_is_logged_is_locked_where_it_stands() -> None:
 def test_unnamed_columns_leave_out_a_gripper_and_nothing_else(hand: RobotModel) -> None:
     t = np.arange(0.0, 2.0, 0.01)
     six = {"t": t, "q": np.ones((t.size, 6)), "tau": np.ones((t.size, 6))}
-    assert fitted_recordings(hand, [[six]])[0].n_joints == 6
+    assert read_fitted_recordings(hand, [[six]])[0].n_joints == 6
     with pytest.raises(RecordingError, match=r"6 position columns.*kuka-iiwa7-r800 has 7 joints"):
-        fitted_recordings(bundled_robot("kuka-iiwa7-r800"), [[six]])
+        read_fitted_recordings(bundled_robot("kuka-iiwa7-r800"), [[six]])
 
 
 def test_labels_name_some_of_the_joints() -> None:
     joints = ["left_joint1", "left_joint2", "right_joint1", "right_joint2"]
-    assert joints_without_label(["left_joint1", "left_joint2"], joints) == tuple(joints[2:])
-    assert joints_without_label(["q1", "q2"], joints) is None
-    assert joints_without_label(["a", "b", "c", "left_joint1"], joints) is None
+    assert find_unlabelled_joints(["left_joint1", "left_joint2"], joints) == tuple(joints[2:])
+    assert find_unlabelled_joints(["q1", "q2"], joints) is None
+    assert find_unlabelled_joints(["a", "b", "c", "left_joint1"], joints) is None
 
 
 def test_gravity_of_the_options_replaces_that_of_the_robot(hand: RobotModel, log: Path) -> None:
-    model, _ = fitted_recordings(hand, [[log]], ReadingOptions(gravity="-y"))
+    model, _ = read_fitted_recordings(hand, [[log]], ReadingOptions(gravity="-y"))
     assert model.gravity.tolist() == [0.0, -9.81, 0.0]
     assert ReadingOptions(gravity="1, 2,-3").gravity == (1.0, 2.0, -3.0)
     for wrong in ("w", "1,2", "+xy", "nan,0,0"):
@@ -145,7 +149,7 @@ def test_the_airbot_with_its_gripper_is_the_airbot_without() -> None:
         pytest.skip("the shared recordings are absent")
     robot = read_urdf(SHARED / "models" / "airbot" / "airbot_play_gripper.urdf")
     options = ReadingOptions(sheet=data / "sheet.toml")
-    model, ((recording,),) = fitted_recordings(robot, [[data / "vali_opt.csv"]], options)
+    model, ((recording,),) = read_fitted_recordings(robot, [[data / "vali_opt.csv"]], options)
     assert model.locked_joints == {"endleft": 0.0, "endright": 0.0}
     assert check_recording(model, recording).ok
 
@@ -166,7 +170,7 @@ def test_an_arm_with_one_more_joint_is_identified_without_it(tmp_path: Path) -> 
     arm = robot.locked(["drive_joint"])
     recording = simulate_recording(arm, random_fourier(arm, rng=1, duration=4.0), rate=100.0)
     path = write_recording(tmp_path / "log.csv", recording)
-    model, ((read,),) = fitted_recordings(robot, [[path]])
+    model, ((read,),) = read_fitted_recordings(robot, [[path]])
     assert model.locked_joints == {"drive_joint": 0.0}
     assert read.joint_names == arm.joint_names
 
@@ -176,13 +180,13 @@ def test_joints_that_are_named_leave_those_that_a_log_counts(hand: RobotModel) -
     columns = {"t": t} | {f"q_{k}": np.sin(k * t) for k in range(1, 6)}
     columns |= {f"tau_{k}": np.cos(k * t) for k in range(1, 6)}
     with pytest.raises(RecordingError, match="can be locked: wrist_3_joint"):
-        fitted_recordings(arm, [[columns]])
+        read_fitted_recordings(arm, [[columns]])
     named = ReadingOptions(lock="shoulder_pan_joint")
-    model, ((recording,),) = fitted_recordings(arm, [[columns]], named)
+    model, ((recording,),) = read_fitted_recordings(arm, [[columns]], named)
     assert model.joint_names == arm.joint_names[1:]
     assert recording.q[:, -1] == pytest.approx(np.sin(5 * t))
     fingers = ReadingOptions(lock="shoulder_pan_joint,finger_left,finger_right")
-    model, _ = fitted_recordings(hand, [[columns]], fingers)
+    model, _ = read_fitted_recordings(hand, [[columns]], fingers)
     assert model.joint_names == arm.joint_names[1:]
 
 
@@ -197,13 +201,11 @@ def test_a_missing_joint_that_carries_others_is_a_warning() -> None:
         for name in kept:
             k = arm.joint_names.index(name)
             columns |= {f"q_{name}": whole.q[:, k], f"tau_{name}": whole.tau[:, k]}
-        model, _ = fitted_recordings(arm, [[columns]])
-        (finding,) = lock_findings(
-            model.locked_joints, model.held_followers, model.assumed_carriers
-        )
+        model, _ = read_fitted_recordings(arm, [[columns]])
+        (finding,) = report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
         assert finding.severity == severity
         assert missing in finding.message
         stored = model_from_document(model_document(model))
         assert stored.assumed_carriers == model.assumed_carriers
-        known, _ = fitted_recordings(arm, [[columns]], ReadingOptions(lock=f"{missing}=0.4"))
+        known, _ = read_fitted_recordings(arm, [[columns]], ReadingOptions(lock=f"{missing}=0.4"))
         assert known.assumed_carriers == ()

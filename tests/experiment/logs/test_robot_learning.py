@@ -14,9 +14,9 @@ import pytest
 
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError, RecordingError
-from asbuilt.experiment.logs.options import servo_numbers
+from asbuilt.experiment.logs.options import parse_servo_numbers
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 
 SHARED = Path(__file__).parents[3].parent / "shared"
 
@@ -256,7 +256,7 @@ def test_recordings_of_real_robots_with_commands_are_read():
     dog = models / "go2" / "go2.xml"
     with pytest.raises(DescriptionError, match="free joint"):
         load_robot(dog)
-    model, ((log,),) = fitted_recordings(
+    model, ((log,),) = read_fitted_recordings(
         load_robot(dog, fixed_base=True), (data / "go2_hung" / "traj_0.pt",)
     )
     assert (log.n_samples, model.n_joints) == (4698, 12)
@@ -276,9 +276,9 @@ def test_limits_of_the_goal_are_read_from_sheet_and_options(tmp_path):
     assert recording.servo.goal_speed == (np.inf, np.inf)
     unsaid = read_recording(folder, torque_source="command")
     assert np.isnan(unsaid.servo.goal_acceleration).all()
-    options = {"goal_acceleration": servo_numbers("20, auto"), "goal_speed": (3.0,)}
+    options = {"goal_acceleration": parse_servo_numbers("20, auto"), "goal_speed": (3.0,)}
     given = read_recording(folder, sheet=sheet, **options)
     assert given.servo.goal_acceleration[0] == 20.0
     assert np.isnan(given.servo.goal_acceleration[1])
     assert given.servo.goal_speed == (3.0, 3.0)
-    assert servo_numbers("none, auto")[0] == np.inf
+    assert parse_servo_numbers("none, auto")[0] == np.inf

@@ -8,7 +8,7 @@ import pytest
 
 from asbuilt.description.joint_matching import match_joints
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.roles import quantity_of_file, recognise, unit_scale
+from asbuilt.experiment.logs.columns.roles import parse_file_quantity, parse_unit_scale, recognise
 
 
 @pytest.mark.parametrize(
@@ -93,15 +93,15 @@ def test_kinds_of_torque() -> None:
 
 
 def test_units() -> None:
-    assert unit_scale("deg/s^2") == pytest.approx(math.pi / 180)
-    assert unit_scale("kN m") == 1000
-    assert unit_scale("parsec") is None
+    assert parse_unit_scale("deg/s^2") == pytest.approx(math.pi / 180)
+    assert parse_unit_scale("kN m") == 1000
+    assert parse_unit_scale("parsec") is None
 
 
 def test_quantity_of_file_names() -> None:
-    assert quantity_of_file("joint_states_efforts") == ("torque", "joint_states")
-    assert quantity_of_file("velocities_run2") == ("velocity", "run_2")
-    assert quantity_of_file("measurements")[0] is None
+    assert parse_file_quantity("joint_states_efforts") == ("torque", "joint_states")
+    assert parse_file_quantity("velocities_run2") == ("velocity", "run_2")
+    assert parse_file_quantity("measurements")[0] is None
 
 
 def matched(labels: list[str], names: list[str]) -> list[str]:

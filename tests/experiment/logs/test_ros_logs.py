@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.ros.bags import choices_of_topics, read_ros_bag
+from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag, read_topic_choices
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
     CONTROLLER_STATE,
     DYNAMIC_STATE,
     TRAJECTORY,
-    chosen_topics,
+    choose_topics,
 )
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -165,7 +165,7 @@ def test_commands_on_a_topic_of_their_own(
 def test_topics_of_states_and_commands(tmp_path: Path) -> None:
     def chosen(*topics: str, topic: str | None = None, command: str | None = None) -> Any:
         types = {each.split()[0]: each.partition(" ")[2] or STATE for each in topics}
-        found = chosen_topics(tmp_path, types, topic, command)
+        found = choose_topics(tmp_path, types, topic, command)
         return found.states, found.commands
 
     assert chosen() == (None, None)
@@ -331,8 +331,8 @@ def test_commands_that_cannot_be_used_are_left_out_beside_efforts_unless_they_ar
     with pytest.raises(RecordingError, match="without the names"):
         read_ros_bag(bag.folder, required=True)
     for said in ({"torque_source": "command"}, {"kp": 2.0}):
-        assert choices_of_topics(RecordingSheet.model_validate(said))["required"]
-    assert not choices_of_topics(RecordingSheet())["required"]
+        assert read_topic_choices(RecordingSheet.model_validate(said))["required"]
+    assert not read_topic_choices(RecordingSheet())["required"]
 
 
 @pytest.mark.parametrize("stamped", [True, False])

@@ -10,7 +10,7 @@ import pytest
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import find_layout
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
+from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 
 FULL = """
 rate = 100
@@ -85,16 +85,16 @@ def test_mistakes_name_file_field_and_cure(tmp_path: Path, text: str, message: s
 
 def test_sheet_beside_the_log(tmp_path: Path) -> None:
     log = tmp_path / "run.csv"
-    assert sheet_beside(log) is None
+    assert find_sheet_beside(log) is None
     (tmp_path / "run.toml").write_text("rate = 100")
-    assert sheet_beside(log) == tmp_path / "run.toml"
+    assert find_sheet_beside(log) == tmp_path / "run.toml"
     (tmp_path / "run.csv.toml").write_text("rate = 200")
-    assert sheet_beside(log) == tmp_path / "run.csv.toml"
+    assert find_sheet_beside(log) == tmp_path / "run.csv.toml"
 
 
 def test_a_robot_file_beside_the_log_is_no_sheet(tmp_path: Path) -> None:
     (tmp_path / "arm.toml").write_text('gravity = [0, 0, -9.81]\n[[links]]\nname = "a"')
-    assert sheet_beside(tmp_path / "arm.csv") is None
+    assert find_sheet_beside(tmp_path / "arm.csv") is None
 
 
 def test_ranges_keep_their_prefix() -> None:

@@ -14,11 +14,11 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.quality.checks import FROM_COMMANDS, check_recording
-from asbuilt.experiment.quality.command_checks import command_findings
+from asbuilt.experiment.quality.command_checks import check_commands
 from asbuilt.experiment.recording import Recording
 
 SHARED = Path(__file__).parents[4] / "shared"
@@ -36,7 +36,7 @@ def log() -> Recording:
     q = np.column_stack([np.interp(t - 0.08, t, u[:, k]) for k in range(5)])
     q += np.random.default_rng(1).normal(scale=1e-3, size=q.shape)
     raw = Recording(t=t, q=q, tau=np.zeros_like(q), command=u, joint_names=MODEL.joint_names)
-    return driven_by_command(raw, SERVO)
+    return drive_by_command(raw, SERVO)
 
 
 def shifted(seconds: float) -> Callable[[Array], Array]:
@@ -78,14 +78,14 @@ def test_one_finding_names_what_is_wrong_with_the_commands(log: Recording, case:
 def test_one_joint_in_degrees_is_named(log: Recording) -> None:
     assert log.command is not None
     command = log.command * [1, 1, 1, 1, 57.3]
-    (finding,) = command_findings(MODEL, replace(log, command=command))
+    (finding,) = check_commands(MODEL, replace(log, command=command))
     assert finding.joint == "wrist_roll"
     assert "convert the commands" in str(finding.cure)
 
 
 def test_positions_logged_as_commands_are_named(log: Recording) -> None:
     for command in (log.q, np.vstack([log.q[1:], log.q[-1:]])):
-        (finding,) = command_findings(MODEL, replace(log, command=command))
+        (finding,) = check_commands(MODEL, replace(log, command=command))
         assert finding.code == "command_is_position"
 
 
@@ -93,15 +93,15 @@ def test_missing_commands_are_named_and_not_the_torques(log: Recording) -> None:
     assert log.command is not None
     command = log.command.copy()
     command[500:503, 1] = np.nan
-    gap = driven_by_command(replace(log, command=command), SERVO)
+    gap = drive_by_command(replace(log, command=command), SERVO)
     check = check_recording(MODEL, gap)
     (finding,) = [each for each in check.findings if each.code == "not_finite"]
     assert "3 of 2000 values of the command of shoulder_lift" in finding.message
 
 
 def test_right_commands_are_no_finding(log: Recording) -> None:
-    assert not list(command_findings(MODEL, log))
-    assert not list(command_findings(MODEL, replace(log, servo=None)))
+    assert not list(check_commands(MODEL, log))
+    assert not list(check_commands(MODEL, replace(log, servo=None)))
 
 
 def test_commands_of_real_robots_are_no_finding() -> None:
@@ -120,6 +120,6 @@ def test_commands_of_real_robots_are_no_finding() -> None:
     motions = ("velocity_ramp", "friction_gravity", "prbs_excitation", "hold_under_gravity")
     logs = [(so101, data / "so101_sage" / each, arm) for each in motions]
     for model, path, chosen in [*logs, (go2, data / "go2_hung" / "traj_0.pt", dog)]:
-        robot, ((log,),) = fitted_recordings(model, [[path]], chosen)
+        robot, ((log,),) = read_fitted_recordings(model, [[path]], chosen)
         assert isinstance(log, Recording)
-        assert not list(command_findings(robot, log))
+        assert not list(check_commands(robot, log))

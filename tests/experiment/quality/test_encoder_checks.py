@@ -10,7 +10,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.position_checks import encoder_lag
+from asbuilt.experiment.quality.position_checks import estimate_encoder_lag
 
 KR300 = {
     "torque_source": "motor",
@@ -30,7 +30,7 @@ def test_a_known_lag_is_found_within_its_error(sign: float, zero: float) -> None
     z = [
         (found.value - 0.003) / found.std_error
         for found in (
-            encoder_lag(
+            estimate_encoder_lag(
                 t, angle(t), sign * angle(t - 0.003) + zero + 1e-4 * rng.normal(size=t.size)
             )
             for _ in range(40)
@@ -44,7 +44,7 @@ def test_a_known_lag_is_found_within_its_error(sign: float, zero: float) -> None
 
 def test_an_encoder_that_does_not_move_has_no_lag() -> None:
     t = np.arange(0.0, 2.0, 0.01)
-    assert encoder_lag(t, angle(t), np.zeros_like(t)) is None
+    assert estimate_encoder_lag(t, angle(t), np.zeros_like(t)) is None
 
 
 def test_motor_and_link_columns_are_two_encoders() -> None:
@@ -82,7 +82,7 @@ def test_the_encoders_of_a_kr300_are_three_milliseconds_apart(shared: Path, log:
     model = load_robot(str(shared / "models/kuka_kr300.toml"))
     read = read_recording(shared / "data/kr300" / log, model=model, sheet=KR300)
     for k in range(3):
-        found = encoder_lag(read.t, read.q[:, k], read.extra["q_link"][:, k])
+        found = estimate_encoder_lag(read.t, read.q[:, k], read.extra["q_link"][:, k])
         assert found is not None
         assert found.value == pytest.approx(3.0e-3, abs=3.0 * found.std_error)
         assert found.explained > 0.93

@@ -19,7 +19,7 @@ from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.passes import first_pass
+from asbuilt.experiment.quality.passes import run_first_pass
 from asbuilt.experiment.recording import Recording
 from asbuilt.workflow.information_efficiency import recorded_information
 from command_line import document
@@ -153,7 +153,7 @@ def test_findings_are_those_of_the_whole(
 def test_statistics_do_not_depend_on_where_chunks_end(iiwa: RobotModel, clean: Recording) -> None:
     spoilt = changed(across(clean), "tau", [5, 900, 901], 2, np.nan)
     rng = np.random.default_rng(1)
-    one = first_pass(iiwa, [spoilt])
+    one = run_first_pass(iiwa, [spoilt])
     for _ in range(5):
         edges = [
             0,
@@ -162,7 +162,7 @@ def test_statistics_do_not_depend_on_where_chunks_end(iiwa: RobotModel, clean: R
             ),
             clean.n_samples,
         ]
-        other = first_pass(iiwa, [spoilt.taken(slice(a, b)) for a, b in pairwise(edges)])
+        other = run_first_pass(iiwa, [spoilt.taken(slice(a, b)) for a, b in pairwise(edges)])
         for name in ("t", "not_repeated", "valid", "valid_torque"):
             np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
         for name, parts in (

@@ -3,7 +3,7 @@ import pytest
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.resampling import uniform_segments
+from asbuilt.experiment.signal.resampling import resample_segments
 
 W = 2 * np.pi * np.array([0.5, 1.0])
 
@@ -24,7 +24,7 @@ def recorded(t, **changes):
 
 def test_a_uniform_log_is_passed_on_untouched():
     t = np.arange(0, 5, 0.01)
-    (run,), rate, notes = uniform_segments(recorded(t))
+    (run,), rate, notes = resample_segments(recorded(t))
     assert rate == pytest.approx(100.0, rel=1e-12)
     assert notes == ()
     np.testing.assert_array_equal(run.q, motion(t))
@@ -34,7 +34,7 @@ def test_a_uniform_log_is_passed_on_untouched():
 def test_an_irregular_clock_is_resampled_within_the_spline_error_bound():
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.choice([0.008, 0.010, 0.012, 0.013], size=2000, p=[0.1, 0.5, 0.3, 0.1]))
-    (run,), rate, notes = uniform_segments(recorded(t))
+    (run,), rate, notes = resample_segments(recorded(t))
     assert np.ptp(np.diff(run.t)) < 1e-9
     assert rate == pytest.approx(1 / np.mean(np.diff(t)), rel=1e-3)
     bound = 5 / 384 * 0.013**4 * W.max() ** 4
@@ -46,7 +46,7 @@ def test_an_irregular_clock_is_resampled_within_the_spline_error_bound():
 def test_stamps_that_jitter_about_an_uniform_clock_are_not_used():
     rng = np.random.default_rng(1)
     even = np.arange(0, 20, 0.005)
-    (run,), rate, notes = uniform_segments(
+    (run,), rate, notes = resample_segments(
         recorded(even + rng.normal(0, 3e-4, even.size), q=motion(even), tau=motion(even))
     )
     assert rate == 200.0
@@ -58,7 +58,9 @@ def test_stamps_that_jitter_about_an_uniform_clock_are_not_used():
 def test_a_log_polled_faster_than_the_controller_writes_is_thinned_to_the_controller():
     polled = np.arange(0, 20, 0.0025) + np.random.default_rng(2).normal(0, 1e-4, 8000)
     written = np.floor(polled / 0.01 + 0.3) * 0.01
-    (run,), rate, notes = uniform_segments(recorded(polled, q=motion(written), tau=motion(written)))
+    (run,), rate, notes = resample_segments(
+        recorded(polled, q=motion(written), tau=motion(written))
+    )
     assert rate == pytest.approx(100.0, rel=1e-3)
     lag = run.t[np.argmax(run.q[:100, 0])] - 0.5
     assert abs(lag) < 0.011
@@ -69,7 +71,7 @@ def test_a_log_polled_faster_than_the_controller_writes_is_thinned_to_the_contro
 def test_a_robot_at_rest_without_noise_is_no_repeated_sample():
     t = np.arange(0, 6, 0.01)
     q = np.where(t[:, None] < 2, 0.0, np.sin(t[:, None] - 2))
-    (run,), _, notes = uniform_segments(Recording(t=t, q=q, tau=q))
+    (run,), _, notes = resample_segments(Recording(t=t, q=q, tau=q))
     assert run.t.size == t.size
     assert notes == ()
 
@@ -79,7 +81,7 @@ def test_nothing_is_interpolated_across_a_gap():
     keep = (t < 4.0) | (t > 4.2)
     jitter = np.random.default_rng(3).uniform(-2e-3, 2e-3, t.size)
     for clock in (t, t + jitter):
-        runs, _, notes = uniform_segments(recorded(clock[keep]))
+        runs, _, notes = resample_segments(recorded(clock[keep]))
         assert [bool((run.t < 4.01).all()) or bool((run.t > 4.19).all()) for run in runs] == [
             True,
             True,
@@ -93,7 +95,7 @@ def test_bad_rows_are_dropped_and_counted():
     q[7, 0] = np.nan
     t[200] = t[199]
     t[300] = t[250]
-    (run,), _, notes = uniform_segments(recorded(t, q=q, tau=motion(t)))
+    (run,), _, notes = resample_segments(recorded(t, q=q, tau=motion(t)))
     assert "1 of 500 samples with NaN" in notes[0]
     assert "2 samples whose time does not increase" in notes[1]
     assert np.all(np.isfinite(run.q))
@@ -102,10 +104,10 @@ def test_bad_rows_are_dropped_and_counted():
 
 def test_a_rate_is_honoured_and_an_impossible_one_refused():
     t = np.arange(0, 5, 0.01)
-    (run,), rate, _ = uniform_segments(recorded(t), rate=40.0)
+    (run,), rate, _ = resample_segments(recorded(t), rate=40.0)
     assert rate == 40.0
     np.testing.assert_allclose(run.q, motion(run.t), atol=1e-5)
     with pytest.raises(RecordingError, match="above the rate of the log, 100 Hz"):
-        uniform_segments(recorded(t), rate=400.0)
+        resample_segments(recorded(t), rate=400.0)
     with pytest.raises(RecordingError, match="at least 8 are required"):
-        uniform_segments(recorded(t[:5]))
+        resample_segments(recorded(t[:5]))

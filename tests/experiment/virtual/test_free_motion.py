@@ -17,7 +17,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, Joint, Link, RobotModel
 from asbuilt.dynamics.newton_euler import forward_dynamics
 from asbuilt.errors import InertiaError, UsageError
-from asbuilt.experiment.virtual.simulation import heaviest_pose, run_free
+from asbuilt.experiment.virtual.simulation import find_heaviest_pose, run_free
 from studied_cases import first_of
 
 
@@ -107,4 +107,4 @@ def test_bad_releases_are_refused() -> None:
         run_free(model, duration=-1.0)
     with pytest.raises(InertiaError, match="not positive definite"):
         run_free(model.with_parameters(-model.parameters))
-    assert heaviest_pose(model).shape == (2,)
+    assert find_heaviest_pose(model).shape == (2,)

@@ -11,7 +11,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.settings import setting_names, with_settings
+from asbuilt.experiment.virtual.settings import list_settings, with_settings
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 NEEDED = {
@@ -67,7 +67,7 @@ def same(a: Recording, b: Recording) -> bool:
     )
 
 
-@pytest.mark.parametrize("name", setting_names())
+@pytest.mark.parametrize("name", list_settings())
 def test_every_setting_changes_the_log(name: str) -> None:
     needed, preset = NEEDED.get(name, ()), "servo" if name in OF_SERVOS else "ideal"
     plain = logged(*needed, preset=preset)

@@ -15,7 +15,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.presets import perturbed_links
+from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
@@ -132,7 +132,7 @@ def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotMode
 def test_base_parameters_of_the_truth_are_found_to_nine_digits(iiwa: RobotModel) -> None:
     drive = DriveSet.parse("viscous,coulomb,offset")
     values = np.random.default_rng(3).uniform(0.1, 2.0, size=21)
-    perturbed = perturbed_links(iiwa, 0.05, np.random.default_rng(2))
+    perturbed = perturb_links(iiwa, 0.05, np.random.default_rng(2))
     robot = VirtualRobot.ideal(perturbed).with_drive(drive, values)
     simulated = robot.record(random_fourier(iiwa, 6, duration=20.0), rate=20)
     r = simulated.recording

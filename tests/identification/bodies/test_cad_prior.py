@@ -14,7 +14,7 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
-from asbuilt.identification.bodies.cad_prior import cad_prior, smat, svec
+from asbuilt.identification.bodies.cad_prior import build_cad_prior, smat, svec
 
 
 def changed(model, number, **fields):
@@ -25,7 +25,7 @@ def changed(model, number, **fields):
 
 @pytest.mark.parametrize("name", robot_names())
 def test_every_prior_body_is_real_and_at_no_distance_from_itself(name):
-    prior = cad_prior(bundled_robot(name), DriveSet.parse("armature,viscous,coulomb,offset"))
+    prior = build_cad_prior(bundled_robot(name), DriveSet.parse("armature,viscous,coulomb,offset"))
     assert np.linalg.eigvalsh(prior.pseudo_inertias).min() > 0
     np.testing.assert_allclose(prior.divergence(prior.parameters), 0.0, atol=1e-9)
     np.testing.assert_allclose(prior.relative_eigenvalues(prior.parameters), 1.0, atol=1e-9)
@@ -34,7 +34,7 @@ def test_every_prior_body_is_real_and_at_no_distance_from_itself(name):
 def test_divergence_is_twice_that_of_gaussian_densities(around_cad):
     """Relative entropy of N(0, P) from N(0, P0) by Monte Carlo: the mean log ratio of densities."""
     rng = np.random.default_rng(0)
-    prior = cad_prior(bundled_robot("two-link"), NO_DRIVE)
+    prior = build_cad_prior(bundled_robot("two-link"), NO_DRIVE)
     chi = around_cad(prior, rng, 0.2)
     P, P0 = pseudo_inertias(chi[:10]), prior.pseudo_inertias[0]
     x = rng.normal(size=(400_000, 4)) @ np.linalg.cholesky(P).T
@@ -49,7 +49,7 @@ def test_divergence_is_twice_that_of_gaussian_densities(around_cad):
 
 def test_divergence_and_metric_do_not_depend_on_frame_or_unit(around_cad):
     rng = np.random.default_rng(1)
-    prior = cad_prior(bundled_robot("kuka-iiwa7-r800"), NO_DRIVE)
+    prior = build_cad_prior(bundled_robot("kuka-iiwa7-r800"), NO_DRIVE)
     chi = around_cad(prior, rng, 0.3)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     T = np.eye(4)
@@ -81,7 +81,7 @@ def test_divergence_and_metric_do_not_depend_on_frame_or_unit(around_cad):
 
 def test_metric_is_the_curvature_of_the_divergence(around_cad):
     rng = np.random.default_rng(2)
-    prior = cad_prior(bundled_robot("kuka-iiwa7-r800"), NO_DRIVE)
+    prior = build_cad_prior(bundled_robot("kuka-iiwa7-r800"), NO_DRIVE)
     step = 1e-3 * (around_cad(prior, rng, 0.3) - prior.parameters)
     curved = prior.divergence(prior.parameters + step) + prior.divergence(prior.parameters - step)
     np.testing.assert_allclose(
@@ -100,18 +100,20 @@ def test_svec_keeps_the_inner_product():
 
 def test_links_without_mass_are_guessed_and_count_less():
     model = bundled_robot("puma-560")
-    prior = cad_prior(model, NO_DRIVE)
+    prior = build_cad_prior(model, NO_DRIVE)
     assert prior.strength.tolist() == [0.1, 1.0, 1.0, 1.0, 1.0, 1.0]
     assert "no mass" in prior.notes[0]
     silent = changed(bundled_robot("two-link"), 1, inertia=LinkInertia.zero(), inertia_known=False)
-    assert cad_prior(silent, NO_DRIVE).parameters[19] == pytest.approx(silent.links[0].inertia.mass)
+    assert build_cad_prior(silent, NO_DRIVE).parameters[19] == pytest.approx(
+        silent.links[0].inertia.mass
+    )
 
 
 def test_a_negative_mass_is_reported():
     model = bundled_robot("two-link")
     chi = np.array(model.parameters)
     chi[9] = -1.5
-    prior = cad_prior(model.with_parameters(chi), NO_DRIVE)
+    prior = build_cad_prior(model.with_parameters(chi), NO_DRIVE)
     assert prior.notes[0].startswith(f"{model.link_names[0]} has a mass of -1.5 kg in CAD")
     assert prior.parameters[9] > 0.0
 
@@ -123,7 +125,7 @@ def test_bodies_without_thickness_and_impossible_ones_are_mended():
         LinkInertia.from_com(2.0, [0.1, 0.0, 0.0], np.diag([0.1, 0.2, 0.3])),
         LinkInertia.from_com(2.0, [0.1, 0.0, 0.0], np.diag([0.1, 0.1, 0.5])),
     ):
-        prior = cad_prior(changed(model, 0, inertia=inertia), NO_DRIVE)
+        prior = build_cad_prior(changed(model, 0, inertia=inertia), NO_DRIVE)
         body = LinkInertia(prior.parameters[:10])
         assert body.mass == 2.0
         np.testing.assert_allclose(body.com, [0.1, 0.0, 0.0])

@@ -13,9 +13,9 @@ from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.bodies.body_bounds import (
     BodyBounds,
-    body_bounds,
-    generous_bounds,
-    non_negative_drives,
+    bound_bodies,
+    bound_generously,
+    bound_passive_drives,
 )
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem, fit_consistent_bodies
 
@@ -42,7 +42,7 @@ def objective(trial, factor, chi, weight):
 def test_same_minimum_as_an_independent_program(trial, weight):
     cp = pytest.importorskip("cvxpy")
     case = trial("two-link", "viscous,coulomb", noise=0.3, seed=4, duration=4.0)
-    factor, bounds = factor_of(case), non_negative_drives(case.prior)
+    factor, bounds = factor_of(case), bound_passive_drives(case.prior)
     ours = fit_consistent_bodies(
         case.prior,
         case.base.regrouping,
@@ -87,7 +87,7 @@ def test_no_drive_pushes_by_rounding(trial, robot, weight):
             np.random.default_rng(seed).normal(size=len(case.prior.non_negative))
         )
         factor[:-1, -1] = factor[:-1, :-1] @ (case.base.regrouping @ chi)
-        for bounds in (generous_bounds(case.prior), non_negative_drives(case.prior)):
+        for bounds in (bound_generously(case.prior), bound_passive_drives(case.prior)):
             fit = fit_consistent_bodies(
                 case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight
             )
@@ -101,7 +101,7 @@ def test_no_feasible_direction_goes_down(trial, around_cad, robot):
     The slope toward any feasible point is not negative.
     """
     case = trial(robot, noise=0.2, seed=1, duration=6.0, spread=0.5)
-    factor, bounds = factor_of(case), non_negative_drives(case.prior)
+    factor, bounds = factor_of(case), bound_passive_drives(case.prior)
     weight = 1.0
     fit = fit_consistent_bodies(
         case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight
@@ -121,11 +121,14 @@ def test_no_feasible_direction_goes_down(trial, around_cad, robot):
 def test_all_links_are_real_and_drives_passive_however_bad_the_data(trial, robot):
     case = trial(robot, noise=2.0, seed=2, duration=4.0)
     fit = fit_consistent_bodies(
-        case.prior, case.base.regrouping, factor=factor_of(case), bounds=generous_bounds(case.prior)
+        case.prior,
+        case.base.regrouping,
+        factor=factor_of(case),
+        bounds=bound_generously(case.prior),
     )
     assert fit.part >= 0.999e-3
     assert fit.chi[case.prior.non_negative].min() >= -1e-6
-    assert generous_bounds(case.prior).slack(fit.chi).min() >= -1e-5
+    assert bound_generously(case.prior).slack(fit.chi).min() >= -1e-5
 
 
 def test_without_noise_the_truth_comes_back(trial):
@@ -135,7 +138,7 @@ def test_without_noise_the_truth_comes_back(trial):
             case.prior,
             case.base.regrouping,
             factor=factor_of(case),
-            bounds=generous_bounds(case.prior),
+            bounds=bound_generously(case.prior),
         )
         error = case.base.regrouping @ fit.chi - case.beta
         assert (
@@ -151,7 +154,7 @@ def test_without_noise_the_truth_comes_back(trial):
 def test_bounds_are_kept_and_named(trial):
     case = trial("ur10e", noise=0.1, seed=5, duration=6.0)
     masses = case.prior.parameters[9:60:10]
-    given = body_bounds(
+    given = bound_bodies(
         case.prior,
         mass={5: (2.0, 2.5), 1: (0.0, np.inf)},
         com={5: ([-0.01, -0.01, 0.0], [0.01, 0.01, 0.1])},
@@ -167,17 +170,17 @@ def test_bounds_are_kept_and_named(trial):
 
 def test_impossible_bounds_are_refused(trial):
     case = trial("two-link", "none", noise=0.1, seed=5, duration=4.0)
-    contradiction = body_bounds(case.prior, mass={0: (3.0, 4.0)}).and_also(
-        body_bounds(case.prior, mass={0: (5.0, 6.0)})
+    contradiction = bound_bodies(case.prior, mass={0: (3.0, 4.0)}).and_also(
+        bound_bodies(case.prior, mass={0: (5.0, 6.0)})
     )
     with pytest.raises(IdentifiabilityError, match="widen"):
         fit_consistent_bodies(
             case.prior, case.base.regrouping, factor=factor_of(case), bounds=contradiction
         )
     with pytest.raises(UsageError, match="lower bound first"):
-        body_bounds(case.prior, mass={0: (4.0, 3.0)})
+        bound_bodies(case.prior, mass={0: (4.0, 3.0)})
     with pytest.raises(UsageError, match="links 0 to 1"):
-        body_bounds(case.prior, com={2: ([0, 0, 0], [1, 1, 1])})
+        bound_bodies(case.prior, com={2: ([0, 0, 0], [1, 1, 1])})
 
 
 def test_a_panic_of_the_solver_is_told_as_any_failure(trial, monkeypatch):
@@ -226,7 +229,7 @@ def test_bodies_that_are_real_anyway_need_no_cone(trial, monkeypatch, robot, wei
             * (np.arange(len(case.chi)) >= 10 * n)
         )
     )
-    bounds = non_negative_drives(case.prior)
+    bounds = bound_passive_drives(case.prior)
     problem = ConicProblem.of(case.prior, case.base.regrouping, bounds)
     quick = problem.fit(factor, weight)
     monkeypatch.setattr(ConicProblem, "_inside", lambda *_: None)

@@ -14,9 +14,9 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.drive_prior import with_drive_scale
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.square_root_information import accumulate
@@ -52,7 +52,7 @@ def friction_of(result, joint: int) -> dict[str, float]:
 
 def test_the_scale_is_torque_over_the_usual_column() -> None:
     base, own = find_base_parameters(MODEL, DRIVE), samples(1)
-    prior = with_drive_scale(cad_prior(MODEL, DRIVE), accumulate(MODEL, base, own))
+    prior = with_drive_scale(build_cad_prior(MODEL, DRIVE), accumulate(MODEL, base, own))
     torque = np.sqrt(np.mean(own.tau**2, axis=0))
     speed = np.sqrt(np.mean(own.qd**2))
     scale = prior.drive_scale.reshape(7, 3)
@@ -63,9 +63,9 @@ def test_the_scale_is_torque_over_the_usual_column() -> None:
 @pytest.mark.parametrize("fit", [fit_consistent, lambda a, b: fit_toward_cad(a, b, weight=50.0)])
 def test_what_the_data_determine_stays(fit) -> None:
     base, own = find_base_parameters(MODEL, DRIVE), samples(2)
-    information, plain = accumulate(MODEL, base, own), cad_prior(MODEL, DRIVE)
+    information, plain = accumulate(MODEL, base, own), build_cad_prior(MODEL, DRIVE)
     before, after = fit(information, plain), fit(information, with_drive_scale(plain, information))
-    errors = block_uncertainty(information, before).std_errors
+    errors = estimate_block_uncertainty(information, before).std_errors
     moved: Array = np.abs(after.beta - before.beta) / errors
     assert moved.max() < 0.1
 

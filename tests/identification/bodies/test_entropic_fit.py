@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.bodies.body_bounds import non_negative_drives
+from asbuilt.identification.bodies.body_bounds import bound_passive_drives
 from asbuilt.identification.bodies.cad_prior import smat
 from asbuilt.identification.bodies.entropic_fit import (
     BARRIER,
@@ -53,7 +53,7 @@ def test_gradient_and_hessian_by_differences(trial, around_cad, robot):
         problem = EntropicProblem(
             case.prior,
             Coordinates.of(case.base),
-            non_negative_drives(case.prior),
+            bound_passive_drives(case.prior),
             held=factors is None,
         )
 
@@ -82,7 +82,7 @@ def test_gradient_and_hessian_by_differences(trial, around_cad, robot):
 
 def test_many_problems_side_by_side_are_solved_as_each_alone(trial):
     case = trial("ur10e", noise=0.05, seed=3, duration=8.0, spread=0.5)
-    limits = non_negative_drives(case.prior)
+    limits = bound_passive_drives(case.prior)
     factors = np.array([scale * factor_of(case) for scale in (0.1, 1.0, 3.0)])
     start = np.array([inside(case.prior)] * 3)
     problem = EntropicProblem(case.prior, Coordinates.of(case.base), limits)
@@ -131,7 +131,7 @@ def test_same_minimum_as_an_independent_conic_program(trial):
     case = trial("two-link", "viscous,coulomb", noise=0.5, seed=4, duration=4.0)
     factor = 0.1 * factor_of(case)
     weight = 2.0
-    limits = non_negative_drives(case.prior)
+    limits = bound_passive_drives(case.prior)
     fit = closest(
         case, inside(case.prior), weight=weight, factor=factor, bounds=limits, barrier=1e-8
     )
@@ -157,7 +157,7 @@ def test_fixed_base_parameters_stay_exactly(trial):
 @pytest.mark.parametrize("weight", [1e-1, 1.0, 1e3, 1e6])
 def test_arrives_from_far_away(trial, around_cad, weight):
     case = trial("ur10e", noise=0.02, seed=6, duration=8.0, spread=0.5)
-    limits = non_negative_drives(case.prior)
+    limits = bound_passive_drives(case.prior)
     one, other = (
         closest(case, start, weight=weight, factor=factor_of(case), bounds=limits)
         for start in (inside(case.prior), around_cad(case.prior, np.random.default_rng(7), 0.5))

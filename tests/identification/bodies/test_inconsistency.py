@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.identification.bodies.body_bounds import non_negative_drives
+from asbuilt.identification.bodies.body_bounds import bound_passive_drives
 from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
 from asbuilt.identification.bodies.inconsistency import find_inconsistency
 from asbuilt.identification.information.triangular import triangular_factor
@@ -78,7 +78,7 @@ def test_sureness_is_the_distance_to_the_nearest_real_robot(trial, robot, drive)
         case.prior,
         case.base.regrouping,
         factor=factor,
-        bounds=non_negative_drives(case.prior),
+        bounds=bound_passive_drives(case.prior),
         weight=1e-8,
         smallest_part=0.0,
     )

@@ -6,8 +6,8 @@ import pytest
 from asbuilt import StudyOptions, identify, load_robot, simulate_recording
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.identification.bodies.body_bounds import known_bounds, wide_bounds
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.body_bounds import bound_known_masses, bound_widely
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.known_masses import (
     limits_from_text,
     link_masses_from_text,
@@ -109,9 +109,9 @@ def test_limits_far_from_cad_hold(arm, log):
     limits = dict.fromkeys(arm.link_names[:2], (0.0, 0.02))
     result = identify(arm, log, options=StudyOptions(method="entropic", link_mass=limits)).result
     assert np.all(masses(result)[:2] <= 0.0201)
-    prior = cad_prior(result.model, result.base.drive)
-    assert known_bounds(prior).labels == ("m1 <= 0.02 kg (given)", "m2 <= 0.02 kg (given)")
-    assert not any(label.startswith(("m1", "m2")) for label in wide_bounds(prior).labels)
+    prior = build_cad_prior(result.model, result.base.drive)
+    assert bound_known_masses(prior).labels == ("m1 <= 0.02 kg (given)", "m2 <= 0.02 kg (given)")
+    assert not any(label.startswith(("m1", "m2")) for label in bound_widely(prior).labels)
 
 
 @pytest.mark.study
@@ -122,6 +122,6 @@ def test_a_bound_that_the_fit_reaches_is_kept_by_the_robot_as_built(arm):
     log = simulate_recording(tilted, motion, rng=2)
     result = identify(arm, log, options=StudyOptions(method="consistent", checked=False)).result
     assert any("active of" in note and "active of 0" not in note for note in result.notes)
-    prior = cad_prior(arm, result.base.drive)
+    prior = build_cad_prior(arm, result.base.drive)
     chi = as_built_parameters(result).parameters
-    assert wide_bounds(prior).slack(chi).min() >= -1e-5
+    assert bound_widely(prior).slack(chi).min() >= -1e-5

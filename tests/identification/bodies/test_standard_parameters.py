@@ -8,28 +8,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.cli.hayat2015.facts import published
+from asbuilt.cli.hayat2015.facts import read_paper
 from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.entropic_fit import Coordinates
-from asbuilt.identification.bodies.standard_parameters import standard_parameters
+from asbuilt.identification.bodies.standard_parameters import find_standard_parameters
 
 
 @pytest.mark.parametrize("robot", [*robot_names()])
 @pytest.mark.parametrize("drive", ["none", "armature,viscous,coulomb,offset"])
 def test_real_bodies_with_exactly_the_torques_and_closer_to_cad_than_the_truth(trial, robot, drive):
     case = trial(robot, drive, seed=8, duration=2.0)
-    found = standard_parameters(case.model, case.base, case.beta)
+    found = find_standard_parameters(case.model, case.base, case.beta)
     assert found.exact
     assert found.consistent
     assert found.part > 0.0
     np.testing.assert_allclose(case.base.values(found.parameters), case.beta, rtol=0, atol=1e-11)
-    assert not inconsistencies(
+    assert not find_inconsistencies(
         case.model.with_parameters(found.parameters[: 10 * case.model.n_links])
     )
     assert case.prior.strength @ found.divergence <= case.prior.strength @ case.prior.divergence(
@@ -50,7 +50,7 @@ def test_real_bodies_with_exactly_the_torques_and_closer_to_cad_than_the_truth(t
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e", "two-link"])
 def test_no_other_bodies_with_these_torques_are_closer(trial, robot):
     case = trial(robot, "none", seed=9, duration=2.0)
-    found = standard_parameters(case.model, case.base, case.beta)
+    found = find_standard_parameters(case.model, case.base, case.beta)
     directions = Coordinates.of(case.base).dependent
     rng = np.random.default_rng(1)
     least = found.divergence.sum()
@@ -69,7 +69,7 @@ def test_no_other_bodies_with_these_torques_are_closer(trial, robot):
 def test_design_values_give_the_design_back(robot):
     model = bundled_robot(robot)
     base = find_base_parameters(model)
-    found = standard_parameters(model, base, base.values(model.parameters))
+    found = find_standard_parameters(model, base, base.values(model.parameters))
     assert found.exact
     if not found.notes:
         np.testing.assert_allclose(found.parameters, model.parameters, atol=1e-6)
@@ -78,7 +78,7 @@ def test_design_values_give_the_design_back(robot):
 def test_cad_column_of_the_paper():
     model = load_robot("kuka-iiwa7-r800")
     base = find_base_parameters(model)
-    found = standard_parameters(model, base, published().cad)
+    found = find_standard_parameters(model, base, read_paper().cad)
     assert found.exact
     assert found.part > 0.9
     assert found.smallest_eigenvalue == pytest.approx(8.4e-4, abs=2e-5)
@@ -91,18 +91,18 @@ def test_robot_column_of_the_paper_and_the_nearest_real_robot():
     """
     model = load_robot("kuka-iiwa7-r800")
     base = find_base_parameters(model)
-    robot = published().robot
-    kept = standard_parameters(model, base, robot)
+    robot = read_paper().robot
+    kept = find_standard_parameters(model, base, robot)
     assert not kept.consistent
     np.testing.assert_allclose(base.values(kept.parameters), robot, atol=1e-11)
     assert "NOT physically consistent" in kept.verdict
-    nearest = standard_parameters(model, base, robot, nearest=True)
+    nearest = find_standard_parameters(model, base, robot, nearest=True)
     assert nearest.consistent
     assert not nearest.exact
     assert np.sqrt(np.mean(nearest.torque_rms**2)) == pytest.approx(0.14, abs=0.015)
     assert np.sqrt(np.mean(nearest.torque_rms_of_motion**2)) == pytest.approx(26.0, abs=1.0)
     assert nearest.part >= 4e-4
-    assert not inconsistencies(model.with_parameters(nearest.parameters))
+    assert not find_inconsistencies(model.with_parameters(nearest.parameters))
     assert "0.15 N m RMS away" in nearest.verdict
 
 
@@ -111,7 +111,7 @@ def test_nearest_in_the_metric_of_an_estimate(trial):
     case = trial("two-link", "none", seed=10, duration=2.0)
     beta = case.beta.copy()
     beta[0] = -0.05
-    found = standard_parameters(
+    found = find_standard_parameters(
         case.model, case.base, beta, nearest=True, information=1e6 * np.eye(len(beta))
     )
     distance = np.linalg.norm(found.beta - beta)
@@ -132,10 +132,10 @@ def test_negative_friction_stays_unless_the_nearest_is_asked_for(trial):
     beta = case.beta.copy()
     place = case.base.names.index("Fv3")
     beta[place] = -0.5
-    found = standard_parameters(case.model, case.base, beta)
+    found = find_standard_parameters(case.model, case.base, beta)
     assert found.exact
     assert found.parameters[case.base.standard_names.index("Fv3")] == -0.5
-    passive = standard_parameters(case.model, case.base, beta, nearest=True)
+    passive = find_standard_parameters(case.model, case.base, beta, nearest=True)
     assert not passive.exact
     assert passive.parameters[case.base.standard_names.index("Fv3")] == pytest.approx(0.0, abs=1e-6)
     assert passive.torque_rms[2] > 0.1
@@ -145,6 +145,6 @@ def test_shape_and_finiteness_are_checked():
     model = bundled_robot("two-link")
     base = find_base_parameters(model, DriveSet.parse("viscous"))
     with pytest.raises(IdentifiabilityError, match="finite base parameters"):
-        standard_parameters(model, base, np.zeros(3))
+        find_standard_parameters(model, base, np.zeros(3))
     with pytest.raises(IdentifiabilityError, match="finite base parameters"):
-        standard_parameters(model, base, np.full(base.n_base, np.nan))
+        find_standard_parameters(model, base, np.full(base.n_base, np.nan))

@@ -18,10 +18,10 @@ from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.calibration.delay import (
     DelayEstimate,
     find_delays,
+    measure_delay_relief,
     predicts_better,
-    relief_of_delays,
 )
-from asbuilt.identification.errors.delay_errors import delay_errors
+from asbuilt.identification.errors.delay_errors import estimate_delay_errors
 from asbuilt.identification.identify import fit_samples
 from asbuilt.workflow.delays import settle_delays
 
@@ -132,7 +132,7 @@ def test_the_error_on_other_motions_falls_if_and_only_if_torques_are_late():
         return ([prepare_samples(log, replace(chain, delay=each))] for each in (0.0, 0.02))
 
     assert predicts_better(MODEL, base, np.ones(2), *pair(late))
-    fall, error = relief_of_delays(MODEL, base, np.ones(2), *pair(now))
+    fall, error = measure_delay_relief(MODEL, base, np.ones(2), *pair(now))
     assert fall < -3.0 * error
     assert not predicts_better(MODEL, base, np.ones(2), *pair(now))
 
@@ -180,7 +180,9 @@ def test_errors_of_parameters_count_that_of_the_delay():
     assert np.ptp(ratio) < 0.2 * ratio.mean()
     assert ratio.mean() > 0.97
     np.testing.assert_allclose(fit.delay.shift, moved / error * -0.010, rtol=0.2, atol=0.02)
-    assert delay_errors(MODEL, fit.base, fit.estimate, [prepare_samples(log, chain)]) is None
+    assert (
+        estimate_delay_errors(MODEL, fit.base, fit.estimate, [prepare_samples(log, chain)]) is None
+    )
 
 
 @pytest.mark.parametrize("joint", [0, 2])

@@ -24,7 +24,7 @@ from asbuilt.identification.calibration.encoders import identify_encoders
 from asbuilt.identification.effects.families.elastic import OFF, rigid_limit
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.export import export_result
-from asbuilt.writers.models.mjcf import exported_mjcf
+from asbuilt.writers.models.mjcf import export_mjcf
 from asbuilt.writers.reports.report import report_html
 
 mujoco = pytest.importorskip("mujoco")
@@ -83,7 +83,7 @@ def stiffness(frequencies):
 
 
 def two_masses(K, D):
-    root = fromstring(exported_mjcf(MODEL))
+    root = fromstring(export_mjcf(MODEL))
     for body in root.iter("body"):
         for joint in body.findall("joint"):
             k = MODEL.joint_names.index(joint.get("name"))

@@ -10,10 +10,10 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.identification.calibration.gain_uncertainty import (
     UNCALIBRATED,
     USUAL_UNCERTAINTY,
-    doubted_gains,
-    gain_errors_of,
-    gains_in_doubt,
+    derive_gain_doubt,
+    derive_gain_errors,
     gravity_scales,
+    name_doubtful_gains,
 )
 
 
@@ -49,17 +49,17 @@ def test_the_scale_of_gravity_torques_is_that_of_the_log(right, half):
 
 
 def test_agreement_with_cad_keeps_the_usual_gain_error(right):
-    np.testing.assert_allclose(gain_errors_of(right, "motor"), USUAL_UNCERTAINTY["motor"])
-    assert gains_in_doubt(right, "motor") == ()
+    np.testing.assert_allclose(derive_gain_errors(right, "motor"), USUAL_UNCERTAINTY["motor"])
+    assert name_doubtful_gains(right, "motor") == ()
 
 
 def test_half_of_the_gravity_torque_widens_gains(half):
-    errors = gain_errors_of(half, "motor")
+    errors = derive_gain_errors(half, "motor")
     assert errors[1] == pytest.approx(np.hypot(UNCALIBRATED, 0.3), rel=1e-2)
     assert errors[0] == UNCALIBRATED
-    assert gains_in_doubt(half, "motor")[:1] == (half.model.joint_names[1],)
-    assert gain_errors_of(half, "sensor").max() == 0.0
-    np.testing.assert_allclose(gain_errors_of(half, "motor", 0.03), 0.03)
+    assert name_doubtful_gains(half, "motor")[:1] == (half.model.joint_names[1],)
+    assert derive_gain_errors(half, "sensor").max() == 0.0
+    np.testing.assert_allclose(derive_gain_errors(half, "motor", 0.03), 0.03)
 
 
 def test_without_cad_masses_nothing_is_known(arm, right):
@@ -68,9 +68,9 @@ def test_without_cad_masses_nothing_is_known(arm, right):
     )
     result = dataclasses.replace(right, model=unknown)
     assert np.all(np.isnan(gravity_scales(result)))
-    np.testing.assert_allclose(gain_errors_of(result, "motor"), UNCALIBRATED)
+    np.testing.assert_allclose(derive_gain_errors(result, "motor"), UNCALIBRATED)
 
 
 def test_doubt_begins_beyond_the_tolerance_of_cad():
-    found = doubted_gains(np.array([np.nan, 1.0, 1.2, 0.5, 1.5]))
+    found = derive_gain_doubt(np.array([np.nan, 1.0, 1.2, 0.5, 1.5]))
     np.testing.assert_allclose(found, [0.0, 0.0, 0.0, 0.3, 0.3], atol=1e-12)

@@ -26,8 +26,8 @@ from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import (
     Payload,
+    choose_payload_frame,
     identify_payload_samples,
-    payload_frame,
 )
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
@@ -61,7 +61,7 @@ def arm_of(name: str, noise: float) -> VirtualRobot:
 def weighed(request: pytest.FixtureRequest) -> tuple[IdentificationResult, Payload, Payload]:
     robot = arm_of(request.param, 0.05)
     result = identify_samples(robot.model, [prepared(robot, 1), prepared(robot, 2)], drive=DRIVE)
-    frame, _, _ = payload_frame(robot.model)
+    frame, _, _ = choose_payload_frame(robot.model)
     loaded = prepared(robot.with_tool(TOOL, at=frame), 3)
     return (
         result,
@@ -110,7 +110,7 @@ def test_noise_free_payload_is_exact() -> None:
     robot = arm_of("kuka-iiwa7-r800", 0.0)
     motion = random_fourier(robot.model, rng=4, duration=10.0)
     result = identify_samples(robot.model, exact(robot, motion), drive=DRIVE)
-    frame, _, placement = payload_frame(robot.model)
+    frame, _, placement = choose_payload_frame(robot.model)
     assert frame == "flange"
     np.testing.assert_allclose(
         placement, next(f.placement for f in robot.model.frames if f.name == "flange")
@@ -127,7 +127,7 @@ def test_friction_under_load_feels_the_payload() -> None:
     drive = DriveSet.parse("viscous,coulomb,load_friction,offset")
     robot = VirtualRobot.ideal(model).with_drive(drive, np.tile([1.0, 2.0, 0.15, 0.3], 6))
     motion = random_fourier(model, rng=4, duration=10.0)
-    frame, _, _ = payload_frame(model)
+    frame, _, _ = choose_payload_frame(model)
     result = identify_samples(model, exact(robot, motion), drive=drive)
     payload = identify_payload_samples(
         result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen"
@@ -169,7 +169,7 @@ def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ..
         tau=robot.exact_torque(q, qd, qdd) + noise[0],
         tau_raw=np.zeros(0),
     )
-    frame, _, _ = payload_frame(robot.model)
+    frame, _, _ = choose_payload_frame(robot.model)
     loaded = exact(
         robot.with_tool(TOOL, at=frame), random_fourier(robot.model, rng=5, duration=10.0)
     )
@@ -192,9 +192,9 @@ def test_the_frame_of_the_payload_is_named_by_words_and_not_by_chance() -> None:
     pose = np.eye(4)
 
     def chosen(*names: str) -> str:
-        return payload_frame(replace(model, frames=tuple(Frame(name, 1, pose) for name in names)))[
-            0
-        ]
+        return choose_payload_frame(
+            replace(model, frames=tuple(Frame(name, 1, pose) for name in names))
+        )[0]
 
     assert chosen("cable_sleeve", "steel-bracket") == model.link_names[1]
     assert chosen("cable_sleeve", "arm_ee_link") == "arm_ee_link"
@@ -204,7 +204,7 @@ def test_the_frame_of_the_payload_is_named_by_words_and_not_by_chance() -> None:
 
 def test_unknown_frame_lists_the_known_ones() -> None:
     with pytest.raises(UsageError, match="flange"):
-        payload_frame(load_robot("kuka-iiwa7-r800"), "gripper")
+        choose_payload_frame(load_robot("kuka-iiwa7-r800"), "gripper")
 
 
 def test_a_pose_held_still_tells_no_payload() -> None:
@@ -234,7 +234,7 @@ def scaled(samples: Samples, factors: np.ndarray) -> Samples:
 @pytest.fixture(scope="module", params=("ur10e",))
 def by_current(request: pytest.FixtureRequest) -> tuple[VirtualRobot, Samples, Samples, str]:
     robot = arm_of(request.param, 0.1)
-    frame, _, _ = payload_frame(robot.model)
+    frame, _, _ = choose_payload_frame(robot.model)
     return robot, prepared(robot, 1, 30.0), prepared(robot.with_tool(TOOL, at=frame), 3), frame
 
 

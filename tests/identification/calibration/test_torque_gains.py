@@ -20,7 +20,7 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.calibration.torque_gains import identify_gains
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
@@ -35,7 +35,7 @@ def pair():
     values = np.column_stack(
         [rng.uniform(0.3, 1.0, 7), rng.uniform(0.5, 2.0, 7), rng.normal(size=7) * 0.2]
     ).ravel()
-    _, link, placement = payload_frame(ROBOT)
+    _, link, placement = choose_payload_frame(ROBOT)
     chi = ROBOT.parameters.copy()
     chi[10 * link : 10 * link + 10] += shift_matrix(placement) @ PAYLOAD.parameters
     samples = []

@@ -16,7 +16,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, JointLimits
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_torque, usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, IdentifiabilityError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
@@ -361,16 +361,16 @@ def test_what_a_robot_was_built_with_is_among_its_usual_terms():
     )
     built = replace(model, joints=(model.joints[0], sprung, model.joints[2]))
     own = DriveSet.parse("viscous,coulomb,spring:joints=2:rest=0,offset")
-    assert usual_drive(built, "sensor") == own
+    assert choose_usual_drive(built, "sensor") == own
     wrist = replace(model, motor_coupling=np.array([[1.0, 0, 0], [0, 1, 0], [0, 1, 1]]))
-    assert set(usual_drive(wrist, "motor").specifications) - set(
-        usual_drive(model, "motor").specifications
+    assert set(choose_usual_drive(wrist, "motor").specifications) - set(
+        choose_usual_drive(model, "motor").specifications
     ) == {
         "motor_armature:joints=3",
         "motor_viscous:joints=3",
         "motor_coulomb:joints=3",
     }
-    assert usual_drive(wrist, "sensor") == PLAIN
+    assert choose_usual_drive(wrist, "sensor") == PLAIN
     samples = recorded(
         built,
         DriveSet.parse("viscous,coulomb,spring:joints=2,offset"),
@@ -380,7 +380,7 @@ def test_what_a_robot_was_built_with_is_among_its_usual_terms():
     assert (
         settle_drive(built, [samples]).drive
         == settle_drive(built, [samples], "auto").drive
-        == usual_drive(built, "sensor")
+        == choose_usual_drive(built, "sensor")
     )
 
 

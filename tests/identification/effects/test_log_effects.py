@@ -19,12 +19,12 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
-from asbuilt.identification.effects.effect_findings import effect_findings
+from asbuilt.identification.effects.effect_findings import report_effects
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.validation.generalisation.plateaus import (
-    plateau_findings,
-    plateaus,
+    find_plateaus,
+    report_plateaus,
     without_plateaus,
 )
 
@@ -162,10 +162,10 @@ def test_a_saturated_torque_is_named(name: str, joint: int) -> None:
 def findings(name: str, recording: Recording) -> dict[str, Finding]:
     """Return the findings of a log by their codes."""
     model, samples = bundled_robot(name), [prepare_samples(recording)]
-    flat = plateaus(model, DRIVE, samples)
+    flat = find_plateaus(model, DRIVE, samples)
     effects = find_effects(model, DRIVE, without_plateaus(samples, flat))
     effects = effects.beside_plateaus({model.joint_names[each.joint] for each in flat})
-    said = (*plateau_findings(model, flat), *effect_findings(effects))
+    said = (*report_plateaus(model, flat), *report_effects(effects))
     return {each.code: each for each in said}
 
 
@@ -204,7 +204,7 @@ def test_friction_at_constant_speed_is_no_saturation() -> None:
     samples = prepare_samples(Recording(t=motion.t, q=q, tau=tau, joint_names=model.joint_names))
     near = np.abs(samples.tau[:, 0]) > 0.95 * np.percentile(np.abs(samples.tau[:, 0]), 99.5)
     assert np.mean(near) > 0.3
-    assert plateaus(model, DRIVE, [samples]) == ()
+    assert find_plateaus(model, DRIVE, [samples]) == ()
 
 
 @pytest.mark.parametrize(

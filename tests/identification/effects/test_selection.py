@@ -22,7 +22,7 @@ from asbuilt.identification.effects.selection import (
     Selection,
     Trial,
     _best_form,
-    worth_of,
+    evaluate_worth,
 )
 
 BASE, ALL, BLOCKS, SAMPLES = 4, 10, 12, 30
@@ -229,7 +229,7 @@ def test_a_trial_holds_what_the_fit_with_the_effect_would_change(rows, weights, 
     cost = rows.cost(old)
     gain = -0.5 * cost / EFFECT * np.log(rows.cost(new) / cost)
     assert trial.gain == pytest.approx(gain, rel=1e-6)
-    assert trial.worth == worth_of(trial.gain, m) == pytest.approx(gain - m * np.log(gain))
+    assert trial.worth == evaluate_worth(trial.gain, m) == pytest.approx(gain - m * np.log(gain))
     nearer = (rows.distance(old) - rows.distance(new)) / (2.0 * EFFECT)
     assert trial.nearer == pytest.approx(nearer, rel=1e-5)
     torque = [np.sqrt(np.mean((j[:, :, own.places] @ trial.values) ** 2)) for j in rows.joints]

@@ -9,7 +9,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.virtual.presets import perturbed_links
+from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.servo.servo_errors import ServoErrors
@@ -23,7 +23,7 @@ def two_link_result() -> IdentificationResult:
     """Return a result with the exact torques of other links than CAD's, small correlated errors."""
     model = bundled_robot("two-link")
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb"))
-    true = perturbed_links(model, 0.05, np.random.default_rng(2)).parameters
+    true = perturb_links(model, 0.05, np.random.default_rng(2)).parameters
     beta = base.values(np.append(true, FRICTION))
     p, rng = base.n_base, np.random.default_rng(0)
     mixed = np.eye(p) + 0.5 * rng.normal(size=(p, p))

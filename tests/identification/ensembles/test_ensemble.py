@@ -11,13 +11,13 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.executor import open_workers
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.ensembles.ensemble import (
     AT_ONCE,
     FAITHFUL,
     Ensemble,
-    consistent_draws,
     draw_ensemble,
+    make_draws_consistent,
 )
 from asbuilt.identification.errors.block_scatter import BlockScatter, mean_degrees, widening
 from asbuilt.identification.result.result import IdentificationResult
@@ -68,12 +68,12 @@ def test_every_robot_is_possible_and_next_to_its_draw(
 
 
 def test_a_friction_that_may_be_zero_is_never_negative(result: IdentificationResult) -> None:
-    base, prior = result.base, cad_prior(result.model, result.base.drive)
+    base, prior = result.base, build_cad_prior(result.model, result.base.drive)
     place = base.names.index("Fv1")
     drawn = np.tile(result.estimates, (2, 1))
     drawn[0, place] = -3.0 * abs(drawn[0, place])
     root = np.diag(1.0 / result.std_errors)
-    chi, chi_square = consistent_draws(prior, base, drawn, root)
+    chi, chi_square = make_draws_consistent(prior, base, drawn, root)
     moved = (chi @ base.regrouping.T)[0, place]
     assert 0.0 <= moved < 0.1 * result.estimates[place]
     assert chi_square[0] > 1.0 > FAITHFUL > chi_square[1]
@@ -150,14 +150,14 @@ def test_workers_draw_the_same_robots_to_the_last_bit(result: IdentificationResu
 def test_masses_that_nothing_determines_stay_near_cad_beside_an_impossible_draw() -> None:
     model = bundled_robot("ur10e")
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb"))
-    prior = cad_prior(model, base.drive)
+    prior = build_cad_prior(model, base.drive)
     beta = base.regrouping @ prior.parameters
     friction = [k for k, name in enumerate(base.names) if name.startswith(("Fv", "Fc"))]
     beta[friction] = 5.0
     impossible = beta.copy()
     impossible[friction[0]] = -1.0
     root = np.diag(1.0 / (0.01 * np.abs(beta) + 1e-4))
-    chi, chi_square = consistent_draws(prior, base, np.stack([beta, impossible]), root)
+    chi, chi_square = make_draws_consistent(prior, base, np.stack([beta, impossible]), root)
     assert chi_square[0] < 0.02
     assert chi_square[1] > 100.0
     masses = chi[:, 9 : 10 * model.n_links : 10]

@@ -18,7 +18,10 @@ from tests.identification.errors.test_common_growth import (
 
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.uncertainty import block_uncertainty, recording_variances
+from asbuilt.identification.errors.uncertainty import (
+    estimate_block_uncertainty,
+    estimate_recording_variances,
+)
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -51,11 +54,11 @@ def test_variance_is_that_of_the_mean_of_a_fit_to_each_recording(
     alone = np.array([fit_least_squares(each, weights=WEIGHTS).beta for each in recordings])
     assert estimate.beta == pytest.approx(alone.mean(axis=0), rel=1e-6)
     expected = alone.var(axis=0, ddof=1) / len(alone) * widening(np.array(len(alone) - 1.0)) ** 2
-    assert recording_variances(information, estimate) == pytest.approx(expected, rel=1e-6)
+    assert estimate_recording_variances(information, estimate) == pytest.approx(expected, rel=1e-6)
 
 
 def test_few_recordings_say_nothing(recordings: list[SquareRootInformation]) -> None:
     information = recordings[0].merge(*recordings[1:3])
     estimate = fit_least_squares(information, weights=WEIGHTS)
-    assert not np.any(recording_variances(information, estimate))
-    assert np.all(block_uncertainty(information, estimate).std_errors > 0.0)
+    assert not np.any(estimate_recording_variances(information, estimate))
+    assert np.all(estimate_block_uncertainty(information, estimate).std_errors > 0.0)

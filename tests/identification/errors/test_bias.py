@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from asbuilt.identification.errors.bias import (
-    moved_estimate,
-    shrunken,
+    derive_estimate_moves,
+    shrink_effects,
 )
 
 
@@ -25,7 +25,9 @@ def test_a_regularised_estimate_moves_as_its_own_normal_equations_do() -> None:
         information=None, weights=None, solution=SimpleNamespace(inverse_root=root)
     )
     moved = np.linalg.solve(W.T @ W + weight * np.eye(4), W.T @ (W @ bias))
-    np.testing.assert_allclose(moved_estimate(information, estimate) @ bias, moved, rtol=1e-10)
+    np.testing.assert_allclose(
+        derive_estimate_moves(information, estimate) @ bias, moved, rtol=1e-10
+    )
 
 
 def test_shrunken_effects_are_the_draws_that_explain_what_was_estimated() -> None:
@@ -37,6 +39,6 @@ def test_shrunken_effects_are_the_draws_that_explain_what_was_estimated() -> Non
     chance = np.exp(-0.5 * np.einsum("ij,jk,ik->i", off, np.linalg.inv(V), off))
     mean = chance @ truth / chance.sum()
     second = (chance[:, None] * (truth - mean)).T @ (truth - mean) / chance.sum()
-    found, spread = shrunken(g, V, size)
+    found, spread = shrink_effects(g, V, size)
     np.testing.assert_allclose(found, mean, atol=0.01)
     np.testing.assert_allclose(spread, second, atol=0.01)

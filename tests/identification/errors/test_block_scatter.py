@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from asbuilt.codec import plain, restored
+from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import (
     MOST_GROUPS,
     BlockScatter,
     student_probability,
-    summed_degrees,
+    sum_degrees,
     widening,
 )
 from asbuilt.identification.errors.common_growth import effective_rank
@@ -33,7 +33,7 @@ def test_p_values_of_widened_deviations_are_those_of_student() -> None:
 def test_welch_degrees_are_those_of_scipy() -> None:
     rng = np.random.default_rng(0)
     one, two = rng.normal(size=12), 3.0 * rng.normal(size=7)
-    freedom = summed_degrees(
+    freedom = sum_degrees(
         (np.array([one.var(ddof=1) / 12]), np.array([11.0])),
         (np.array([two.var(ddof=1) / 7]), np.array([6.0])),
     )
@@ -45,7 +45,7 @@ def test_many_blocks_are_added_up_and_stored_to_the_last_bit() -> None:
     scatter = BlockScatter.of(moves, np.full(3, 100.0), 0.01)
     assert len(scatter.moves) == MOST_GROUPS
     np.testing.assert_allclose(scatter.moves.sum(axis=0), moves.sum(axis=0))
-    again = restored(BlockScatter, json.loads(json.dumps(plain(scatter))))
+    again = restore_dataclass(BlockScatter, json.loads(json.dumps(make_plain(scatter))))
     assert np.array_equal(again.moves, scatter.moves)
     assert again.common_variance == scatter.common_variance
     with pytest.raises(ResultError, match="degrees of freedom"):

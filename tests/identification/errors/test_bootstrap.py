@@ -15,9 +15,9 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
@@ -83,7 +83,7 @@ def test_white_residuals_give_the_textbook_errors(information: SquareRootInforma
     assert np.median(found.std_errors / estimate.std_errors) == pytest.approx(1.0, abs=0.1)
     np.testing.assert_allclose(np.diag(found.covariance), found.std_errors**2)
     assert np.median(
-        found.std_errors / block_uncertainty(information, estimate).std_errors
+        found.std_errors / estimate_block_uncertainty(information, estimate).std_errors
     ) == pytest.approx(1.0, abs=0.2)
 
 
@@ -124,7 +124,7 @@ def normal_equations(
 def test_every_draw_of_a_consistent_fit_is_the_consistent_fit_of_the_blocks_drawn(
     information: SquareRootInformation,
 ) -> None:
-    prior = cad_prior(MODEL, DRIVE)
+    prior = build_cad_prior(MODEL, DRIVE)
     for estimate, again in (
         (
             whole := fit_consistent(information, prior),
@@ -160,7 +160,7 @@ def test_dropped_parameters_stay_dropped_and_the_others_are_fitted_without_them(
         np.testing.assert_allclose(
             beta[kept], np.linalg.solve(gram[np.ix_(kept, kept)], side[kept]), rtol=1e-6, atol=1e-8
         )
-    uncertainty = bootstrap_uncertainty(information, estimate, found)
+    uncertainty = estimate_bootstrap_uncertainty(information, estimate, found)
     assert np.all(np.diag(uncertainty.covariance)[estimate.dropped] == 0.0)
     assert np.all(np.diag(uncertainty.covariance)[kept] > 0.0)
 
@@ -255,14 +255,14 @@ def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
     20 blocks drawn with replacement scatter sqrt(20 / 19) too little.
     """
     information = accumulate(MODEL, BASE, samples, block_seconds=2.0)
-    prior = cad_prior(MODEL, DRIVE)
+    prior = build_cad_prior(MODEL, DRIVE)
     for estimate, widening in (
         (fit_least_squares(information, weights="joint"), 1.0),
         (fit_consistent(information, prior), 2.093 / 1.96),
     ):
         drawn = redraw(information, estimate)
         wide = drawn.std_errors * np.sqrt(20 / 19) * widening
-        found = bootstrap_uncertainty(information, estimate, drawn).std_errors
+        found = estimate_bootstrap_uncertainty(information, estimate, drawn).std_errors
         np.testing.assert_allclose(found, np.maximum(wide, estimate.std_errors), rtol=1e-3)
     for method, codes in (
         ("wls", []),

@@ -14,9 +14,9 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.common_growth import BlockScores
-from asbuilt.identification.errors.uncertainty import block_uncertainty, scatter_of
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty, estimate_scatter
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.held_out import different_motions
+from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -52,13 +52,13 @@ def fitted(errors: list[Array]) -> tuple[Array, Array]:
     """Return estimates and standard errors."""
     information = merged(errors)
     estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
-    return estimate.beta, block_uncertainty(information, estimate).std_errors
+    return estimate.beta, estimate_block_uncertainty(information, estimate).std_errors
 
 
 def test_repeated_blocks_are_of_like_motion() -> None:
     noise = np.random.default_rng(0)
     information = merged([noise.normal(size=Q.shape) for _ in range(2)])
-    groups = different_motions(information, np.ones(MODEL.n_joints))
+    groups = group_different_motions(information, np.ones(MODEL.n_joints))
     assert len(groups) > 1
     assert sorted(np.concatenate(groups).tolist()) == list(range(60))
     for group in groups:
@@ -81,7 +81,7 @@ def test_variances_under_lasting_noise_are_those_of_dense_matrices() -> None:
         noise = lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[1000:]
         information = merged([noise])
         estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
-        scatter = block_uncertainty(information, estimate).scatter
+        scatter = estimate_block_uncertainty(information, estimate).scatter
         assert scatter is not None
         ratios.append(np.sum(scatter.moves**2, axis=0) / exact)
     assert 0.9 < float(np.mean(ratios)) < 1.1
@@ -127,7 +127,7 @@ def test_intervals_hold_what_blocks_of_like_motion_share() -> None:
             parts.append(accumulate(MODEL, BASE, samples, block_seconds=8.0))
         information = parts[0].merge(*parts[1:])
         estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
-        errors = block_uncertainty(information, estimate).std_errors
+        errors = estimate_block_uncertainty(information, estimate).std_errors
         held.append(np.abs(estimate.beta - BETA) < 1.96 * errors)
     assert 0.85 < float(np.mean(held)) < 0.97, "0.74 if only successive blocks and repeats count"
 
@@ -138,7 +138,7 @@ def test_what_repetitions_share_is_told_from_noise() -> None:
     for errors in ([lacking] * 2, [rng.normal(size=Q.shape) for _ in range(2)]):
         information = merged(errors)
         estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
-        shared.append(block_uncertainty(information, estimate).shared)
+        shared.append(estimate_block_uncertainty(information, estimate).shared)
     assert 1.5 < shared[0] < 3.0
     assert 1.0 <= shared[1] < 1.1
 
@@ -164,7 +164,7 @@ def test_variances_allow_for_nuisance_that_absorbs_lasting_residuals() -> None:
         scores = np.array([(A[rows] @ root).T @ error[rows] for rows in cut])
         data = BlockScores(grams, scores, times, [np.arange(blocks)], n, float(error @ error) / n)
         off = float((root @ (root.T @ (A.T @ noise)))[-1])
-        whole.append(abs(off) < 1.96 * np.sqrt(scatter_of(data, root[-1:]).variance[0]))
+        whole.append(abs(off) < 1.96 * np.sqrt(estimate_scatter(data, root[-1:]).variance[0]))
         own = float(np.sum((scores @ root[-1]) ** 2)) * blocks / (blocks - 1)
         alone.append(abs(off) < 1.96 * np.sqrt(own))
     assert np.mean(alone) < 0.9

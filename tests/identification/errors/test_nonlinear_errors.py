@@ -21,13 +21,13 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.block_scatter import ErrorKind
-from asbuilt.identification.errors.nonlinear_errors import nonlinear_errors
+from asbuilt.identification.errors.nonlinear_errors import estimate_nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.identify import carrying, identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import rounded
+from asbuilt.tables import round_with_error
 from asbuilt.workflow.study import StudyOptions, identify
 
 NONLINEAR = {
@@ -128,7 +128,7 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
     np.testing.assert_allclose(result.std_errors, expected[: base.n_base], rtol=2e-3)
     note = next(note for note in result.notes if "nonlinear parameters" in note)
     for k, error in zip(told, expected[base.n_base :], strict=True):
-        assert f"{model.joint_names[k]} {' +- '.join(rounded(at[k], error))}" in note
+        assert f"{model.joint_names[k]} {' +- '.join(round_with_error(at[k], error))}" in note
 
 
 @pytest.mark.parametrize(("robot", "method"), [("scara", "wls"), ("two-link", "huber")])
@@ -190,7 +190,7 @@ def test_a_nonlinear_parameter_without_effect_is_not_told() -> None:
     estimate = estimate_wls(
         EstimationData(model, information, [still], np.zeros(result.n_base), "toward_prior", None)
     )
-    found = nonlinear_errors(model, result.base, estimate, [still], choice.fitted)
+    found = estimate_nonlinear_errors(model, result.base, estimate, [still], choice.fitted)
     assert np.all(np.isnan(found.std_errors))
     assert not found.covariance.any()
     assert "undetermined" in found.sentence(model.joint_names)

@@ -10,7 +10,7 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, block_uncertainty
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate
 
@@ -43,7 +43,7 @@ def scatter(experiment, noise, repetitions, block_seconds):
         samples = Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names)
         information = accumulate(model, base, samples, block_seconds=block_seconds)
         estimate = fit_least_squares(information, weights="joint")
-        uncertainty = block_uncertainty(information, estimate)
+        uncertainty = estimate_block_uncertainty(information, estimate)
         honest.append((estimate.beta - beta) / uncertainty.std_errors)
         textbook.append((estimate.beta - beta) / estimate.std_errors)
         effective.append(uncertainty.effective_samples)
@@ -86,7 +86,7 @@ def test_no_error_is_smaller_than_the_textbook_one_and_correlations_are_kept(exp
         model, base, Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names)
     )
     estimate = fit_least_squares(information, weights="joint")
-    uncertainty = block_uncertainty(information, estimate)
+    uncertainty = estimate_block_uncertainty(information, estimate)
     assert uncertainty.basis.kind == "blocks"
     assert np.all(uncertainty.std_errors >= estimate.std_errors * (1 - 1e-12))
     one = estimate.covariance / np.outer(estimate.std_errors, estimate.std_errors)
@@ -99,7 +99,7 @@ def test_too_few_blocks_fall_back_to_the_textbook(experiment):
     tau = (w @ beta).reshape(q.shape) + white(np.random.default_rng(1), q.shape)
     samples = Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names)
     information = accumulate(model, base, samples, block_seconds=80.0 / (FEWEST_BLOCKS - 1))
-    uncertainty = block_uncertainty(information, fit_least_squares(information))
+    uncertainty = estimate_block_uncertainty(information, fit_least_squares(information))
     assert uncertainty.basis.kind == "textbook"
     assert uncertainty.effective_samples == len(t)
     assert (uncertainty.basis.asked, uncertainty.basis.n_blocks, uncertainty.basis.growth) == (

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -20,16 +20,16 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.bodies.body_bounds import body_bounds
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.body_bounds import bound_bodies
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
     QUIETEST,
+    choose_cad_weight,
     fit_consistent,
     fit_toward_cad,
     quietest_noise,
-    supported_belief,
 )
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
@@ -79,7 +79,7 @@ def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
         assert estimate.part > 0
         assert margin_is_consistent(consistency_margin(case.base, estimate.beta), estimate.beta)
         assert estimate.standard[case.prior.non_negative].min() > -1e-6
-        assert not inconsistencies(
+        assert not find_inconsistencies(
             case.model.with_parameters(estimate.standard[: 10 * case.model.n_joints])
         )
         missed[method] = truth.residual_energy(estimate.beta).sum()
@@ -151,7 +151,7 @@ def test_the_belief_in_cad_is_what_the_distance_from_it_supports(trial, weight):
     scale = 1.0 / np.sqrt(np.diag(H))
     inverse = np.outer(scale, scale) * np.linalg.inv(np.outer(scale, scale) * H)
     expected = (10 * n - weight * np.trace(inverse @ M)) / (2.0 * away)
-    found = supported_belief(case.information, prior, estimate.weights, estimate.standard, weight)
+    found = choose_cad_weight(case.information, prior, estimate.weights, estimate.standard, weight)
     assert found == pytest.approx(expected, rel=1e-6)
     assert estimate.belief == pytest.approx(min(weight, expected), rel=1e-6)
     assert f"Standard errors use CAD with weight {estimate.belief:.3g}" in estimate.notes
@@ -201,7 +201,7 @@ def test_the_weight_follows_how_far_cad_is_off(trial):
 
 def test_given_weight_bounds_and_joint_weights(trial):
     case = trial("ur10e", noise=0.05, seed=6)
-    heavy = body_bounds(case.prior, mass={5: (2.0, 3.0)})
+    heavy = bound_bodies(case.prior, mass={5: (2.0, 3.0)})
     for metric in ("entropic", "euclidean"):
         estimate = fit_toward_cad(
             case.information,
@@ -235,7 +235,7 @@ def test_errors_are_not_too_small(trial, method):
             if method == "consistent"
             else fit_toward_cad(case.information, case.prior)
         )
-        error = (estimate.beta - case.beta) / block_uncertainty(
+        error = (estimate.beta - case.beta) / estimate_block_uncertainty(
             case.information, estimate
         ).std_errors
         inside, asked = inside + int(np.sum(np.abs(error) < 1.96)), asked + len(error)
@@ -268,7 +268,7 @@ def test_unexcited_directions_lie_at_cad(trial):
         < 1e-4
     )
     assert case.prior.divergence(estimate.standard)[:3].max() < 0.05
-    errors = block_uncertainty(information, estimate).std_errors
+    errors = estimate_block_uncertainty(information, estimate).std_errors
     assert np.all(errors[~estimate.determined] > 0)
 
 
@@ -329,7 +329,7 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
     model, train, held = med7(shared, log, rule)
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     information, other = accumulate(model, base, train), accumulate(model, base, held)
-    prior = cad_prior(model, base.drive)
+    prior = build_cad_prior(model, base.drive)
     for estimate, share in (
         (fit_consistent(information, prior), 1.0),
         (fit_toward_cad(information, prior), 1.05),

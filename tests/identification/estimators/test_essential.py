@@ -22,7 +22,10 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
+from asbuilt.identification.calibration.payload import (
+    choose_payload_frame,
+    identify_payload_samples,
+)
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.result.determination import determination
@@ -34,7 +37,7 @@ from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.models.physical import refuse_inconsistent_result
-from asbuilt.writers.tables.tabular import identified_table, identify_document, json_text
+from asbuilt.writers.tables.tabular import identify_document, json_text, tabulate_identified
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 TOOL = LinkInertia.from_com(1.8, [0.03, -0.02, 0.09], np.diag([0.011, 0.009, 0.006]))
@@ -94,7 +97,7 @@ def test_files_say_null_and_not_zero(essential: IdentificationResult) -> None:
         json.loads(essential.to_json()),
         json.loads(json_text(identify_document(study))),
     )
-    rows = list(csv.DictReader(io.StringIO(identified_table(essential).as_csv())))
+    rows = list(csv.DictReader(io.StringIO(tabulate_identified(essential).as_csv())))
     for parameter, one, other, row in zip(
         essential.parameters, stored["parameters"], printed["parameters"], rows, strict=True
     ):
@@ -196,7 +199,7 @@ def test_a_payload_is_weighed_with_them_at_zero(
     results: tuple[IdentificationResult, IdentificationResult],
 ) -> None:
     robot = machine()
-    frame, _, _ = payload_frame(robot.model)
+    frame, _, _ = choose_payload_frame(robot.model)
     loaded, bare = moved(robot.with_tool(TOOL, at=frame), 3), moved(robot, 4)
     for arm in ("refined", "frozen"):
         light, full = (

@@ -13,8 +13,11 @@ from asbuilt.identification.information.candidate_choice import (
     _exceeds,
     choose_candidate,
 )
-from asbuilt.identification.information.held_out import different_motions, folds
-from asbuilt.identification.information.random_motion import random_motion_rows, recorded_rates
+from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
+from asbuilt.identification.information.random_motion import (
+    build_random_motion_rows,
+    measure_recorded_rates,
+)
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 
@@ -27,7 +30,7 @@ def test_blocks_of_two_motions_are_told_apart(robot):
         for seed, still, source in ((1, (0,), "a"), (2, (2,), "b"), (1, (0,), "c"))
     ]
     information = accumulate_stream(model, base, parts, block_seconds=5.0)
-    groups = different_motions(information, np.ones(3), most=2)
+    groups = group_different_motions(information, np.ones(3), most=2)
     sources = [{information.blocks[b].source for b in group} for group in groups]
     assert sorted(map(sorted, sources)) == [["a", "c"], ["b"]]
 
@@ -37,8 +40,8 @@ def choice_of(robot, betas, variance=0.0, weights=(10.0, 0.0), certain=(True, Tr
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.2, seconds=60.0, seed=3, parallel=False)
     information = accumulate_stream(model, base, [samples], block_seconds=5.0)
-    parts = list(folds(information, different_motions(information, np.ones(3))))
-    motion = random_motion_rows(model, base, recorded_rates([samples]))
+    parts = list(divide_into_folds(information, group_different_motions(information, np.ones(3))))
+    motion = build_random_motion_rows(model, base, measure_recorded_rates([samples]))
     prior = np.diag(np.linspace(1.0, 2.0, base.n_base))
     candidates = [
         Candidate(f"c{k}", weight, np.broadcast_to(values, (len(parts), base.n_base)), sure)

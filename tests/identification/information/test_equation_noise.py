@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.identification.information.equation_noise import equation_variances
+from asbuilt.identification.information.equation_noise import solve_equation_variances
 
 
 def test_variances_of_drawn_noise_are_found() -> None:
@@ -16,5 +16,5 @@ def test_variances_of_drawn_noise_are_found() -> None:
     P = np.eye(18) - np.linalg.pinv(J) @ J
     residual = np.einsum("sij,sj->si", P, sigma * rng.normal(size=(4000, 18)))
     shares = np.mean(P**2, axis=0) @ np.eye(3)[np.repeat([0, 1, 2], [3, 3, 12])]
-    found = equation_variances(shares, np.mean(residual**2, axis=0))
+    found = solve_equation_variances(shares, np.mean(residual**2, axis=0))
     assert np.sqrt(found) == pytest.approx([4.0, 0.3, 1.0], rel=0.1)

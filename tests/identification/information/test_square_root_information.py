@@ -27,7 +27,7 @@ from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.rows import Rows, TimeBlock, sample_blocks
+from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     SquareRootInformation,
@@ -113,7 +113,7 @@ def test_torque_of_a_block_is_filtered_as_its_rows_are(robot, parallel):
         slowest=(0.05,) * model.n_joints,
     )
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
-    for block in sample_blocks(model, [samples], 2.0):
+    for block in divide_into_blocks(model, [samples], 2.0):
         rows = [[joint[-1].copy() for joint in chunk] for chunk in block.chunks(plan)]
         alone = block.filtered(lambda span: samples.tau[span])
         np.testing.assert_allclose(alone, np.hstack(rows), rtol=0, atol=1e-12)

@@ -7,9 +7,9 @@ import pytest
 from three_links import DRIVE, recording
 
 from asbuilt.description.inertia import pseudo_inertias
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.entropic_fit import Coordinates
-from asbuilt.identification.bodies.standard_parameters import LIMIT, standard_parameters
+from asbuilt.identification.bodies.standard_parameters import LIMIT, find_standard_parameters
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.validation.prediction import predict_both
@@ -24,8 +24,8 @@ def result(robot):
 
 def test_closest_to_cad_within_the_standard_errors(result):
     found = as_built_parameters(result)
-    cad = cad_prior(result.model, DRIVE)
-    exact = standard_parameters(result.model, result.base, result.estimates)
+    cad = build_cad_prior(result.model, DRIVE)
+    exact = find_standard_parameters(result.model, result.base, result.estimates)
     moved = result.base.values(found.parameters) - result.estimates
     chi_square = moved @ np.linalg.solve(result.covariance, moved)
     assert chi_square == pytest.approx(found.chi_square, rel=1e-6)
@@ -39,8 +39,8 @@ def test_closest_to_cad_within_the_standard_errors(result):
 
 def test_no_parameters_with_these_torques_or_nearer_ones_are_closer(result):
     found = as_built_parameters(result)
-    cad = cad_prior(result.model, DRIVE)
-    exact = standard_parameters(result.model, result.base, result.estimates).parameters
+    cad = build_cad_prior(result.model, DRIVE)
+    exact = find_standard_parameters(result.model, result.base, result.estimates).parameters
     same_torque = Coordinates.of(result.base).dependent
     rng = np.random.default_rng(0)
     least = cad.divergence(found.parameters).sum()

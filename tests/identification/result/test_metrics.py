@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from asbuilt.codec import restored
+from asbuilt.codec import restore_dataclass
 from asbuilt.errors import ResultError
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally, torque_metrics
 
@@ -49,7 +49,7 @@ def test_a_constant_torque_has_no_r_squared_and_survives_json():
     metrics = torque_metrics(np.full((10, 1), 3.0), np.full((10, 1), 2.5), "still")
     assert np.isnan(metrics.r_squared[0])
     text = json.dumps(metrics.as_dict(), allow_nan=False)
-    again = restored(TorqueMetrics, json.loads(text))
+    again = restore_dataclass(TorqueMetrics, json.loads(text))
     assert json.dumps(again.as_dict()) == text
     assert np.isnan(again.r_squared[0])
 
@@ -62,7 +62,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ResultError, match="no samples"):
         TorqueTally(("a",)).metrics("x")
     with pytest.raises(ValueError, match="joints"):
-        restored(TorqueMetrics, {"source": "x"})
+        restore_dataclass(TorqueMetrics, {"source": "x"})
     whole = torque_metrics(np.eye(2), np.zeros((2, 2)), "x").as_dict()
     with pytest.raises(ResultError, match="one value for each"):
-        restored(TorqueMetrics, whole | {"rms": [1.0]})
+        restore_dataclass(TorqueMetrics, whole | {"rms": [1.0]})

@@ -32,7 +32,7 @@ from asbuilt.identification.result.result import (
     IdentifiedParameter,
 )
 from asbuilt.identification.result.summary import summarise
-from asbuilt.identification.result.torque_prediction import carrying
+from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.identification.statistics import confidence_intervals
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -389,7 +389,7 @@ def test_torque_is_the_observation_matrix_times_the_estimates(drive):
     result = invented_of(model, base)
     rng = np.random.default_rng(3)
     q, qd, qdd = rng.normal(size=(3, 5, 7))
-    loaded = carrying(model, base, result.estimates)
+    loaded = set_link_parameters(model, base, result.estimates)
     w = observation_matrix(loaded, q, qd, qdd, drive=drives, columns=base.columns)
     torque = result.torque(q, qd, qdd)
     np.testing.assert_allclose(torque.ravel(), w @ result.estimates, atol=1e-9)

@@ -8,12 +8,12 @@ from tests.identification.servo.test_servo_estimate import KP, RATE, ROBOT, STEP
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.servo.servo_estimate import estimate_servo
-from asbuilt.workflow.servo import servo_findings, servo_notes
+from asbuilt.workflow.servo import describe_servo_torque, report_servo
 
 DRIVE = DriveSet.parse("armature,viscous,coulomb")
 WIDTH = 0.02
@@ -46,7 +46,7 @@ def recorded(seed, width, n=4000):
 
 def estimated(seed, width, kp=KP):
     stated = PositionServo(kp=kp, kd=(0.0,) * 3, deadband=(np.nan,) * 3)
-    driven = driven_by_command(recorded(seed, width), stated)
+    driven = drive_by_command(recorded(seed, width), stated)
     chain = resolve_chain(SignalChain(), driven)
     return estimate_servo(read_mjcf(ROBOT), [driven], DRIVE, chain)
 
@@ -56,9 +56,9 @@ def test_a_deadband_is_found_and_named(seed):
     found = estimated(seed, WIDTH)
     assert found.servo.deadband == pytest.approx((WIDTH,) * 3, rel=0.15)
     assert abs(found.servo.deadband[0] - WIDTH) < 4.0 * found.errors.deadband
-    codes = [each.code for each in servo_findings(read_mjcf(ROBOT), found, DRIVE)]
+    codes = [each.code for each in report_servo(read_mjcf(ROBOT), found, DRIVE)]
     assert "servo_deadband" in codes
-    assert "no torque within" in servo_notes(read_mjcf(ROBOT), found)[0]
+    assert "no torque within" in describe_servo_torque(read_mjcf(ROBOT), found)[0]
 
 
 @pytest.mark.study

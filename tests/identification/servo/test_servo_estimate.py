@@ -7,17 +7,17 @@ import pytest
 
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo, described_servo
+from asbuilt.dynamics.drives.position_servo import PositionServo, read_described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.servo_torque import driven_by_command, held_command
+from asbuilt.experiment.command.servo_torque import drive_by_command, hold_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
-from asbuilt.identification.servo.servo_delay import servo_delay_errors
+from asbuilt.identification.servo.servo_delay import estimate_servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.servo import servo_findings
+from asbuilt.workflow.servo import report_servo
 from asbuilt.workflow.study import identify
 from studied_cases import first_of
 
@@ -75,7 +75,7 @@ def unknown(kp=(np.nan,) * 3, kd=(0.0,) * 3):
 def estimated(recording, servo, **settings):
     model = read_mjcf(ROBOT)
     drive = DriveSet.parse("armature,viscous,coulomb")
-    driven = driven_by_command(recording, servo)
+    driven = drive_by_command(recording, servo)
     chain = resolve_chain(SignalChain(), driven)
     return estimate_servo(model, [driven], drive, chain, **settings)
 
@@ -117,7 +117,7 @@ def test_time_in_contact_is_named(recording):
 
 
 def test_a_study_of_commands_recovers_armature_and_friction(recording):
-    driven = driven_by_command(recording, unknown(KP))
+    driven = drive_by_command(recording, unknown(KP))
     study = identify(
         read_mjcf(ROBOT),
         driven,
@@ -138,7 +138,7 @@ def test_a_study_of_commands_recovers_armature_and_friction(recording):
 
 def test_gains_of_position_actuators_are_read():
     pytest.importorskip("mujoco")
-    servo = described_servo(read_mjcf(ROBOT))
+    servo = read_described_servo(read_mjcf(ROBOT))
     assert servo is not None
     assert servo.kp == KP
     assert servo.kd == (0.0, 0.0, 0.0)
@@ -146,7 +146,7 @@ def test_gains_of_position_actuators_are_read():
 
 @pytest.mark.study
 def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
-    driven = driven_by_command(recording, unknown())
+    driven = drive_by_command(recording, unknown())
     chain = resolve_chain(SignalChain(), driven)
     model = read_mjcf(ROBOT)
     with_offset, without = (
@@ -157,7 +157,7 @@ def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
 
 
 def test_noise_of_positions_demands_no_low_cutoff_where_they_are_in_the_torque(recording):
-    driven = driven_by_command(recording, unknown(KP))
+    driven = drive_by_command(recording, unknown(KP))
     measured = dataclasses.replace(driven, torque_source="unknown")
     assert resolve_chain(SignalChain(), measured).cutoff < 7.0
     assert resolve_chain(SignalChain(), driven).cutoff >= 7.0
@@ -217,18 +217,18 @@ def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
 
 @pytest.mark.study
 def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording):
-    driven = driven_by_command(recording, unknown(KP))
+    driven = drive_by_command(recording, unknown(KP))
     model, drive = read_mjcf(ROBOT), DriveSet.parse("armature,viscous,coulomb")
     chain = resolve_chain(SignalChain(), driven)
     base = find_base_parameters(model, drive)
 
     def fitted(delay):
-        late = driven_by_command(recording, dataclasses.replace(unknown(KP), delay=delay))
+        late = drive_by_command(recording, dataclasses.replace(unknown(KP), delay=delay))
         return fit_samples(model, [prepare_samples(late, chain)], base=base, method="wls")
 
     found = estimated(recording, unknown(KP))
     fit = fitted(found.servo.delay)
-    added = servo_delay_errors(
+    added = estimate_servo_delay_errors(
         fit.information, fit.estimate, found.slopes, KP, found.servo.delay, 1e-3
     )
     moved = 0.5 * (
@@ -241,12 +241,15 @@ def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording)
     assert np.max(sizes[drives]) > 0.005
     shift = 1e-3 * added.shift[drives] / found.servo.delay
     assert shift == pytest.approx(-moved[drives], rel=0.1, abs=1e-4)
-    assert servo_delay_errors(fit.information, fit.estimate, found.slopes, KP, 0.0, 0.0) is None
+    assert (
+        estimate_servo_delay_errors(fit.information, fit.estimate, found.slopes, KP, 0.0, 0.0)
+        is None
+    )
 
 
 @pytest.mark.study
 def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
-    error = held_command(recording, DELAY) - recording.q
+    error = hold_command(recording, DELAY) - recording.q
     velocity = np.gradient(recording.q, recording.t, axis=0)
     noise = np.random.default_rng(4).normal(scale=2e-3, size=error.shape)
     current = np.abs(0.2 * (error - 0.04 * velocity)) + np.abs(noise)
@@ -259,7 +262,7 @@ def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
         assert law.lag - late == pytest.approx(0.04, abs=4e-3)
     (told,) = [
         each
-        for each in servo_findings(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
+        for each in report_servo(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
         if each.code == "servo_current_explained"
     ]
     assert "pan 3" in told.message or "pan 4" in told.message
@@ -272,5 +275,5 @@ def test_a_torque_before_its_command_is_no_delay(recording, skew, told):
     moved = np.stack([np.interp(t + skew, t, x) for x in recording.q.T], axis=1)
     found = estimated(dataclasses.replace(recording, q=moved), unknown(KP))
     assert found.servo.delay == pytest.approx(DELAY - skew, abs=1.5e-3)
-    findings = servo_findings(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
+    findings = report_servo(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
     assert ("servo_ahead" in [each.code for each in findings]) == told

@@ -10,15 +10,19 @@ from asbuilt.description.model import DriveValues
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
-from asbuilt.identification.servo.servo_replay import position_noise, replay, replayed
+from asbuilt.identification.servo.servo_replay import (
+    estimate_position_noise,
+    replay,
+    replay_recording,
+)
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
-from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import Windows
 
 pytest.importorskip("mujoco")
@@ -72,7 +76,7 @@ def exact():
         DriveSignal("command", t, u),
         longest_step=FINE,
     )
-    q = simulate_windows(robot_as_described(model, SERVO), window)[0]
+    q = simulate_windows(build_robot_as_described(model, SERVO), window)[0]
     recording = Recording(
         t=t, q=q, tau=np.zeros_like(q), command=u, joint_names=model.joint_names, source="virtual"
     )
@@ -84,8 +88,8 @@ def test_a_replay_is_the_motion_that_mujoco_simulates_in_fine_steps(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)
     parameters = values(model)
-    q = replayed(model, base, recording, SERVO, parameters)
-    late = replayed(model, base, recording, replace(SERVO, delay=DELAY + 2e-4), parameters)
+    q = replay_recording(model, base, recording, SERVO, parameters)
+    late = replay_recording(model, base, recording, replace(SERVO, delay=DELAY + 2e-4), parameters)
     off = np.abs(q - recording.q)
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.sqrt(np.mean((late - recording.q) ** 2))
 
@@ -100,11 +104,13 @@ def test_episodes_of_one_log_are_replayed_one_by_one(exact):
     assert np.abs(q[1500] - q[1499]).max() > 0.05
     joined = replace(recording, t=t, q=q, command=u)
     base = find_base_parameters(model, DRIVE)
-    off = np.abs(replayed(model, base, joined, SERVO, values(model)) - q)
+    off = np.abs(replay_recording(model, base, joined, SERVO, values(model)) - q)
     assert np.sqrt(np.mean(off[1550:] ** 2)) < 1e-4
     noise = 1e-3 * np.random.default_rng(0).standard_normal(q.shape)
-    assert position_noise(replace(joined, q=q + noise)) == pytest.approx([1e-3] * 3, rel=0.1)
-    driven = driven_by_command(joined, replace(SERVO, delay=None))
+    assert estimate_position_noise(replace(joined, q=q + noise)) == pytest.approx(
+        [1e-3] * 3, rel=0.1
+    )
+    driven = drive_by_command(joined, replace(SERVO, delay=None))
     found = estimate_servo(model, [driven], DRIVE, resolve_chain(SignalChain(), driven))
     assert abs(found.servo.delay - DELAY) < 4.0 * found.errors.delay + 1e-4
 
@@ -114,7 +120,7 @@ def test_a_replay_that_diverges_is_none(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)
     parameters = np.append(model.parameters, np.tile([0.02, -50.0, 0.0], 3))
-    assert replayed(model, base, recording, SERVO, parameters) is None
+    assert replay_recording(model, base, recording, SERVO, parameters) is None
 
 
 @pytest.mark.study
@@ -122,9 +128,11 @@ def test_white_noise_of_the_positions_is_measured(exact):
     recording = exact[1]
     noise = np.array([1e-3, 3e-3, 2e-3])
     noisy = recording.q + noise * np.random.default_rng(0).standard_normal(recording.q.shape)
-    assert position_noise(replace(recording, q=noisy)) == pytest.approx(noise, rel=0.1)
+    assert estimate_position_noise(replace(recording, q=noisy)) == pytest.approx(noise, rel=0.1)
     steps = np.round(recording.q / 2e-3) * 2e-3
-    assert position_noise(replace(recording, q=steps)) == pytest.approx(2e-3 / 12**0.5, rel=0.2)
+    assert estimate_position_noise(replace(recording, q=steps)) == pytest.approx(
+        2e-3 / 12**0.5, rel=0.2
+    )
 
 
 @pytest.mark.study
@@ -136,10 +144,10 @@ def test_what_noise_of_the_positions_adds_on_average_is_taken_away(exact):
     noise = 4e-3 * np.random.default_rng(1).standard_normal(recording.q.shape)
     for added in (noise, -noise):
         noisy = replace(recording, q=recording.q + added)
-        driven = driven_by_command(noisy, replace(SERVO, delay=None))
+        driven = drive_by_command(noisy, replace(SERVO, delay=None))
         chain = resolve_chain(SignalChain(), driven)
         servo = estimate_servo(model, [driven], DRIVE, chain, delay=DELAY)
-        samples = [prepare_samples(driven_by_command(noisy, servo.servo), chain)]
+        samples = [prepare_samples(drive_by_command(noisy, servo.servo), chain)]
         for corrected in (True, False):
             expected = servo.expected if corrected else None
             fit = fit_samples(model, samples, base=base, method="wls", expected=expected)
@@ -158,6 +166,6 @@ def test_a_replay_of_a_robot_that_rests_is_none(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)
     stuck = np.append(model.parameters, np.tile([0.02, 0.4, 50.0], 3))
-    driven = driven_by_command(recording, SERVO)
+    driven = drive_by_command(recording, SERVO)
     chain = resolve_chain(SignalChain(), driven)
     assert replay(model, base, [driven], SERVO, chain, stuck) is None

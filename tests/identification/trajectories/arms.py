@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
@@ -93,7 +93,7 @@ def recorded_by_mujoco(
             model.joint_names, servo.kp, servo.kd, servo.torque_limit, strict=True
         )
     )
-    text = mjcf_text(model, actuators=False, shapes=False).replace(
+    text = format_mjcf(model, actuators=False, shapes=False).replace(
         "</mujoco>", f"<actuator>{actuators}</actuator></mujoco>"
     )
     text = text.replace('integrator="RK4"', 'integrator="implicitfast"')

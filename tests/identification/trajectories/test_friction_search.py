@@ -11,14 +11,14 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.trajectories.friction_search import (
-    promised_fall,
-    simulated_prior,
-    widened,
+    build_simulated_prior,
+    predict_fall,
+    widen_parameters,
 )
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.windows import cut_windows
@@ -32,7 +32,7 @@ SLOW = replace(SERVO, kp=(12.0, 8.0), kd=(0.0, 0.0))
 def refined(stribeck: float, drive: DriveSet, begin: Array | None = None) -> RefinedFit:
     """Return the refined fit of an arm whose soft servos move it slowly now and then."""
     recording = recorded_by_mujoco(servo_arm(), SLOW, duration=24.0, noise=1e-3, stribeck=stribeck)
-    recording = driven_by_command(replace(recording, qd=None), SLOW)
+    recording = drive_by_command(replace(recording, qd=None), SLOW)
     chain = SignalChain(cutoff=8.0)
     samples = prepare_samples(recording, chain)
     fit = fit_samples(servo_arm(), [samples], drive=drive, method="entropic")
@@ -41,25 +41,25 @@ def refined(stribeck: float, drive: DriveSet, begin: Array | None = None) -> Ref
 
 
 def test_columns_of_a_wider_set_begin_at_zero() -> None:
-    found = widened(np.arange(26.0), PLAIN, PLAIN.with_term(TERM), 2)
+    found = widen_parameters(np.arange(26.0), PLAIN, PLAIN.with_term(TERM), 2)
     assert found[:20].tolist() == list(range(20))
     assert found[20:].tolist() == [20.0, 21.0, 22.0, 0.0, 23.0, 24.0, 25.0, 0.0]
 
 
 def test_friction_near_rest_is_bounded_where_it_is_simulated() -> None:
     drive = PLAIN.with_term(TERM)
-    assert simulated_prior(servo_arm(), drive).non_negative.tolist() == list(range(20, 28))
+    assert build_simulated_prior(servo_arm(), drive).non_negative.tolist() == list(range(20, 28))
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("stribeck", [0.0, 0.2])
 def test_trajectories_promise_stribeck_friction_where_it_is(stribeck: float) -> None:
     found = refined(stribeck, PLAIN)
-    promised = promised_fall(found.objective, found.refinement, TERM)
+    promised = predict_fall(found.objective, found.refinement, TERM)
     assert (promised > 4.0) == (stribeck > 0.0)
     if stribeck:
         drive = PLAIN.with_term(TERM)
-        begin = widened(found.refinement.point.chi, PLAIN, drive, 2)
+        begin = widen_parameters(found.refinement.point.chi, PLAIN, drive, 2)
         wider = refined(stribeck, drive, begin)
         truth = parameter_values(servo_arm(), PLAIN)[20:].reshape(2, 3)
         expected = np.column_stack([truth, np.full(2, stribeck)])[:, 1:]

@@ -11,7 +11,7 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import Fit, fit_samples
@@ -30,7 +30,7 @@ def study() -> tuple[Fit, Windows]:
     """The arm's links are 20 % heavier than CAD, its delay is unknown."""
     truth = servo_arm()
     recording = recorded_by_mujoco(truth, SERVO, duration=16.0, noise=2e-4, step=1e-4)
-    recording = driven_by_command(replace(recording, qd=None), replace(SERVO, delay=0.0))
+    recording = drive_by_command(replace(recording, qd=None), replace(SERVO, delay=0.0))
     cad = truth.with_parameters(truth.parameters / 1.2)
     chain = SignalChain(cutoff=8.0)
     fit = fit_samples(cad, [prepare_samples(recording, chain)], drive=DRIVE, method="entropic")
@@ -116,7 +116,7 @@ def test_a_lead_is_told_from_times_that_are_skewed(lead: float, late: float, ske
     recording = recorded_by_mujoco(truth, servo, duration=24.0, noise=2e-4, steps=0.1)
     moved = np.stack([np.interp(recording.t + skew, recording.t, x) for x in recording.q.T], axis=1)
     begun = replace(SERVO, delay=late - lead - skew)
-    recording = driven_by_command(replace(recording, q=moved, qd=None), begun)
+    recording = drive_by_command(replace(recording, q=moved, qd=None), begun)
     chain = SignalChain(cutoff=8.0)
     fit = fit_samples(truth, [prepare_samples(recording, chain)], drive=DRIVE, method="entropic")
     whole = prepare_samples(recording, replace(chain, rests=True, parallel=False))

@@ -12,7 +12,10 @@ from tests.identification.trajectories.test_simulation import samples_of
 from asbuilt.arrays import Mask
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.identification.trajectories.sensitivity import Motion, Trajectories
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_described
+from asbuilt.identification.trajectories.simulated_robot import (
+    SimulatedRobot,
+    build_robot_as_described,
+)
 from asbuilt.identification.trajectories.windows import cut_windows
 
 pytest.importorskip("mujoco")
@@ -41,7 +44,7 @@ def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
     recording = recorded_by_mujoco(model, SERVO, duration=2.0)
     servo = replace(SERVO, torque_limit=(6.0, 2.0), delay=0.0061, **law)
     windows = cut_windows(recording, samples_of(recording), 0.3)
-    robot = robot_as_described(model, servo)
+    robot = build_robot_as_described(model, servo)
     base = find_base_parameters(model, robot.drive)
     trajectories = Trajectories(model, base)
     n, p = model.n_joints, base.n_base
@@ -92,7 +95,7 @@ def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
 def test_derivatives_through_reversals_are_those_of_wide_differences_of_fine_steps() -> None:
     model = servo_arm()
     recording = recorded_by_mujoco(model, SERVO, duration=3.0)
-    robot = robot_as_described(model, replace(SERVO, torque_limit=(np.inf, np.inf)))
+    robot = build_robot_as_described(model, replace(SERVO, torque_limit=(np.inf, np.inf)))
     base = find_base_parameters(model, robot.drive)
     trajectories = Trajectories(model, base)
     windows = cut_windows(recording, samples_of(recording), 0.25)

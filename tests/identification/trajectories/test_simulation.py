@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
 from asbuilt.arrays import Array
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -21,12 +21,12 @@ from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import (
     SimulatedRobot,
-    robot_as_described,
+    build_robot_as_described,
 )
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 pytest.importorskip("mujoco")
-assert mjcf_text
+assert format_mjcf
 
 
 def samples_of(recording, qd: Array | None = None) -> Samples:
@@ -76,7 +76,7 @@ def test_mean_of_a_held_command_is_exact_and_continuous_in_the_delay() -> None:
 
 def test_rollout_reproduces_position_actuators_of_mjcf(windows: Windows) -> None:
     """MuJoCo's position actuators, clipped and delayed, from exported MJCF text."""
-    simulated = simulate_windows(robot_as_described(servo_arm(), SERVO), windows)
+    simulated = simulate_windows(build_robot_as_described(servo_arm(), SERVO), windows)
     assert simulated == pytest.approx(windows.q, abs=2e-5)
 
 
@@ -84,9 +84,9 @@ def test_rollout_has_the_deadband_and_the_limit_that_falls_with_speed() -> None:
     servo = replace(SERVO, torque_limit=(8.0, 3.0), deadband=(0.02, 0.01), no_load_speed=(6.0, 9.0))
     recording = recorded_by_mujoco(servo_arm(), servo, duration=4.0)
     windows = cut_windows(recording, samples_of(recording), 0.5)
-    robot = robot_as_described(servo_arm(), servo)
+    robot = build_robot_as_described(servo_arm(), servo)
     assert simulate_windows(robot, windows) == pytest.approx(windows.q, abs=2e-5)
-    plain = robot_as_described(servo_arm(), SERVO)
+    plain = build_robot_as_described(servo_arm(), SERVO)
     assert np.abs(simulate_windows(plain, windows) - windows.q).max() > 5e-3
     smooth = replace(robot, values=robot.values * [1.0, 1.0, 0.0])
     base = find_base_parameters(smooth.model, smooth.drive)
@@ -101,14 +101,14 @@ def test_rollout_has_the_lead_of_a_derivative_of_the_control_error() -> None:
     servo = replace(SERVO, torque_limit=(8.0, 3.0), lead=(0.03, 0.02))
     recording = recorded_by_mujoco(servo_arm(), servo, duration=4.0)
     windows = cut_windows(recording, samples_of(recording), 0.5)
-    robot = robot_as_described(servo_arm(), servo)
+    robot = build_robot_as_described(servo_arm(), servo)
     assert simulate_windows(robot, windows) == pytest.approx(windows.q, abs=2e-5)
-    plain = robot_as_described(servo_arm(), replace(servo, lead=(0.0, 0.0)))
+    plain = build_robot_as_described(servo_arm(), replace(servo, lead=(0.0, 0.0)))
     assert np.abs(simulate_windows(plain, windows) - windows.q).max() > 5e-3
 
 
 def test_both_engines_agree_to_rounding_without_dry_friction(windows: Windows) -> None:
-    robot = robot_as_described(servo_arm(), SERVO)
+    robot = build_robot_as_described(servo_arm(), SERVO)
     robot = replace(robot, values=robot.values * [1.0, 1.0, 0.0])
     base = find_base_parameters(robot.model, robot.drive)
     own = Trajectories(robot.model, base).simulate(robot, windows, robot.model.parameters)
@@ -118,7 +118,7 @@ def test_both_engines_agree_to_rounding_without_dry_friction(windows: Windows) -
 
 
 def test_both_engines_agree_under_dry_friction(windows: Windows) -> None:
-    robot = robot_as_described(servo_arm(), SERVO)
+    robot = build_robot_as_described(servo_arm(), SERVO)
     base = find_base_parameters(robot.model, robot.drive)
     own = Trajectories(robot.model, base).simulate(robot, windows, robot.model.parameters)
     assert np.any(own.state == 0.0), "some joint must be held by friction"
@@ -171,7 +171,7 @@ def test_pendulum_under_torque_and_stribeck_friction(engine: str) -> None:
 
 def test_divergence_is_reported_as_missing_numbers(windows: Windows) -> None:
     unstable = PositionServo(kp=(40.0, 25.0), kd=(0.0, 0.0), delay=0.0)
-    robot = robot_as_described(servo_arm(), unstable)
+    robot = build_robot_as_described(servo_arm(), unstable)
     robot = replace(robot, values=robot.values * [1.0, -60.0, 0.0])
     simulated = simulate_windows(robot, windows)
     assert np.all(np.isfinite(simulated[:, 0]))
@@ -182,7 +182,7 @@ def test_divergence_is_reported_as_missing_numbers(windows: Windows) -> None:
 def test_centred_steps_of_a_joint_have_errors_of_second_order(engine: str) -> None:
     """The limit is that of raw steps of 10 and 20 us; Coriolis forces are not centred."""
     servo = PositionServo(kp=(40.0,), kd=(1.0,), delay=0.006)
-    robot = robot_as_described(servo_arm().locked(["joint_2"]), servo)
+    robot = build_robot_as_described(servo_arm().locked(["joint_2"]), servo)
     robot = replace(robot, values=robot.values * [1.0, 1.0, 0.0])
     trajectories = Trajectories(robot.model, find_base_parameters(robot.model, robot.drive))
     t, q, qd = np.arange(0.0, 2.0, 0.01), np.array([[0.2]]), np.array([[0.7]])

@@ -16,7 +16,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribute import attribute
-from asbuilt.writers.figures.comparison_figures import attribution_figure
+from asbuilt.writers.figures.comparison_figures import draw_attribution
 from asbuilt.writers.tables.tabular import json_text
 
 ARM = "kuka-iiwa7-r800"
@@ -212,10 +212,10 @@ def test_text_tables_and_figure() -> None:
         shares=(*found.shares[1:], replace(found.shares[0], share=huge)),
         unexplained=0 * huge,
     )
-    axis = attribution_figure(beyond).axes[0]
+    axis = draw_attribution(beyond).axes[0]
     assert axis.get_ylim() == (-300.0, 300.0)
     assert {"\u25b2", "\u25bc"} <= {label.get_text()[:1] for label in axis.texts}
-    figure = attribution_figure(found)
+    figure = draw_attribution(found)
     heights = {}
     for bars in figure.axes[0].containers:
         heights.setdefault(bars.get_label(), [bar.get_height() for bar in bars])

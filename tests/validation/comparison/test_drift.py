@@ -15,7 +15,7 @@ from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.controller_model import compare_controller
 from asbuilt.workflow.options import ControllerOptions
-from asbuilt.writers.reports.compare_files import drift_html
+from asbuilt.writers.reports.compare_files import render_drift
 
 ARM = "kuka-iiwa7-r800"
 WORN = (1.0, 2.0, 1.0, 2.0, 1.4, 3.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0)
@@ -105,7 +105,7 @@ def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, sai
     assert drift.as_text().index("DIFFERENT") < drift.as_text().index(
         "The torque of the same motion"
     )
-    assert "DIFFERENT" in drift_html(drift)
+    assert "DIFFERENT" in render_drift(drift)
     if "coulomb" not in drive.split(","):
         assert drift.n_changed or drift.chi_square.probability < 0.01
     assert not any("DIFFERENT" in line for line in compare_results(after, after).sentences)

@@ -17,9 +17,9 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
-from asbuilt.validation.comparison.torque_change import torque_cost
+from asbuilt.validation.comparison.torque_change import evaluate_torque_cost
 from asbuilt.validation.prediction import validate_samples
-from asbuilt.writers.figures.comparison_figures import difference_figure
+from asbuilt.writers.figures.comparison_figures import draw_differences
 
 ARM = "kuka-iiwa7-r800"
 
@@ -33,7 +33,7 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
     )
     W = held.filtered(W.reshape(len(held.t), 7, -1))
     difference = result.estimates - np.nan_to_num(result.cad_values)
-    cost = torque_cost(result.cause_data, result.base, difference)
+    cost = evaluate_torque_cost(result.cause_data, result.base, difference)
     contributions = W * difference
     np.testing.assert_allclose(
         cost.torque, np.sqrt(np.mean(contributions**2, axis=0)).T, rtol=1e-6, atol=1e-9
@@ -122,7 +122,7 @@ def test_what_matters_comes_first_and_is_not_what_differs() -> None:
     text = comparison.as_text(full=True)
     assert "matters" in text
     assert "degrees of freedom, p" in text
-    figure = difference_figure(comparison)
+    figure = draw_differences(comparison)
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert len(labels) == sum(total >= 0.02 * totals[0] for total in totals)
     assert "mz2  (first moment along z, links 2 to 7)" in labels

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from asbuilt.identification.result.torque_prediction import Prediction
-from asbuilt.validation.generalisation.cad_verdict import cad_verdict, cad_verdict_findings
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict, report_cad_verdicts
 from asbuilt.validation.prediction import Validation
 
 N, RATE = 2000, 100.0
@@ -37,7 +37,7 @@ def test_a_joint_that_cad_predicts_better_is_worse_and_named_first() -> None:
     assert verdict.is_worse
     assert verdict.sentence.startswith("As built against CAD on log: WORSE at wrist (0.")
     assert verdict.joints[1].sigmas < -5.0
-    assert cad_verdict_findings([predicted((0.2, 0.5), (0.5, 0.2))])[0].severity == "info"
+    assert report_cad_verdicts([predicted((0.2, 0.5), (0.5, 0.2))])[0].severity == "info"
 
 
 def test_a_better_model_is_better_on_the_whole() -> None:
@@ -92,4 +92,4 @@ def test_an_order_that_the_errors_do_not_have_is_undecided() -> None:
 
 def test_without_cad_masses_there_is_no_verdict() -> None:
     alike = predicted((0.2, 0.2), (0.5, 0.5))
-    assert cad_verdict_findings([replace(alike, predicted_cad=np.zeros((N, 2)))]) == ()
+    assert report_cad_verdicts([replace(alike, predicted_cad=np.zeros((N, 2)))]) == ()

@@ -1,7 +1,7 @@
 """Findings merged by cause, and ordered by torque."""
 
 from asbuilt.findings import Cure, Finding
-from asbuilt.validation.generalisation.consolidation import consolidated
+from asbuilt.validation.generalisation.consolidation import consolidate_findings
 
 
 def warning(code, message="something is off", joint=None):
@@ -13,7 +13,7 @@ def warnings_of(findings):
 
 
 def test_one_warning_names_the_joints_of_the_others():
-    found = consolidated(
+    found = consolidate_findings(
         [warning("torque_scale", f"log.csv: {name} is off", name) for name in ("A1", "A2", "A3")]
     )
     (only,) = warnings_of(found)
@@ -22,7 +22,7 @@ def test_one_warning_names_the_joints_of_the_others():
 
 
 def test_one_warning_names_the_recordings_of_the_others():
-    found = consolidated(
+    found = consolidate_findings(
         [
             warning("end_transient", "one.csv: A1 is off", "A1"),
             warning("end_transient", "two.csv: A2 is off", "A2"),
@@ -38,7 +38,7 @@ def test_one_warning_names_the_recordings_of_the_others():
 
 
 def test_warnings_are_ordered_by_the_torque_that_they_concern():
-    found = consolidated(
+    found = consolidate_findings(
         [warning("one", joint="A1"), warning("two", joint="A2"), warning("three")],
         {"A1": 0.1, "A2": 0.7},
     )
@@ -50,9 +50,9 @@ def test_warnings_are_ordered_by_the_torque_that_they_concern():
 
 
 def test_what_another_warning_explains_is_information_and_only_then():
-    alone = consolidated([warning("consistent_fit_costly")])
+    alone = consolidate_findings([warning("consistent_fit_costly")])
     assert [each.severity for each in alone] == ["warning"]
-    beside = consolidated([warning("consistent_fit_costly"), warning("effect_found")])
+    beside = consolidate_findings([warning("consistent_fit_costly"), warning("effect_found")])
     assert [(each.code, each.severity) for each in beside] == [
         ("effect_found", "warning"),
         ("consistent_fit_costly", "info"),
@@ -61,7 +61,7 @@ def test_what_another_warning_explains_is_information_and_only_then():
 
 def test_errors_stay_first_and_apart_and_causes_come_before_symptoms():
     errors = [Finding("not_finite", "error", "bad", joint=name) for name in ("A1", "A2")]
-    found = consolidated(
+    found = consolidate_findings(
         [
             warning("nothing_held_out"),
             warning("poorly_determined"),

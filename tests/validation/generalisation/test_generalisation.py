@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from asbuilt.findings import Finding
-from asbuilt.validation.generalisation.generalisation import _named_once
+from asbuilt.validation.generalisation.generalisation import _merge_by_code
 
 
 def test_the_same_finding_on_several_recordings_is_one_warning() -> None:
@@ -18,7 +18,7 @@ def test_the_same_finding_on_several_recordings_is_one_warning() -> None:
             Finding("does_not_generalise", "warning", "Errors on b.csv exceed those trained"),
         ),
     ]
-    said = _named_once(found)
+    said = _merge_by_code(found)
     assert [(each.code, each.severity) for each in said] == [
         ("does_not_generalise", "warning"),
         ("cad_predicts_better", "warning"),

@@ -17,7 +17,7 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.validation.generalisation.repeated_motion import repeated_share
+from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
 from asbuilt.workflow.study import StudyOptions, identify
 
 ROBOT = bundled_robot("scara")
@@ -38,15 +38,15 @@ def samples(seed: int, periods: int = 1) -> Samples:
 
 def test_only_the_same_motion_repeats() -> None:
     one = samples(1)
-    assert repeated_share([one], samples(1)) > 0.95
-    assert repeated_share([samples(2), samples(3)], one) < 0.05
-    assert repeated_share([samples(2), one], one) == 1.0
+    assert measure_repeated_share([one], samples(1)) > 0.95
+    assert measure_repeated_share([samples(2), samples(3)], one) < 0.05
+    assert measure_repeated_share([samples(2), one], one) == 1.0
 
 
 @pytest.mark.parametrize(("periods", "repeats"), [(1, False), (4, True)])
 def test_blocks_of_a_motion_that_comes_again_repeat(periods: int, repeats: bool) -> None:
     fitted, held = hold_out(samples(4, periods), "blocks:2s:3" if periods == 1 else "blocks:5s:3")
-    assert (repeated_share([fitted], held) > 0.6) == repeats
+    assert (measure_repeated_share([fitted], held) > 0.6) == repeats
 
 
 def test_few_moving_joints_say_nothing() -> None:
@@ -54,7 +54,7 @@ def test_few_moving_joints_say_nothing() -> None:
     still = replace(
         one, q=np.where(np.arange(4) < 2, one.q, 0.3), qd=np.where(np.arange(4) < 2, one.qd, 0.0)
     )
-    assert repeated_share([still], still) == 0.0
+    assert measure_repeated_share([still], still) == 0.0
 
 
 @pytest.mark.study

@@ -17,8 +17,8 @@ from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.generalisation.unexplained import (
     nameless_findings,
+    report_unexplained,
     returning_share,
-    unexplained_findings,
 )
 from asbuilt.validation.prediction import validate_samples
 
@@ -38,7 +38,7 @@ def findings(recording: Recording) -> list[Finding]:
     samples = prepare_samples(recording)
     drive = DriveSet.parse("viscous,coulomb")
     result = identify_samples(MODEL, samples, drive=drive, method="entropic")
-    return list(unexplained_findings([validate_samples(result, samples)]))
+    return list(report_unexplained([validate_samples(result, samples)]))
 
 
 def test_a_right_log_is_explained() -> None:

@@ -13,10 +13,10 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_numbers
+from asbuilt.validation.review.claimed_numbers import ClaimedNumber, list_claimed_numbers
 from asbuilt.validation.review.profile import profile_numbers
 from asbuilt.workflow.options import StudyOptions
 from studied_cases import first_of
@@ -87,7 +87,7 @@ def recorded(limit):
 
 
 def driven(recording, kp, kd):
-    return driven_by_command(recording, PositionServo(kp=(kp,) * 3, kd=(kd,) * 3))
+    return drive_by_command(recording, PositionServo(kp=(kp,) * 3, kd=(kd,) * 3))
 
 
 def test_true_numbers_are_not_contradicted(recording, tmp_path_factory):
@@ -232,7 +232,7 @@ def test_columns_of_a_body_are_derivatives():
     model = load_robot("two-link")
     numbers = [
         each
-        for each in claimed_numbers(model, DriveSet(), CadTolerance())
+        for each in list_claimed_numbers(model, DriveSet(), CadTolerance())
         if each.joint == model.joint_names[1]
     ]
     link = model.links[1].inertia
@@ -264,7 +264,7 @@ def test_every_described_number_is_claimed():
     )
     model = dataclasses.replace(model, joints=(joint, *model.joints[1:]))
     drive = DriveSet.parse("viscous")
-    numbers = claimed_numbers(model, drive, CadTolerance())
+    numbers = list_claimed_numbers(model, drive, CadTolerance())
     damping = [each for each in numbers if each.what == "damping"]
     assert damping[0].claimed == 0.25
     assert np.isnan(parameter_values(model, drive)[-1]) == np.isnan(damping[1].claimed)

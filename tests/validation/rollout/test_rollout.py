@@ -12,11 +12,11 @@ from tests.identification.trajectories.test_simulation import samples_of
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.executor import open_workers
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
-from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
-from asbuilt.validation.rollout.errors import rollout_errors
-from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
-from asbuilt.validation.rollout.outlying import outlying_windows
+from asbuilt.validation.rollout.errors import measure_rollout_errors
+from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
+from asbuilt.validation.rollout.outlying import find_outlying_windows
 from asbuilt.validation.rollout.rollout import roll_out, rollout_findings
 
 pytest.importorskip("mujoco")
@@ -41,7 +41,7 @@ def test_errors_of_known_differences() -> None:
     simulated = measured.copy()
     simulated[:, 1:, 0] = 0.02
     simulated[1, 2, 1] = 0.01
-    found = rollout_errors(model, [np.arange(3) / 100.0], [measured], [simulated])
+    found = measure_rollout_errors(model, [np.arange(3) / 100.0], [measured], [simulated])
     assert found.rms == pytest.approx([0.02, 0.005])
     assert found.final == pytest.approx([0.02, np.sqrt(0.5) * 0.01])
     assert found.rms_all == pytest.approx(np.sqrt((4 * 0.02**2 + 0.01**2) / 8))
@@ -51,7 +51,7 @@ def test_errors_of_known_differences() -> None:
 def test_a_divergence_has_no_number_and_is_counted(windows: Windows) -> None:
     lost = windows.q.copy()
     lost[3, 5:] = np.nan
-    found = rollout_errors(servo_arm(), [windows.times], [windows.q], [lost])
+    found = measure_rollout_errors(servo_arm(), [windows.times], [windows.q], [lost])
     assert found.as_dict()["rms_all"] is None
     assert found.diverged == 1
 
@@ -60,7 +60,7 @@ def test_a_divergence_has_no_number_and_is_counted(windows: Windows) -> None:
 def test_robots_of_which_one_diverges_are_compared_before_it(fine: Windows) -> None:
     windows = fine
     truth = servo_arm()
-    built = robot_as_described(truth, SERVO)
+    built = build_robot_as_described(truth, SERVO)
     driven = np.array([key == "viscous" for key in built.drive.keys])
     wild = replace(built, values=np.where(driven, -40.0, built.values))
     found = roll_out(truth, [windows], [wild], [built])
@@ -90,8 +90,8 @@ def test_the_truth_is_closer_than_a_wrong_description(fine: Windows) -> None:
     found = roll_out(
         truth,
         [windows],
-        [robot_as_described(wrong, SERVO)],
-        [robot_as_described(truth, SERVO)],
+        [build_robot_as_described(wrong, SERVO)],
+        [build_robot_as_described(truth, SERVO)],
     )
     assert found.as_built is not None
     assert found.cad is not None
@@ -109,7 +109,7 @@ def test_the_truth_is_closer_than_a_wrong_description(fine: Windows) -> None:
 def test_workers_simulate_the_same_to_the_last_bit(windows: Windows) -> None:
     truth = servo_arm()
     heavier = truth.with_parameters(1.2 * truth.parameters)
-    robots = [robot_as_described(each, SERVO) for each in (truth, heavier)]
+    robots = [build_robot_as_described(each, SERVO) for each in (truth, heavier)]
     recordings = [windows, windows]
     here = roll_out(truth, recordings, robots, [None, robots[0]])
     with open_workers(2) as workers:
@@ -128,7 +128,7 @@ def test_workers_simulate_the_same_to_the_last_bit(windows: Windows) -> None:
 def test_errors_by_recording_and_their_mean(windows: Windows) -> None:
     truth = servo_arm()
     wrong = truth.with_parameters(1.4 * truth.parameters)
-    robots = [robot_as_described(truth, SERVO), robot_as_described(wrong, SERVO)]
+    robots = [build_robot_as_described(truth, SERVO), build_robot_as_described(wrong, SERVO)]
     parts = [windows, replace(windows.some(slice(0, 4)), source="other")]
     found = roll_out(truth, parts, [None, None], robots)
     first, second = found.by_recording
@@ -168,15 +168,15 @@ def test_repetitions_of_a_command_give_the_noise() -> None:
         np.zeros((8, 2)),
         DriveSignal("command", t, u),
     )
-    pairs = repeated_windows([cut])
+    pairs = pair_repeated_windows([cut])
     assert pairs is not None
     assert len(pairs[0][0]) == 4, "each of four windows comes twice"
     assert np.std(pairs[0][0] - pairs[1][0]) == pytest.approx(np.sqrt(2) * 1e-3, rel=0.1)
     shorter = replace(cut, q=cut.q[:3, :90], starts=cut.starts[:3])
-    again = repeated_windows([cut, shorter, cut])
+    again = pair_repeated_windows([cut, shorter, cut])
     assert again is not None
     assert again[0][0].shape[1] == 100
-    path = delayed_command(cut)
+    path = delay_command(cut)
     assert path is not None
     assert np.sqrt(np.mean((path - cut.q) ** 2)) < 2.5e-3
 
@@ -184,7 +184,7 @@ def test_repetitions_of_a_command_give_the_noise() -> None:
 def test_a_window_under_contact_is_named(windows: Windows) -> None:
     touched = windows.q + 1e-3
     touched[7, 10:, 1] += 0.1
-    found, usual = outlying_windows([windows], [touched], windows_names())
+    found, usual = find_outlying_windows([windows], [touched], windows_names())
     assert [(each.start, each.joint) for each in found] == [(3.5, "joint_2")]
     assert usual[0].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11]
 

@@ -24,7 +24,7 @@ from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
 from asbuilt.workflow.fleet.overview import fleet_overview
-from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
+from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, make_identity_finder
 from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
@@ -305,8 +305,8 @@ def test_temperatures_are_kept_beside_the_information(logs: list[Path], tmp_path
 
 
 def test_identities_from_paths() -> None:
-    assert id_from("*_{id}.parquet")(Path("logs/run_arm7.parquet")) == "arm7"
+    assert make_identity_finder("*_{id}.parquet")(Path("logs/run_arm7.parquet")) == "arm7"
     with pytest.raises(UsageError, match="must have one"):
-        id_from("*.csv")
+        make_identity_finder("*.csv")
     with pytest.raises(UsageError, match="does not match"):
-        id_from("{id}/*.parquet")(Path("a.csv"))
+        make_identity_finder("{id}/*.parquet")(Path("a.csv"))

@@ -20,12 +20,12 @@ import pytest
 
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.workflow.fleet.identification import fleet_identify
-from asbuilt.workflow.fleet.ledger.entry import EntryName, content_digest
+from asbuilt.workflow.fleet.ledger.entry import EntryName, digest_content
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
-from asbuilt.workflow.fleet.ledger.store import checked_id, identity_in
+from asbuilt.workflow.fleet.ledger.store import check_robot_id, find_identity
 from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.overview import fleet_overview
-from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
+from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, make_identity_finder
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.writing import _OWNER
 from fleet_logs import MODEL, content_of, write_logs
@@ -69,7 +69,7 @@ def with_content(path: Path, content: bytes) -> Path:
     name = EntryName.parse("R1", path.name)
     assert name is not None
     path.unlink()
-    target = path.with_name(path.name.replace(name.content, content_digest(content)))
+    target = path.with_name(path.name.replace(name.content, digest_content(content)))
     target.write_bytes(content)
     return target
 
@@ -222,7 +222,7 @@ def test_identities_that_are_refused(robot_id: str, ledger: Path, logs: list[Pat
 def test_identities_that_stay_within_the_ledger(
     robot_id: str, ledger: Path, logs: list[Path]
 ) -> None:
-    assert checked_id(robot_id) == robot_id
+    assert check_robot_id(robot_id) == robot_id
     done = add(ledger, logs[:1], robot_id)
     assert done.added[0].entry is not None
     assert robot_id in open_ledger(str(ledger)).robot_ids()
@@ -253,10 +253,10 @@ def test_places_that_are_no_ledger(root: str) -> None:
 def test_no_pattern_takes_long(pattern: str, path: str) -> None:
     began = time.monotonic()
     with pytest.raises(UsageError, match="does not match"):
-        id_from(pattern)(Path(path))
+        make_identity_finder(pattern)(Path(path))
     assert time.monotonic() - began < 5.0
     with pytest.raises(UsageError, match="at most"):
-        id_from(pattern * 1 + "a" * 300)
+        make_identity_finder(pattern * 1 + "a" * 300)
 
 
 def test_identities_are_those_of_a_regular_expression() -> None:
@@ -269,7 +269,7 @@ def test_identities_are_those_of_a_regular_expression() -> None:
         text = "[^/]*".join(map(re.escape, before.split("*"))) + "(?P<id>[^/]+?)"
         text += "[^/]*".join(map(re.escape, after.split("*")))
         found = re.search(rf"(?:^|/){text}\Z", path)
-        assert identity_in(f"{before}{{id}}{after}", path) == (found and found["id"])
+        assert find_identity(f"{before}{{id}}{after}", path) == (found and found["id"])
         matched += found is not None
     assert matched > 300
 

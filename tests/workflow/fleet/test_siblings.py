@@ -28,8 +28,8 @@ from asbuilt.workflow.fleet.reduction.add import add_logs
 from asbuilt.workflow.fleet.siblings import (
     SIBLINGS,
     SiblingPrior,
+    estimate_prior,
     estimate_with_siblings,
-    prior_of,
 )
 from asbuilt.writers.recording_files import write_recording
 from fleet_logs import MODEL, recording, virtual
@@ -66,7 +66,9 @@ def information(chi: np.ndarray, rng: np.random.Generator, seconds: float) -> Sq
 def prior() -> SiblingPrior:
     """The prior of a dozen robots."""
     rng = np.random.default_rng(1)
-    return prior_of(MODEL, BASE, {f"R{i}": information(member(rng), rng, 20.0) for i in range(12)})
+    return estimate_prior(
+        MODEL, BASE, {f"R{i}": information(member(rng), rng, 20.0) for i in range(12)}
+    )
 
 
 def test_mean_is_physically_consistent_and_spread_is_that_of_the_robots(

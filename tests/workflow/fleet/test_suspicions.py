@@ -14,7 +14,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.workflow.fleet.overview import JUMP, misfit
+from asbuilt.workflow.fleet.overview import JUMP, measure_misfit
 from fleet_logs import MODEL
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -49,13 +49,13 @@ def warmed(by: float) -> np.ndarray:
 
 def test_friction_that_follows_temperature_is_no_other_robot() -> None:
     logs = [entry(warmed(0.15 * np.sin(0.8 * k)), k) for k in range(8)]
-    ratios = [misfit(each, [other for other in logs if other is not each]) for each in logs]
+    ratios = [measure_misfit(each, [other for other in logs if other is not each]) for each in logs]
     assert max(ratios) < 1.5
-    assert misfit(entry(warmed(-0.5), 20), logs) < 1.5
+    assert measure_misfit(entry(warmed(-0.5), 20), logs) < 1.5
 
 
 def test_a_heavier_link_is_another_robot_whatever_its_friction() -> None:
     logs = [entry(warmed(0.15 * np.sin(0.8 * k)), k) for k in range(8)]
     heavier = warmed(0.15)
     heavier[10:20] *= 1.1
-    assert misfit(entry(heavier, 21), logs) > JUMP.ratio
+    assert measure_misfit(entry(heavier, 21), logs) > JUMP.ratio

@@ -24,7 +24,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.workflow.options import horizons
+from asbuilt.workflow.options import parse_horizons
 
 pytest.importorskip("mujoco")
 
@@ -87,7 +87,7 @@ def test_workers_simulate_what_was_held_out_to_the_same_bits(monkeypatch) -> Non
 @pytest.mark.parametrize("text", ["0", "a,b", "-1", "nan", ""])
 def test_lengths_of_rollouts_are_positive(text: str) -> None:
     with pytest.raises(UsageError, match="lengths of rollouts are numbers from"):
-        horizons(text)
+        parse_horizons(text)
 
 
 def test_command_line_prints_rollouts_of_a_robot_as_described(tmp_path: Path) -> None:

@@ -24,11 +24,11 @@ from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.dynamics.regressor import regressor
 from asbuilt.errors import DescriptionError
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.writers.models.c.c_code import c_code, write_c
-from asbuilt.writers.models.mjcf import exported_mjcf
-from asbuilt.writers.models.robot_toml import robot_toml
-from asbuilt.writers.models.urdf import urdf_text
-from asbuilt.writers.models.urdf_edit import edited_urdf
+from asbuilt.writers.models.c.c_code import generate_c_code, write_c
+from asbuilt.writers.models.mjcf import export_mjcf
+from asbuilt.writers.models.robot_toml import format_robot_toml
+from asbuilt.writers.models.urdf import format_urdf
+from asbuilt.writers.models.urdf_edit import edit_urdf
 from coupled_robots import palletizer
 
 STATES = np.random.default_rng(3).normal(size=(3, 10, 5))
@@ -36,7 +36,7 @@ STATES = np.random.default_rng(3).normal(size=(3, 10, 5))
 
 @pytest.mark.parametrize(
     ("name", "written"),
-    [("robot.urdf", urdf_text), ("robot.xml", exported_mjcf), ("robot.toml", robot_toml)],
+    [("robot.urdf", format_urdf), ("robot.xml", export_mjcf), ("robot.toml", format_robot_toml)],
 )
 def test_files_are_read_back_to_the_same_torques(name: str, written, tmp_path: Path) -> None:
     robot = palletizer()
@@ -60,7 +60,7 @@ def test_documents_are_read_back() -> None:
 def test_an_original_urdf_gets_inertias_of_all_links() -> None:
     """And friction of a follower, which counts to its driven joint, is not there twice."""
     robot = palletizer()
-    text = urdf_text(robot)
+    text = format_urdf(robot)
     name = '<joint name="level"'
     at = text.index("</joint>", text.index(name))
     text = text[:at] + '<dynamics damping="0.5" friction="0.2"/>' + text[at:]
@@ -71,7 +71,7 @@ def test_an_original_urdf_gets_inertias_of_all_links() -> None:
     built = replace(
         built, joints=(*built.joints[:2], replace(built.joints[2], drive=drive), *built.joints[3:])
     )
-    again = read_urdf(edited_urdf(text, built).content)
+    again = read_urdf(edit_urdf(text, built).content)
     np.testing.assert_allclose(
         inverse_dynamics(again, *STATES), inverse_dynamics(built, *STATES), atol=1e-9
     )
@@ -88,7 +88,7 @@ def test_mujoco_moves_followers_as_the_equality_says() -> None:
     none = np.zeros_like(q)
     found, _ = physics.accelerations(q, qd, tau, coulomb=none, viscous=none)
     np.testing.assert_allclose(found, qdd, rtol=1e-4, atol=1e-4)
-    exported = mujoco.MjModel.from_xml_string(exported_mjcf(robot))
+    exported = mujoco.MjModel.from_xml_string(export_mjcf(robot))
     assert (exported.neq, exported.nu) == (3, 5)
 
 
@@ -103,7 +103,7 @@ def test_c_code(described: RobotModel, tmp_path: Path) -> None:
     library = tmp_path / "robot.so"
     flags = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O0", "-shared", "-fPIC")
     subprocess.run(["gcc", *flags, str(source), "-o", str(library), "-lm"], check=True)
-    functions, prefix = ctypes.CDLL(str(library)), c_code(robot).prefix
+    functions, prefix = ctypes.CDLL(str(library)), generate_c_code(robot).prefix
 
     def called(name: str, size: int, *inputs: np.ndarray) -> np.ndarray:
         out = np.full(size, np.nan)

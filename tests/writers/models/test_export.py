@@ -23,8 +23,8 @@ from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.workflow.study import StudyOptions, identify
 from asbuilt.writers.models.export import export_result
-from asbuilt.writers.models.sample_states import sample_states
-from asbuilt.writers.models.urdf import urdf_text
+from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.urdf import format_urdf
 from asbuilt.writers.recording_files import write_recording
 from command_line import call
 from studied_cases import first_of
@@ -83,7 +83,7 @@ def test_every_export_gives_the_identified_torques(
     places = {kind: tmp_path / f"robot.{kind}" for kind in ("urdf", "mjcf", "toml", "c")}
     exported = export_result(result, **places)
     assert set(exported.files) == {*places, "header"}
-    q, qd, qdd = sample_states(model, 20)
+    q, qd, qdd = draw_sample_states(model, 20)
     qd = np.where(np.abs(qd) < 0.1, 0.1, qd)
     expected = (
         observation_matrix(model, q, qd, qdd, drive=result.base.drive, columns=result.base.columns)
@@ -140,7 +140,7 @@ def arm_urdf(folder: Path) -> Path:
     """Write a URDF of two-link with a comment in it."""
     path = folder / "arm.urdf"
     path.write_text(
-        urdf_text(bundled_robot("two-link")).replace(
+        format_urdf(bundled_robot("two-link")).replace(
             "</robot>", "<!-- the user's own -->\n</robot>"
         )
     )

@@ -14,18 +14,18 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError
-from asbuilt.writers.models.mjcf import exported_mjcf, write_mjcf
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.mjcf import export_mjcf, write_mjcf
+from asbuilt.writers.models.sample_states import draw_sample_states
 
 BUNDLED = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara", "two-link")
 STRANGERS = ("lbrstack_med7.urdf", "kuka_lwr4.urdf", "ur10.urdf", "xarm7.urdf", "mjcf_iiwa14.xml")
 
 
 def check_reloads(model: RobotModel) -> None:
-    q, qd, qdd = sample_states(model, 30)
+    q, qd, qdd = draw_sample_states(model, 30)
     qd = np.where(np.abs(qd) < 0.1, 0.1, qd)
     expected = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=False)
-    found = mujoco_torques(exported_mjcf(model), model.joint_names, q, qd, qdd)
+    found = mujoco_torques(export_mjcf(model), model.joint_names, q, qd, qdd)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
@@ -56,9 +56,9 @@ def test_motor_torques_accelerate_as_forward_dynamics_says() -> None:
             replace(joint, drive=replace(joint.drive, coulomb=None)) for joint in model.joints
         ),
     )
-    compiled = mujoco.MjModel.from_xml_string(exported_mjcf(model))
+    compiled = mujoco.MjModel.from_xml_string(export_mjcf(model))
     data = mujoco.MjData(compiled)
-    q, qd, qdd = sample_states(model, 5)
+    q, qd, qdd = draw_sample_states(model, 5)
     torque = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=True)
     limits = np.array([joint.limits.torque for joint in model.joints])
     assert compiled.nu == 6
@@ -72,7 +72,7 @@ def test_own_reader_gives_the_robot_back(tmp_path: Path) -> None:
     model = as_if_identified(bundled_robot("scara"), 5)
     path, notes = write_mjcf(tmp_path / "robot.xml", model)
     read = load_robot(path)
-    q, qd, qdd = sample_states(model, 10)
+    q, qd, qdd = draw_sample_states(model, 10)
     np.testing.assert_allclose(
         inverse_dynamics(read, q, qd, qdd), inverse_dynamics(model, q, qd, qdd), atol=1e-10
     )
@@ -91,9 +91,9 @@ def test_impossible_models_are_refused() -> None:
     model = bundled_robot("two-link")
     impossible = LinkInertia.from_com(-1.0, np.zeros(3), np.eye(3))
     with pytest.raises(InertiaError, match=r"link 2: mass is -1 kg"):
-        exported_mjcf(
+        export_mjcf(
             replace(model, links=(model.links[0], replace(model.links[1], inertia=impossible)))
         )
     pushing = replace(model.joints[0], drive=DriveValues(armature=-0.1))
     with pytest.raises(InertiaError, match=r"joint 1: armature is -0\.1"):
-        exported_mjcf(replace(model, joints=(pushing, model.joints[1])))
+        export_mjcf(replace(model, joints=(pushing, model.joints[1])))

@@ -13,9 +13,9 @@ from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import Windows
-from asbuilt.writers.models.mjcf import exported_mjcf
+from asbuilt.writers.models.mjcf import export_mjcf
 
 STEP = 1e-3
 
@@ -67,16 +67,16 @@ def test_rolled_out_again_the_motion_is_equal(name: str, offset: float, coulomb:
         "made up", 0.4, 1.0 / STEP, np.zeros(1), np.zeros((1, samples, n)), q[None], qd[None],
         DriveSignal("command", t, command),
     )  # fmt: skip
-    (own,) = simulate_windows(robot_as_described(model, servo_of(model)), windows)
+    (own,) = simulate_windows(build_robot_as_described(model, servo_of(model)), windows)
     (controls,) = windows.inputs()
-    found = rolled_out_by_mujoco(exported_mjcf(model), controls, q, qd)
+    found = rolled_out_by_mujoco(export_mjcf(model), controls, q, qd)
     assert np.ptp(found, axis=0).min() > 0.01
     np.testing.assert_allclose(found, own, rtol=0, atol=1e-9)
 
 
 def test_torque_limits_act_and_an_offset_is_outside_them() -> None:
     model = with_servo("two-link", 0.8, 0.0)
-    robot = mujoco.MjModel.from_xml_string(exported_mjcf(model))
+    robot = mujoco.MjModel.from_xml_string(export_mjcf(model))
     data = mujoco.MjData(robot)
     data.ctrl[:] = 100.0
     mujoco.mj_forward(robot, data)
@@ -86,7 +86,7 @@ def test_torque_limits_act_and_an_offset_is_outside_them() -> None:
 @pytest.mark.parametrize("offset", [0.0, -0.7])
 def test_gains_offsets_and_limits_are_read_again(offset: float) -> None:
     model = with_servo("ur10e", offset, 0.3)
-    again = read_mjcf(exported_mjcf(model))
+    again = read_mjcf(export_mjcf(model))
     for joint, before in zip(again.joints, model.joints, strict=True):
         assert (joint.drive.kp, joint.drive.kd) == (before.drive.kp, before.drive.kd)
         assert (joint.drive.offset or 0.0) == before.drive.offset

@@ -26,11 +26,11 @@ from asbuilt.errors import DescriptionError, InertiaError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.prediction import cad_values
+from asbuilt.validation.prediction import derive_cad_values
 from asbuilt.writers.models.export import export_result
-from asbuilt.writers.models.mjcf import exported_mjcf
-from asbuilt.writers.models.robot_toml import robot_toml
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.mjcf import export_mjcf
+from asbuilt.writers.models.robot_toml import format_robot_toml
+from asbuilt.writers.models.sample_states import draw_sample_states
 from studied_cases import first_of
 
 PER_JOINT = "/".join(f"{0.02 + 0.01 * k:.2f}" for k in range(7))
@@ -105,7 +105,9 @@ def test_robot_file_gives_the_torques_of_the_result(name: str, tmp_path: Path) -
     )
     expected = torques_of(result, motion.q, motion.qd, motion.qdd)
     np.testing.assert_allclose(simulated.tau, expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(cad_values(result, written), result.estimates, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        derive_cad_values(result, written), result.estimates, rtol=0, atol=1e-9
+    )
     assert [joint.drive.gear_ratio for joint in written.joints] == [
         joint.drive.gear_ratio for joint in result.model.joints
     ]
@@ -115,7 +117,7 @@ def test_robot_file_gives_the_torques_of_the_result(name: str, tmp_path: Path) -
 def test_c_code_carries_every_term(name: str, tmp_path: Path) -> None:
     result = rich_result(name)
     source = export_result(result, c=tmp_path / "robot.c").files["c"]
-    q, qd, qdd = sample_states(result.model, 20)
+    q, qd, qdd = draw_sample_states(result.model, 20)
     qd[:5] *= 0.02
     qd[0, :2] = 0.0
     prefix = result.robot.replace("-", "_")
@@ -194,7 +196,7 @@ def test_mujoco_has_what_it_can(tmp_path: Path) -> None:
     )
     exported = export_result(result, mjcf=tmp_path / "robot.xml")
     assert len(exported.notes["mjcf"]) == 1
-    q, qd, qdd = sample_states(model, 20)
+    q, qd, qdd = draw_sample_states(model, 20)
     qd = np.where(np.abs(qd) < 0.3, 0.3 * np.sign(qd) + 0.1, qd)
     moving = np.all(np.abs(qd @ model.motor_shares.T)[:, 4:] > 0.05, axis=1)
     q, qd, qdd = q[moving], qd[moving], qdd[moving]
@@ -241,7 +243,7 @@ def test_load_that_counts_an_armature_is_said(tmp_path: Path) -> None:
 
 
 def test_unknown_terms_and_symbols_of_a_robot_file_are_refused(tmp_path: Path) -> None:
-    text = robot_toml(
+    text = format_robot_toml(
         replace(
             bundled_robot("two-link"),
             joints=tuple(
@@ -273,11 +275,11 @@ def test_values_with_other_shapes_are_not_taken_for_the_same() -> None:
         model, as_if_identified(model, 1, drives=False), drive="stribeck:velocity=0.2"
     )
     assert parameter_names(model, result.base.drive)[-1] == "Fs2"
-    assert cad_values(result, stated)[-1] == 1.0
+    assert derive_cad_values(result, stated)[-1] == 1.0
     other = replace(
         result, base=find_base_parameters(model, DriveSet.parse("stribeck:velocity=0.3"))
     )
-    assert np.isnan(cad_values(other, stated)[-1])
+    assert np.isnan(derive_cad_values(other, stated)[-1])
 
 
 def test_commands_take_the_exported_robot(
@@ -308,7 +310,7 @@ def test_further_terms_that_push_are_refused() -> None:
     pushing = DriveValues(terms={"load_friction": {"Fl": -0.1}})
     model = bundled_robot("two-link")
     with pytest.raises(InertiaError, match=r"joint 1: load_friction Fl is -0\.1"):
-        exported_mjcf(
+        export_mjcf(
             replace(model, joints=(replace(model.joints[0], drive=pushing), model.joints[1]))
         )
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, Frame, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -14,7 +14,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.models.robot_toml import robot_toml, write_robot_toml
+from asbuilt.writers.models.robot_toml import format_robot_toml, write_robot_toml
 
 
 def same_torques(one: RobotModel, two: RobotModel) -> None:
@@ -55,7 +55,7 @@ def test_round_trip_keeps_everything(example: Any, tmp_path: Path) -> None:
 
 def test_writing_what_was_read_gives_the_same_text(example: Any, tmp_path: Path) -> None:
     path = write_robot_toml(tmp_path / "robot.toml", example.model)
-    assert robot_toml(load_robot(path)) == path.read_text(encoding="utf-8")
+    assert format_robot_toml(load_robot(path)) == path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["lbrstack_med7.urdf", "kuka_lwr4.urdf"])
@@ -88,7 +88,7 @@ def test_identified_robot_predicts_what_was_identified(
         observation_matrix(robot, samples.q, samples.qd, samples.qdd, drive=drive) @ chi
     ).reshape(samples.q.shape)
     np.testing.assert_allclose(torque, result.predict(samples).predicted, atol=1e-9)
-    assert ("NOT physically consistent" in robot.notes[-1]) == bool(inconsistencies(robot))
+    assert ("NOT physically consistent" in robot.notes[-1]) == bool(find_inconsistencies(robot))
 
 
 def test_design_values_give_the_design_back(example: Any) -> None:

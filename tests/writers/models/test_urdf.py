@@ -15,15 +15,15 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import JointLimits, RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError
-from asbuilt.writers.models.sample_states import sample_states
-from asbuilt.writers.models.urdf import urdf_text, write_urdf
+from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.urdf import format_urdf, write_urdf
 
 BUNDLED = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara", "two-link")
 
 
 def check_reloads(model: RobotModel) -> RobotModel:
-    text = urdf_text(model)
-    q, qd, qdd = sample_states(model, 30)
+    text = format_urdf(model)
+    q, qd, qdd = draw_sample_states(model, 30)
     expected = inverse_dynamics(model, q, qd, qdd)
     tolerance = 1e-12 * np.abs(expected).max() + 1e-12
     found = pinocchio_torques(text.partition("?>")[2], model.joint_names, model.gravity, q, qd, qdd)
@@ -76,7 +76,7 @@ def test_descriptions_of_strangers_written_afresh(shared: Path) -> None:
 def test_hostile_names_and_notes_stay_text(example: Any) -> None:
     model = as_if_identified(example.model, 1)
     model = replace(model, notes=("a -- b --> <link name='x'/>---",))
-    text = urdf_text(model)
+    text = format_urdf(model)
     assert fromstring(text).get("name") == model.name
     read = check_reloads(model)
     assert read.joint_names == model.joint_names
@@ -87,7 +87,7 @@ def test_hostile_names_and_notes_stay_text(example: Any) -> None:
 def test_unknown_limits_are_written_as_large_ones() -> None:
     model = bundled_robot("scara")
     model = model.with_limits([JointLimits()] * model.n_joints)
-    read = read_urdf(urdf_text(model))
+    read = read_urdf(format_urdf(model))
     assert [joint.kind for joint in read.joints] == [
         "continuous",
         "continuous",
@@ -101,7 +101,7 @@ def test_impossible_models_are_refused() -> None:
     model = bundled_robot("two-link")
     impossible = LinkInertia.from_com(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.3]))
     with pytest.raises(InertiaError, match="link 2: Ixx"):
-        urdf_text(
+        format_urdf(
             replace(model, links=(model.links[0], replace(model.links[1], inertia=impossible)))
         )
 
@@ -109,6 +109,6 @@ def test_impossible_models_are_refused() -> None:
 def test_written_file_says_what_it_leaves_out(tmp_path: Path) -> None:
     model = as_if_identified(bundled_robot("two-link"), 1)
     path, notes = write_urdf(tmp_path / "robot.urdf", model)
-    assert path.read_text(encoding="utf-8") == urdf_text(model)
+    assert path.read_text(encoding="utf-8") == format_urdf(model)
     assert len(notes) == 2
     assert re.search(r"<!-- armature 0\.\d+, offset -?\d", path.read_text(encoding="utf-8"))

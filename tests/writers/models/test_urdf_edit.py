@@ -11,8 +11,8 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, InertiaError
-from asbuilt.writers.models.sample_states import sample_states
-from asbuilt.writers.models.urdf_edit import edited_urdf
+from asbuilt.writers.models.sample_states import draw_sample_states
+from asbuilt.writers.models.urdf_edit import edit_urdf
 from shared_urdfs import SHARED_URDFS
 
 ARM = """<?xml version='1.0' encoding='ISO-8859-1'?>\r
@@ -73,7 +73,7 @@ def without_inertials_and_dynamics(content: bytes) -> bytes:
 
 
 def check_reloads(content: bytes, model: RobotModel, *, tolerance: float) -> None:
-    q, qd, qdd = sample_states(model, 30)
+    q, qd, qdd = draw_sample_states(model, 30)
     expected = inverse_dynamics(model, q, qd, qdd)
     read = read_urdf(content)
     np.testing.assert_allclose(
@@ -98,7 +98,7 @@ def test_descriptions_of_strangers(shared: Path, name: str) -> None:
     path = shared / "models" / name
     original = path.read_bytes()
     model = as_if_identified(read_urdf(path), 1)
-    edited = edited_urdf(path, model)
+    edited = edit_urdf(path, model)
     assert without_inertials_and_dynamics(edited.content) == without_inertials_and_dynamics(
         original
     )
@@ -120,7 +120,7 @@ def test_descriptions_of_strangers(shared: Path, name: str) -> None:
 @pytest.mark.parametrize("name", SHARED_URDFS)
 def test_a_robot_as_described_gives_its_file_back(shared: Path, name: str) -> None:
     path = shared / "models" / name
-    assert edited_urdf(path, read_urdf(path)).content == path.read_bytes()
+    assert edit_urdf(path, read_urdf(path)).content == path.read_bytes()
 
 
 def test_small_arm_with_every_habit(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_small_arm_with_every_habit(tmp_path: Path) -> None:
     described = read_urdf(path)
     assert [part for part, _ in described.links[0].parts] == ["upper", "cover"]
     model = as_if_identified(described, 2)
-    edited = edited_urdf(path, model)
+    edited = edit_urdf(path, model)
     content = edited.content
     assert edited.emptied == ()
     check_reloads(content, model, tolerance=1e-9)
@@ -151,8 +151,8 @@ def test_utf_16_stays_utf_16(tmp_path: Path) -> None:
     text = ARM.replace("ISO-8859-1", "UTF-16")
     path = arm_file(tmp_path, text, "utf-16")
     model = as_if_identified(read_urdf(path), 2)
-    content = edited_urdf(path, model).content
-    narrow = edited_urdf(arm_file(tmp_path), model).content
+    content = edit_urdf(path, model).content
+    narrow = edit_urdf(arm_file(tmp_path), model).content
     assert content == narrow.decode("latin-1").replace("ISO-8859-1", "UTF-16").encode("utf-16")
 
 
@@ -164,7 +164,7 @@ def test_inertia_of_fixed_parts_moves_where_the_remainder_is_impossible(tmp_path
         described,
         links=(replace(described.links[0], inertia=small, parts=()), *described.links[1:]),
     )
-    edited = edited_urdf(path, model)
+    edited = edit_urdf(path, model)
     assert edited.emptied == ("cover",)
     assert b'<link name="cover"></link>' in edited.content
     assert "cover were removed" in edited.notes[0]
@@ -174,7 +174,7 @@ def test_inertia_of_fixed_parts_moves_where_the_remainder_is_impossible(tmp_path
 def test_tilted_gravity_is_said(tmp_path: Path) -> None:
     path = arm_file(tmp_path)
     model = as_if_identified(read_urdf(path), 3).with_gravity([1.0, 0.0, -9.7])
-    edited = edited_urdf(path, model)
+    edited = edit_urdf(path, model)
     assert any("gravity" in note and "(1, 0, -9.7)" in note for note in edited.notes)
     check_reloads(edited.content, model, tolerance=1e-9)
 
@@ -184,15 +184,15 @@ def test_another_robot_is_refused(tmp_path: Path) -> None:
     model = read_urdf(path)
     moved = arm_file(tmp_path, ARM.replace("0.1 0 0.4", "0.1 0 0.5"))
     with pytest.raises(DescriptionError, match=r"placement of joint 'j2' differs by 0\.0?[19]"):
-        edited_urdf(moved, model)
+        edit_urdf(moved, model)
     with pytest.raises(DescriptionError, match="joints are j1, j2, other"):
-        edited_urdf(arm_file(tmp_path, ARM.replace('"j3"', '"other"')), model)
+        edit_urdf(arm_file(tmp_path, ARM.replace('"j3"', '"other"')), model)
     with pytest.raises(DescriptionError, match="moving links are"):
-        edited_urdf(arm_file(tmp_path, ARM.replace('"slider"', '"pusher"')), model)
+        edit_urdf(arm_file(tmp_path, ARM.replace('"slider"', '"pusher"')), model)
     with pytest.raises(DescriptionError, match="j3' is revolute"):
-        edited_urdf(arm_file(tmp_path, ARM.replace('"prismatic"', '"revolute"')), model)
+        edit_urdf(arm_file(tmp_path, ARM.replace('"prismatic"', '"revolute"')), model)
     with pytest.raises(DescriptionError, match="cannot be read"):
-        edited_urdf(tmp_path / "nowhere.urdf", model)
+        edit_urdf(tmp_path / "nowhere.urdf", model)
 
 
 def test_impossible_models_are_refused(tmp_path: Path) -> None:
@@ -200,9 +200,9 @@ def test_impossible_models_are_refused(tmp_path: Path) -> None:
     model = read_urdf(path)
     flat = LinkInertia.from_com(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.3]))
     with pytest.raises(InertiaError, match=r"link 3: Ixx \+ Iyy < Izz by 0\.1 kg m\^2"):
-        edited_urdf(
+        edit_urdf(
             path, replace(model, links=(*model.links[:2], replace(model.links[2], inertia=flat)))
         )
     pushing = replace(model.joints[1], drive=DriveValues(viscous=-0.5))
     with pytest.raises(InertiaError, match=r"joint 2: viscous friction is -0\.5"):
-        edited_urdf(path, replace(model, joints=(model.joints[0], pushing, model.joints[2])))
+        edit_urdf(path, replace(model, joints=(model.joints[0], pushing, model.joints[2])))

@@ -13,7 +13,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import skeleton_frames
+from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
 from asbuilt.writers.pictures.view import write_picture
 
 
@@ -22,7 +22,7 @@ def test_every_robot_is_drawn_within_the_picture() -> None:
     for name in ("scara", "ur10e", "g1-arms"):
         model = bundled_robot(name)
         view = MotionView.of_motion(model, random_fourier(model, 1, duration=4.0), most=3)
-        frames = list(skeleton_frames(view, 160, 120))
+        frames = list(draw_skeleton_frames(view, 160, 120))
         assert len(frames) == 3
         for frame in frames:
             assert frame.shape == (120, 160, 3)
@@ -70,7 +70,7 @@ def test_space_of_a_motion_holds_every_body() -> None:
 def test_up_is_against_gravity() -> None:
     model = bundled_robot("ur10e").with_gravity([0.0, 9.81, 0.0])
     np.testing.assert_allclose(MotionView.of_motion(model, None).up, [0.0, -1.0, 0.0])
-    assert next(skeleton_frames(MotionView.of_motion(model, None), 80, 60)).std() > 5
+    assert next(draw_skeleton_frames(MotionView.of_motion(model, None), 80, 60)).std() > 5
 
 
 def test_wrong_pictures_are_refused(tmp_path: Path) -> None:

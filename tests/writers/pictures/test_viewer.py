@@ -21,7 +21,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.writers.pictures.skeleton import round_mesh
+from asbuilt.writers.pictures.skeleton import build_round_mesh
 from asbuilt.writers.pictures.viewer import Viewer
 
 
@@ -147,7 +147,7 @@ def test_links_stand_where_kinematics_puts_them() -> None:
 @pytest.mark.parametrize("kind", ["rod", "housing"])
 def test_meshes_are_closed_and_seen_from_outside(kind: str) -> None:
     solid = Solid(0, kind, np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.0, 0.9]), 0.05)  # type: ignore[arg-type]
-    vertices, faces = round_mesh(solid, slices=96, rings=33)
+    vertices, faces = build_round_mesh(solid, slices=96, rings=33)
     corners = vertices[faces]
     volume = (
         np.sum(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6

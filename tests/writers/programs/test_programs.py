@@ -22,7 +22,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import JointLimits, RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.collision.capsules import surroundings
+from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.excitation.collision.constraint import CollisionGuard
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motions.bspline import BSplineMotion
@@ -34,9 +34,14 @@ from asbuilt.excitation.motions.random_motion import random_fourier, random_poin
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, program_format
-from asbuilt.writers.programs.naming import class_name, file_stem, identifier, plain_text
+from asbuilt.writers.programs.naming import (
+    make_class_name,
+    make_file_stem,
+    make_lowercase_identifier,
+    make_plain_text,
+)
 from asbuilt.writers.programs.program import make_program, write_program
-from asbuilt.writers.programs.via_points import hermite_knots, point_to_point_segments
+from asbuilt.writers.programs.via_points import choose_hermite_knots, divide_point_to_point
 from studied_cases import first_of
 
 ALLOWED = {
@@ -240,13 +245,13 @@ NASTY = [
 
 @pytest.mark.parametrize("name", NASTY)
 def test_names_cannot_leave_their_place(name: str) -> None:
-    plain = plain_text(name)
+    plain = make_plain_text(name)
     assert plain.isascii()
     assert not set('\\"`\n\r') & set(plain)
     assert "*/" not in plain
-    assert re.fullmatch(r"[A-Za-z0-9_-]{1,60}", file_stem(name))
-    assert identifier(name, prefix="asbuilt_").isidentifier()
-    assert re.fullmatch(r"[A-Z][A-Za-z0-9]*Excitation", class_name(name, suffix="Excitation"))
+    assert re.fullmatch(r"[A-Za-z0-9_-]{1,60}", make_file_stem(name))
+    assert make_lowercase_identifier(name, prefix="asbuilt_").isidentifier()
+    assert re.fullmatch(r"[A-Z][A-Za-z0-9]*Excitation", make_class_name(name, suffix="Excitation"))
 
 
 @pytest.mark.parametrize("name", first_of(5, NASTY))
@@ -455,7 +460,7 @@ def test_programs_say_which_collisions_were_checked(form: str) -> None:
     assert "neither on the motion nor on the approach" in head[None]
     said = re.search(r"keep at least (\d+) mm from each other", head["skeleton:0.01"])
     assert said is not None
-    guard = CollisionGuard(model, surroundings(model, "skeleton:0.01"))
+    guard = CollisionGuard(model, build_surroundings(model, "skeleton:0.01"))
     nearest = min(
         guard.smallest_distance(motion.derivative(np.array([t])))
         for t in np.arange(0.0, 5.0005, 0.01)
@@ -508,17 +513,17 @@ def program_text(files: tuple[ProgramFile, ...]) -> str:
 def test_point_to_point_motions_are_told_from_others() -> None:
     poses = np.array([[0.0, 0.0], [1.0, -0.5], [0.2, 0.4], [0.0, 0.0]])
     motion = PointToPointMotion.within(poses, velocity=1.0, acceleration=2.0, dwell=[0.5, 0.0])
-    found = point_to_point_segments(motion)
+    found = divide_point_to_point(motion)
     assert found is not None
     np.testing.assert_allclose([segment.pose for segment in found], poses[1:], atol=1e-5)
     np.testing.assert_allclose([segment.dwell for segment in found], [0.5, 0.0, 0.0], atol=0.005)
     np.testing.assert_allclose([segment.speed.max() for segment in found][:1], [1.0], atol=0.01)
-    assert point_to_point_segments(excitation(bundled_robot("two-link"))) is None
+    assert divide_point_to_point(excitation(bundled_robot("two-link"))) is None
 
 
 def test_knots_are_as_few_as_the_tolerance_allows() -> None:
     motion = excitation(bundled_robot("ur10e"))
-    coarse, fine = hermite_knots(motion, 1e-3), hermite_knots(motion, 1e-6)
+    coarse, fine = choose_hermite_knots(motion, 1e-3), choose_hermite_knots(motion, 1e-6)
     assert coarse.size < fine.size
     with pytest.raises(MotionError, match="without jumps of velocity"):
-        hermite_knots(motion, 1e-16)
+        choose_hermite_knots(motion, 1e-16)

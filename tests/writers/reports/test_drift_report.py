@@ -22,8 +22,8 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.validation.comparison.drift import Drift, compare_results
 from asbuilt.workflow.controller_model import ControllerComparison, compare_controller
 from asbuilt.workflow.options import ControllerOptions
-from asbuilt.writers.figures.comparison_figures import drift_figure
-from asbuilt.writers.reports.compare_files import drift_html, write_drift
+from asbuilt.writers.figures.comparison_figures import draw_drift
+from asbuilt.writers.reports.compare_files import render_drift, write_drift
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "validation"))
 from virtual_causes import identified, recorded
@@ -85,7 +85,7 @@ def test_no_table_is_cut_off(
 
 
 def test_sentences_come_first_then_torque_then_parameters(drift: Drift) -> None:
-    page = drift_html(drift)
+    page = render_drift(drift)
     order = (
         "parameters changed (false",
         "The torque of the same motion changed: A3 by",
@@ -103,7 +103,7 @@ def test_sentences_come_first_then_torque_then_parameters(drift: Drift) -> None:
 
 
 def test_every_parameter_stands_once_where_it_belongs(drift: Drift) -> None:
-    page = drift_html(drift)
+    page = render_drift(drift)
     ids = {
         name: [
             int(i)
@@ -124,7 +124,7 @@ def test_every_parameter_stands_once_where_it_belongs(drift: Drift) -> None:
 
 
 def test_bars_are_as_long_as_the_torques(drift: Drift) -> None:
-    figure = drift_figure(drift)
+    figure = draw_drift(drift)
     (axis,) = figure.axes
     bars = [
         patch for patch in axis.patches if isinstance(patch, Rectangle) and patch.get_width() > 0
@@ -138,7 +138,7 @@ def test_bars_are_as_long_as_the_torques(drift: Drift) -> None:
 def test_page_of_the_controller_says_whose_model_is_better(
     controller: ControllerComparison,
 ) -> None:
-    page = drift_html(controller)
+    page = render_drift(controller)
     places = [
         page.index(words)
         for words in (
@@ -155,7 +155,7 @@ def test_page_of_the_controller_says_whose_model_is_better(
 def test_unchanged_robot_and_results_without_evidence(example: Any) -> None:
     result = replace(example.result, cause_data=None)
     same = compare_results(result, result)
-    page = drift_html(same)
+    page = render_drift(same)
     assert "No parameter changed significantly." in page
     assert 'id="changed"' not in page
     assert "<img" not in page
@@ -164,5 +164,5 @@ def test_unchanged_robot_and_results_without_evidence(example: Any) -> None:
 
 
 def test_figure_in_the_page_is_the_figure(drift: Drift) -> None:
-    (address,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', drift_html(drift))
+    (address,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', render_drift(drift))
     assert base64.b64decode(address).lstrip().startswith(b"<?xml")

@@ -17,7 +17,7 @@ from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.cards import study_cards
 from asbuilt.writers.reports.report import report_html, write_report
-from asbuilt.writers.reports.sections.parameters import interval_drawing
+from asbuilt.writers.reports.sections.parameters import place_interval
 from command_line import call_elsewhere
 
 sys.path.append(str(Path(__file__).parents[2] / "validation"))
@@ -144,7 +144,7 @@ def test_cards_agree_with_each_other(example: Any) -> None:
 
 @pytest.mark.parametrize("cad", [None, 1.0, -3.0, 5e-4])
 def test_intervals_are_drawn_to_scale(cad: float | None) -> None:
-    drawn = interval_drawing(1.2, 0.3, cad)
+    drawn = place_interval(1.2, 0.3, cad)
     ticks = [(x, float(text)) for x, text in drawn["ticks"]]
     assert 2 <= len(ticks) <= 4
     (x0, v0), (x1, v1) = ticks[0], ticks[-1]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.writers.reports.sections.prediction import CUT, _joint
+from asbuilt.writers.reports.sections.prediction import CUT, _draw_joint
 
 
 def heights(pieces: list[str]) -> Array:
@@ -24,7 +24,7 @@ def drawn(cad: float, as_built: float) -> tuple[str, dict[str, Array]]:
     windows: Any = SimpleNamespace(q=q, n_windows=2, horizon=1.0)
     motion = SimpleNamespace(windows=windows, cad=q + cad * ramp, as_built=q + as_built * ramp)
     rollout: Any = SimpleNamespace(motions=[motion])
-    _, lines, extent, said = _joint("elbow", rollout, 0, "rad")
+    _, lines, extent, said = _draw_joint("elbow", rollout, 0, "rad")
     assert extent == "0 to 1 rad"
     return said, dict(
         zip(("CAD", "as built"), (heights(each[2]) for each in lines[3:]), strict=True)

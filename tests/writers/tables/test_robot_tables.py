@@ -6,7 +6,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import Joint, Link, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
-from asbuilt.writers.tables.robot_tables import links_table
+from asbuilt.writers.tables.robot_tables import tabulate_robot_links
 
 
 def test_rounding_is_not_shown_as_products_of_inertia() -> None:
@@ -24,7 +24,7 @@ def test_rounding_is_not_shown_as_products_of_inertia() -> None:
     )
     joints = tuple(Joint(f"j{k}", "revolute", k - 1, np.eye(4), np.eye(4)) for k in range(2))
     model = RobotModel("two", joints, (Link("ball", ball), Link("askew", askew)))
-    products = [row[4] for row in links_table(model).rows]
+    products = [row[4] for row in tabulate_robot_links(model).rows]
     assert products == ["0 0 0", "0.001 0 0"]
 
 
@@ -32,6 +32,6 @@ def test_links_without_mass_properties_are_not_called_ok() -> None:
     model = load_robot("two-link")
     point = LinkInertia.from_com(1.0, [0.1, 0.0, 0.0], np.zeros((3, 3)))
     model = model.with_parameters(np.concatenate([np.zeros(10), point.parameters]))
-    verdicts = [row[-1] for row in links_table(model).rows]
+    verdicts = [row[-1] for row in tabulate_robot_links(model).rows]
     assert verdicts == ["ALL ZERO: no mass properties", "ZERO INERTIA: a point mass"]
-    assert links_table(load_robot("two-link")).rows[0][-1] == "OK"
+    assert tabulate_robot_links(load_robot("two-link")).rows[0][-1] == "OK"

@@ -11,10 +11,10 @@ from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study
 from asbuilt.writers.tables.tabular import (
     base_document,
-    identified_table,
     identify_document,
     json_text,
-    prediction_table,
+    tabulate_identified,
+    tabulate_prediction,
     validate_document,
     write_json,
 )
@@ -92,7 +92,7 @@ def test_base_document_has_the_promised_fields(example: Any) -> None:
 
 
 def test_parameters_csv_reads_back_to_the_bit(example: Any) -> None:
-    rows = list(csv.DictReader(identified_table(example.result).as_csv().splitlines()))
+    rows = list(csv.DictReader(tabulate_identified(example.result).as_csv().splitlines()))
     for row, parameter in zip(rows, example.result.parameters, strict=True):
         assert float(row["estimate"]) == parameter.estimate
         assert float(row["std_error"]) == parameter.std_error
@@ -104,6 +104,6 @@ def test_validation_tables(example: Any) -> None:
     validation = validate_samples(example.result, example.held_out)
     document = json.loads(json_text(validate_document(example.result, [validation])))
     assert document["validation"][0]["rms"] == validation.metrics_as_built.rms.tolist()
-    predicted = prediction_table(validation)
+    predicted = tabulate_prediction(validation)
     assert len(predicted.rows) == len(validation.t)
     assert len(predicted.columns) == 13

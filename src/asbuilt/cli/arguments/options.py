@@ -16,9 +16,9 @@ import typer
 
 import asbuilt
 from asbuilt import writers
-from asbuilt.cli.arguments.spread import given_options
+from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.errors import UsageError
-from asbuilt.ranges import Range, out_of_range
+from asbuilt.ranges import Range, make_range_error
 from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ DELAYS = Range(-10.0, 10.0, "s")
 
 
 @contextmanager
-def shared_work(processes: int | None, scheduler: str | None) -> Iterator[Workers | None]:
+def share_workers(processes: int | None, scheduler: str | None) -> Iterator[Workers | None]:
     """Yield the workers of `--workers` or `--scheduler`, None without either."""
     if processes is None and scheduler is None:
         yield None
@@ -56,7 +56,7 @@ def refuse_sharing(why: str, processes: int | None, scheduler: str | None) -> No
     refuse_idle(why, {"--workers": processes is not None, "--scheduler": scheduler is not None})
 
 
-def writable_folder(folder: Path | None) -> Path | None:
+def require_writable_folder(folder: Path | None) -> Path | None:
     """Return a folder that can be written to or made.
 
     Raises `UsageError` before any work is done otherwise.
@@ -66,13 +66,13 @@ def writable_folder(folder: Path | None) -> Path | None:
     return folder
 
 
-def writable_file(file: Path | None) -> Path | None:
+def require_writable_file(file: Path | None) -> Path | None:
     """Return a file that can be written or replaced.
 
     Raises `UsageError` before any work is done otherwise.
     """
     if file is not None:
-        writable_folder(file.parent)
+        require_writable_folder(file.parent)
         check_replaceable(file)
     return file
 
@@ -143,7 +143,11 @@ Contacts = Annotated[
 Out = Annotated[
     Path | None,
     typer.Option(
-        "--out", "-o", metavar="DIR", help="folder for the files to write", callback=writable_folder
+        "--out",
+        "-o",
+        metavar="DIR",
+        help="folder for the files to write",
+        callback=require_writable_folder,
     ),
 ]
 Judges = Annotated[
@@ -247,7 +251,7 @@ class Filtering:
     @property
     def given(self) -> dict[str, bool]:
         """Which of these options were given, by name."""
-        return given_options(self)
+        return find_given_options(self)
 
     def chain(self) -> asbuilt.SignalChain:
         """Return the named signal chain, with the cutoff and decimation given."""
@@ -256,33 +260,33 @@ class Filtering:
             chain,
             cutoff=chain.cutoff
             if self.cutoff is None
-            else positive_number("--cutoff", self.cutoff),
+            else parse_positive_number("--cutoff", self.cutoff),
             decimate=chain.decimate if self.decimate is None else self.decimate,
             max_gap=chain.max_gap
             if self.max_gap is None
-            else positive_number("--max-gap", str(self.max_gap)),
-            delay=chain.delay if self.delay is None else delay_of(self.delay),
+            else parse_positive_number("--max-gap", str(self.max_gap)),
+            delay=chain.delay if self.delay is None else parse_delay(self.delay),
         )
 
 
-def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
+def parse_delay(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
     """Return a delay as a signal chain takes it; raises `UsageError` on anything else."""
     word = text.strip().lower()
     if word in ("auto", "none"):
         return "auto" if word == "auto" else None
     try:
-        values = number_list("--delay", text)
+        values = parse_number_list("--delay", text)
     except UsageError:
         raise UsageError(
             f"--delay takes auto, none, or seconds (one number or one per joint), got {text!r}"
         ) from None
     for value in values:
         if not DELAYS.holds(value):
-            raise out_of_range("--delay", value, DELAYS)
+            raise make_range_error("--delay", value, DELAYS)
     return values[0] if len(values) == 1 else values
 
 
-def described_robot(
+def load_described_robot(
     robot: str, *, fixed_base: bool = False, free_base: bool = False, contacts: str | None = None
 ) -> asbuilt.RobotModel:
     """Return the robot that a name or a path describes, its base held or free if that is asked."""
@@ -294,16 +298,16 @@ def described_robot(
     )
 
 
-def robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotModel:
+def load_robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
     if Path(robot).suffix.lower() != ".json":
-        return described_robot(robot, fixed_base=fixed_base)
+        return load_described_robot(robot, fixed_base=fixed_base)
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
 
     return writers.as_built(asbuilt.read_result(Path(robot))).model
 
 
-def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
+def parse_number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
     """Return the numbers of a list separated by commas, none where there is no text.
 
     Raises `UsageError` unless all are finite, and `count` of them.
@@ -325,19 +329,19 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
     return values
 
 
-def robot_and_recordings(
+def read_robot_and_recordings(
     model: asbuilt.RobotModel, reading: asbuilt.ReadingOptions, *logs: Sequence[Path] | None
 ) -> tuple[asbuilt.RobotModel, list[list[asbuilt.Recording | RecordingStream]]]:
     """Return a described robot as it was recorded, and its recordings, one list for each of `logs`.
 
     Joints that the recordings lack are locked, and what the options say of the robot is applied.
     """
-    from asbuilt.experiment.logs.recordings import fitted_recordings
+    from asbuilt.experiment.logs.recordings import read_fitted_recordings
 
-    return fitted_recordings(model, [each or [] for each in logs], reading)  # type: ignore[return-value]
+    return read_fitted_recordings(model, [each or [] for each in logs], reading)  # type: ignore[return-value]
 
 
-def recordings_of(
+def read_recordings_of_robot(
     model: asbuilt.RobotModel, logs: Sequence[Path] | None, reading: asbuilt.ReadingOptions
 ) -> list[asbuilt.Recording | RecordingStream]:
     """Return the recordings of an identified robot, none if no logs are given."""
@@ -354,7 +358,7 @@ def recordings_of(
     return asbuilt.as_recordings(model, logs or [], reading)  # type: ignore[return-value]
 
 
-def distinct_logs(*groups: Sequence[Path] | None) -> None:
+def require_distinct_logs(*groups: Sequence[Path] | None) -> None:
     """Raise `UsageError` where a log is given twice, in one place or in two, or as a copy.
 
     Counted twice it seems surer than it is, and it judges itself.
@@ -386,7 +390,7 @@ def refuse_idle(why: str, given: Mapping[str, bool]) -> None:
         raise UsageError(f"{why}; leave out {', '.join(idle)}")
 
 
-def positive_number(option: str, text: str) -> float:
+def parse_positive_number(option: str, text: str) -> float:
     """Return a positive finite number; raises `UsageError` on anything else."""
     try:
         value = float(text)
@@ -407,7 +411,7 @@ class TimelineFiles:
             "--mcap",
             metavar="FILE",
             help="measured and predicted torques and events, for Foxglove and PlotJuggler",
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None
     rrd: Annotated[
@@ -416,7 +420,7 @@ class TimelineFiles:
             "--rrd",
             metavar="FILE",
             help="the same with the moving robot, for rerun",
-            callback=writable_file,
+            callback=require_writable_file,
         ),
     ] = None
 

@@ -14,7 +14,7 @@ import typer
 
 import asbuilt
 from asbuilt.errors import AsbuiltError, UsageError
-from asbuilt.ranges import Range, out_of_range
+from asbuilt.ranges import Range, make_range_error
 
 SPELLING = {
     "size": "--harmonics",
@@ -34,10 +34,10 @@ PANELS = {
 """Heading of the options of a class in the help."""
 
 
-def option_name(field: str) -> str:
+def name_option(field: str) -> str:
     """Return the option of a field.
 
-    >>> option_name("flip_torque"), option_name("size")
+    >>> name_option("flip_torque"), name_option("size")
     ('--flip-torque', '--harmonics')
     """
     return SPELLING.get(field, "--" + field.replace("_", "-"))
@@ -91,26 +91,26 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         if name in groups:
-            parameters += _parameters(groups[name])
+            parameters += _list_parameters(groups[name])
         else:
-            parameters.append(_keyword(name, hints[name], parameter.default))
+            parameters.append(_make_keyword(name, hints[name], parameter.default))
     # What the help calls the value of an argument names a robot.
     reads_robot = any(
         "ROBOT" in str(getattr(option, "metavar", ""))
         for hint in hints.values()
         for option in getattr(hint, "__metadata__", ())
     )
-    parameters += [p for p in _parameters(Common) if p.name != "trust_xacro" or reads_robot]
+    parameters += [p for p in _list_parameters(Common) if p.name != "trust_xacro" or reads_robot]
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        common = _collected(Common, {"trust_xacro": False} | given)
+        common = _collect_options(Common, {"trust_xacro": False} | given)
         given = {name: value for name, value in given.items() if name not in _COMMON}
         for name, value in given.items():
             if type(value) in (int, float) and not ANY_NUMBER.holds(value):
-                raise out_of_range(option_name(name), value, ANY_NUMBER)
+                raise make_range_error(name_option(name), value, ANY_NUMBER)
         for name, group in groups.items():
-            given[name] = _collected(group, given)
+            given[name] = _collect_options(group, given)
         run(common, functools.partial(command, **given))
 
     called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -118,57 +118,57 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
     return called
 
 
-def given_options(group: Any) -> dict[str, bool]:
+def find_given_options(group: Any) -> dict[str, bool]:
     """Return for each option of an instance of an option class whether it is off its default."""
     return {
-        option_name(field.name): getattr(group, field.name) != field.default
-        for field in _shown(type(group))
+        name_option(field.name): getattr(group, field.name) != field.default
+        for field in _list_shown_fields(type(group))
     }
 
 
-def _shown(group: type[Any]) -> Iterator[Field[Any]]:
+def _list_shown_fields(group: type[Any]) -> Iterator[Field[Any]]:
     hints = get_type_hints(group, include_extras=True)
     for field in fields(group):
         if "help" in field.metadata or get_origin(hints[field.name]) is Annotated:
             yield field
 
 
-def _parameters(group: type[Any]) -> list[inspect.Parameter]:
+def _list_parameters(group: type[Any]) -> list[inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     panel = PANELS.get(group.__name__)
     made = []
-    for field in _shown(group):
+    for field in _list_shown_fields(group):
         hint = hints[field.name]
         if get_origin(hint) is Annotated:
             get_args(hint)[1].rich_help_panel = panel
-            made.append(_keyword(field.name, hint, field.default))
+            made.append(_make_keyword(field.name, hint, field.default))
         else:
-            made.append(_generated(field, hint, panel))
+            made.append(_generate_parameter(field, hint, panel))
     return made
 
 
-def _generated(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
+def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
     metadata, plain = field.metadata, _without_none(hint)
     text = str(metadata["help"])
     flag = plain is bool
     if not flag and field.default not in (None, MISSING, ()):
-        text += f" [default: {_name_of(field.default, metadata.get('choices'))}]"
+        text += f" [default: {_name_default(field.default, metadata.get('choices'))}]"
     option = typer.Option(
-        option_name(field.name),
+        name_option(field.name),
         *metadata.get("also", ()),
         metavar=None if flag else metadata.get("metavar", field.name.upper()),
         help=text,
         show_default=False,
         rich_help_panel=panel,
-        autocompletion=None if flag else _completion(metadata),
+        autocompletion=None if flag else _make_completion(metadata),
     )
     kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
-    return _keyword(
+    return _make_keyword(
         field.name, Annotated[bool if flag else kind | None, option], False if flag else None
     )
 
 
-def _completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
+def _make_completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
     """Return what a shell may complete a value to: its choices, or what `names` returns."""
 
     def complete(incomplete: str) -> list[str]:
@@ -178,31 +178,31 @@ def _completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
     return complete
 
 
-def _collected(group: type[Any], given: dict[str, Any]) -> Any:
+def _collect_options(group: type[Any], given: dict[str, Any]) -> Any:
     """Build an option class from the values given, which are taken out of `given`."""
     hints = get_type_hints(group, include_extras=True)
     values: dict[str, Any] = {}
-    for field in _shown(group):
+    for field in _list_shown_fields(group):
         value = given.pop(field.name)
         if get_origin(hints[field.name]) is Annotated:
             values[field.name] = value
         elif _without_none(hints[field.name]) is bool:
             values |= {field.name: not field.default} if value else {}
         elif value is not None:
-            values[field.name] = _parsed(option_name(field.name), value, field.metadata)
+            values[field.name] = _parse_value(name_option(field.name), value, field.metadata)
     try:
         return group(**values)
     except UsageError as problem:
         name = problem.fields.get("field", "")
         if name in values:
-            message = problem.message.replace(name, option_name(name), 1)
+            message = problem.message.replace(name, name_option(name), 1)
             raise UsageError(message, cure=problem.cure, **problem.fields) from None
         raise
 
 
-def _parsed(option: str, value: Any, metadata: Mapping[str, Any]) -> Any:
+def _parse_value(option: str, value: Any, metadata: Mapping[str, Any]) -> Any:
     if "choices" in metadata:
-        return one_of(option, value, metadata["choices"])
+        return require_known_value(option, value, metadata["choices"])
     if "parse" not in metadata:
         return value
     try:
@@ -217,7 +217,7 @@ def _parsed(option: str, value: Any, metadata: Mapping[str, Any]) -> Any:
         ) from None
 
 
-def one_of(option: str, value: str, known: Any) -> Any:
+def require_known_value(option: str, value: str, known: Any) -> Any:
     """Return a value that is among the known, or what it stands for if they are a mapping.
 
     Raises `UsageError` otherwise.
@@ -232,7 +232,7 @@ def one_of(option: str, value: str, known: Any) -> Any:
     return known[value] if isinstance(known, Mapping) else value
 
 
-def _name_of(default: Any, choices: Any) -> str:
+def _name_default(default: Any, choices: Any) -> str:
     if isinstance(choices, Mapping):
         return next((str(name) for name, meant in choices.items() if meant == default), "")
     return f"{default:g}" if isinstance(default, float) else str(default)
@@ -245,5 +245,5 @@ def _without_none(hint: Any) -> Any:
     return hint
 
 
-def _keyword(name: str, hint: Any, default: Any) -> inspect.Parameter:
+def _make_keyword(name: str, hint: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)

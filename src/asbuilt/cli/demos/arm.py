@@ -31,7 +31,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation import Motion, SearchProgress
 from asbuilt.experiment import DataLogger, SimulatedRecording, VirtualRobot
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
-from asbuilt.tables import Column, Table, share, significant, wrapped
+from asbuilt.tables import Column, Table, format_share, round_significant, wrap_text
 from asbuilt.validation import Attribution, Recovery, attribute, compare_with_truth
 from asbuilt.writers import (
     Export,
@@ -109,8 +109,8 @@ def run_demo(
         progress=searched,
     )
     report("record the robot", 0.0)
-    training = _recorded(model, design.motion, SEED, "designed motion")
-    test = _recorded(model, random_fourier(model, SEED, n_harmonics=4), SEED + 1, "another motion")
+    training = _record(model, design.motion, SEED, "designed motion")
+    test = _record(model, random_fourier(model, SEED, n_harmonics=4), SEED + 1, "another motion")
     study = identify(
         model,
         [training.recording],
@@ -143,7 +143,7 @@ def run_demo(
         design=design,
         training=training,
         study=study,
-        recovery=_recovered(model, study),
+        recovery=_compare_with_truth(model, study),
         causes=study.attribution or attribute(study.result),
         export=export,
         refusal=refusal,
@@ -152,10 +152,10 @@ def run_demo(
     )
 
 
-def _recorded(model: RobotModel, motion: Motion, seed: int, name: str) -> SimulatedRecording:
+def _record(model: RobotModel, motion: Motion, seed: int, name: str) -> SimulatedRecording:
     """Record the virtual robot in MuJoCo, or by inverse dynamics if that is not installed."""
     try:
-        simulated = _virtual_robot(model).record(motion, seed)
+        simulated = _build_virtual_robot(model).record(motion, seed)
     except MissingExtraError:
         robot = VirtualRobot.typical(model, SEED).with_tool(GRIPPER, at="flange")
         simulated = robot.record(motion, seed)
@@ -163,13 +163,13 @@ def _recorded(model: RobotModel, motion: Motion, seed: int, name: str) -> Simula
     return replace(simulated, recording=recording)
 
 
-def _virtual_robot(model: RobotModel) -> VirtualRobot:
+def _build_virtual_robot(model: RobotModel) -> VirtualRobot:
     return VirtualRobot.preset("lab", model, SEED, tool=GRIPPER, at="flange")
 
 
-def _recovered(model: RobotModel, study: Study) -> Recovery | None:
+def _compare_with_truth(model: RobotModel, study: Study) -> Recovery | None:
     """Compare the result with the true parameters, on a motion of its own without sensor noise."""
-    robot = _virtual_robot(model)
+    robot = _build_virtual_robot(model)
     bare = replace(
         robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)
     )
@@ -180,7 +180,7 @@ def _recovered(model: RobotModel, study: Study) -> Recovery | None:
     return compare_with_truth(study.result, replace(clean, truth=robot.truth))
 
 
-def demo_text(story: Demo) -> str:
+def describe_demo(story: Demo) -> str:
     """Return the screen with which the demonstration ends."""
     result, design, held = story.study.result, story.design, story.study.validations[0]
     consistent = "physically consistent" if result.physically_consistent else "NOT CONSISTENT"
@@ -196,49 +196,52 @@ def demo_text(story: Demo) -> str:
         count = len(recovery.names)
         text = (
             f"{round(recovery.within(2.0) * count)} of {count} parameters within 2 standard errors;"
-            f" torque without noise: CAD {share(recovery.cad_error)} off, as built"
-            f" {share(recovery.torque_error, 2)}"
+            f" torque without noise: CAD {format_share(recovery.cad_error)} off, as built"
+            f" {format_share(recovery.torque_error, 2)}"
         )
-        truth = [_line("truth", text)]
+        truth = [_format_line("truth", text)]
     # Joints whose error the text explains; the report has all.
     worst = [int(k) for k in np.argsort(-causes.rms_cad)[:3]]
     lines = [
-        wrapped(
+        wrap_text(
             f"{story.model.name} with a gripper of {GRIPPER.mass:g} kg, other links and friction"
             " that its CAD lacks"
         ),
         "",
-        _line(
+        _format_line(
             "designed",
             f"{design.motion.duration:g} s of motion in {design.solve_seconds:.0f} s, scaled"
-            f" condition number {significant(design.scaled_condition_number)}, within every limit",
+            f" condition number {round_significant(design.scaled_condition_number)}, within every"
+            " limit",
         ),
-        _line("recorded", "; ".join(story.training.recording.notes)),
-        _line(
+        _format_line("recorded", "; ".join(story.training.recording.notes)),
+        _format_line(
             "identified",
             f"{result.rank} of {result.n_base} parameters by {result.method} from"
             f" {result.n_samples} samples, {consistent}",
         ),
-        _line(
+        _format_line(
             "validated",
-            f"on another motion: torque error CAD {share(cad.relative_error)}, as built"
-            f" {share(built.relative_error)}",
+            f"on another motion: torque error CAD {format_share(cad.relative_error)}, as built"
+            f" {format_share(built.relative_error)}",
         ),
         *truth,
         "",
         Table(columns, rows).as_text(),
         f"Causes of the error of CAD, at the {len(worst)} joints where it is largest:",
-        *(wrapped(causes.sentences[k], "  ", lines=2) for k in worst),
+        *(wrap_text(causes.sentences[k], "  ", lines=2) for k in worst),
         "",
-        _line("exported", story.refusal or "URDF, MJCF and C code with the identified torques"),
-        _line("files", f"{len(story.files)} in {story.files['report'].parent}"),
-        _line("report", f"{story.files['report']} (open it first)"),
+        _format_line(
+            "exported", story.refusal or "URDF, MJCF and C code with the identified torques"
+        ),
+        _format_line("files", f"{len(story.files)} in {story.files['report'].parent}"),
+        _format_line("report", f"{story.files['report']} (open it first)"),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _line(label: str, text: str) -> str:
-    return wrapped(text, f"{label:<12}")
+def _format_line(label: str, text: str) -> str:
+    return wrap_text(text, f"{label:<12}")
 
 
 def demo_document(story: Demo) -> dict[str, Any]:

@@ -23,10 +23,10 @@ from asbuilt import (
     write_recording,
 )
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.tables import Column, Table, wrapped
+from asbuilt.tables import Column, Table, wrap_text
 from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
-from asbuilt.writers.tables.fleet_tables import addition_document, drift_verdict
+from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, make_identity_finder
+from asbuilt.writers.tables.fleet_tables import addition_document, describe_drift_outcome
 
 Progress = Callable[[str, float], None]
 
@@ -84,7 +84,7 @@ def run_fleet_demo(
         ledger,
         ROBOT,
         logs,
-        robot_id=id_from("{id}/*.csv"),
+        robot_id=make_identity_finder("{id}/*.csv"),
         fleet=FleetOptions(workers=0),
         progress=report,
     )
@@ -92,7 +92,7 @@ def run_fleet_demo(
     middle = BEGIN + timedelta(days=SINCE - 1)
     for done, k in enumerate(robots, start=1):
         report("identify each robot", done / len(robots))
-        name = _name(k)
+        name = _name_arm(k)
         results[name] = fleet_identify(ledger, name).result
         halves = (
             fleet_identify(ledger, name, until=middle).result,
@@ -120,16 +120,16 @@ def _record(folder: Path, k: int, day: int) -> Path:
     motion = random_fourier(model, rng=1000 * k + day, duration=SECONDS)
     recording = robot.record(motion, rate=RATE, rng=100 * k + day).recording
     date = BEGIN + timedelta(days=day - 1)
-    path = folder / _name(k) / f"{date:%Y-%m-%d}.csv"
+    path = folder / _name_arm(k) / f"{date:%Y-%m-%d}.csv"
     write_recording(path, replace(recording, source=path.name))
     return path
 
 
-def _name(k: int) -> str:
+def _name_arm(k: int) -> str:
     return f"arm-{k:02d}"
 
 
-def fleet_demo_text(demo: FleetDemo) -> str:
+def describe_fleet_demo(demo: FleetDemo) -> str:
     """Return the screen with which the demonstration ends."""
     results = demo.results
     columns = (
@@ -141,25 +141,25 @@ def fleet_demo_text(demo: FleetDemo) -> str:
             of=lambda name: f"{100.0 * results[name].train.relative_error:.2f}",
         ),
         Column("of CAD", "%", of=lambda name: f"{100.0 * results[name].cad.relative_error:.1f}"),
-        Column("change", "chi2 / p", of=lambda name: f"{_change(demo.changes[name]):.1f}"),
+        Column("change", "chi2 / p", of=lambda name: f"{_measure_change(demo.changes[name]):.1f}"),
     )
-    worst = max(demo.changes, key=lambda name: _change(demo.changes[name]))
+    worst = max(demo.changes, key=lambda name: _measure_change(demo.changes[name]))
     lines = [
-        wrapped(
+        wrap_text(
             f"{len(results)} virtual {ROBOT} over {DAYS} days, {len(demo.addition.added)} logs of"
-            f" {SECONDS:g} s reduced to a ledger. From day {SINCE} on, {_name(CHANGED)} carries"
+            f" {SECONDS:g} s reduced to a ledger. From day {SINCE} on, {_name_arm(CHANGED)} carries"
             f" {TOOL.mass:g} kg that no description has."
         ),
         "",
         Table.of(results, columns).as_text(),
-        wrapped(
+        wrap_text(
             f"{worst} changed most: between the first {SINCE - 1} days and the rest chi-square is"
-            f" {_change(demo.changes[worst]):.0f} per parameter, of noise alone 1."
+            f" {_measure_change(demo.changes[worst]):.0f} per parameter, of noise alone 1."
         ),
         "",
-        wrapped(drift_verdict(demo.drift)),
+        wrap_text(describe_drift_outcome(demo.drift)),
         *(
-            wrapped(f"{each.id}, from {(each.when or '')[:10]}: {change.text}")
+            wrap_text(f"{each.id}, from {(each.when or '')[:10]}: {change.text}")
             for each in demo.drift.changed
             for change in each.what
         ),
@@ -173,7 +173,7 @@ def fleet_demo_text(demo: FleetDemo) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _change(drift: Drift) -> float:
+def _measure_change(drift: Drift) -> float:
     """Return chi-square per parameter of the difference between two results."""
     return float(drift.chi_square.statistic / max(drift.chi_square.degrees, 1))
 
@@ -188,7 +188,7 @@ def fleet_demo_document(demo: FleetDemo) -> dict[str, Any]:
                 "n_logs": len(result.sources),
                 "train": result.train.as_dict(),
                 "cad": result.cad.as_dict(),
-                "change": _change(demo.changes[name]),
+                "change": _measure_change(demo.changes[name]),
             }
             for name, result in demo.results.items()
         ],

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt.cli.answers import answer, listed_files, progress_bar
-from asbuilt.cli.arguments.options import AsJson, Full, Out, writable_folder
-from asbuilt.cli.arguments.spread import one_of
+from asbuilt.cli.answers import answer, list_files, show_progress
+from asbuilt.cli.arguments.options import AsJson, Full, Out, require_writable_folder
+from asbuilt.cli.arguments.spread import require_known_value
 
 
 def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> None:
@@ -20,18 +20,18 @@ def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> N
     recordings are not public; a virtual robot stands in for the robot of Table 3.
     """
     from asbuilt.cli.hayat2015.pages import (
+        describe_reproduction,
         reproduction_document,
-        reproduction_text,
         write_reproduction,
     )
 
-    with progress_bar() as report:
+    with show_progress() as report:
         redone = asbuilt.reproduce_paper(progress=report)
         files = write_reproduction(out, redone) if out is not None else {}
     answer(
         as_json,
         lambda: reproduction_document(redone, files),
-        lambda: reproduction_text(redone, full) + listed_files(files),
+        lambda: describe_reproduction(redone, full) + list_files(files),
     )
 
 
@@ -48,7 +48,7 @@ def demo(
             "-o",
             metavar="DIR",
             help="folder for the files to write",
-            callback=writable_folder,
+            callback=require_writable_folder,
         ),
     ] = Path("asbuilt-demo"),
     as_json: AsJson = False,
@@ -58,16 +58,16 @@ def demo(
     arm: move, record, identify, validate, compare, export, report. fleet: ten robots over ten
     days, of which one changes, kept in a ledger.
     """
-    one_of("WHICH", which, ("arm", "fleet"))
+    require_known_value("WHICH", which, ("arm", "fleet"))
     if which == "fleet":
-        from asbuilt.cli.demos.fleet import fleet_demo_document, fleet_demo_text, run_fleet_demo
+        from asbuilt.cli.demos.fleet import describe_fleet_demo, fleet_demo_document, run_fleet_demo
 
-        with progress_bar() as report:
+        with show_progress() as report:
             fleet = run_fleet_demo(out, progress=report)
-        answer(as_json, lambda: fleet_demo_document(fleet), lambda: fleet_demo_text(fleet))
+        answer(as_json, lambda: fleet_demo_document(fleet), lambda: describe_fleet_demo(fleet))
         return
-    from asbuilt.cli.demos.arm import demo_document, demo_text, run_demo
+    from asbuilt.cli.demos.arm import demo_document, describe_demo, run_demo
 
-    with progress_bar() as report:
+    with show_progress() as report:
         story = run_demo(out, progress=report)
-    answer(as_json, lambda: demo_document(story), lambda: demo_text(story))
+    answer(as_json, lambda: demo_document(story), lambda: describe_demo(story))

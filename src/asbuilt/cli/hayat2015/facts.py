@@ -94,10 +94,10 @@ class Paper:
         return tuple(np.flatnonzero(self.cad > 1.0).tolist())
 
 
-def published() -> Paper:
+def read_paper() -> Paper:
     """Return the paper's facts.
 
-    >>> paper = published()
+    >>> paper = read_paper()
     >>> len(paper.parameters), paper.parameters[0].expression
     (43, 'I1yy + I2zz')
     """

@@ -15,19 +15,24 @@ from asbuilt import LinkInertia, RobotModel
 from asbuilt.arrays import Array
 from asbuilt.cli.hayat2015.reproduction import Reproduction
 from asbuilt.cli.hayat2015.tables import (
-    agreement_sentence,
-    all_tables,
-    consistency_sentence,
-    highlighted_sentence,
-    table_3,
+    build_all_tables,
+    describe_agreement,
+    describe_consistency,
+    describe_highlighted,
+    tabulate_torque_errors,
 )
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.tables import stacked, wrapped
-from asbuilt.writers.figures.figure_style import blank_figure, headline, save_figure, styled
+from asbuilt.tables import stack_tables, wrap_text
+from asbuilt.writers.figures.figure_style import (
+    add_headline,
+    apply_style,
+    make_blank_figure,
+    save_figure,
+)
 from asbuilt.writers.figures.study_figures import torque_figure
 from asbuilt.writers.files import atomic_write, data_address, path_texts
-from asbuilt.writers.reports.page import Block, image_markup, list_markup, page, table_markup
+from asbuilt.writers.reports.page import Block, image_markup, list_markup, render_page, table_markup
 
 SOURCE = (
     "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator: Comparison"
@@ -41,35 +46,40 @@ ORDER = (
 """Order of tables and figures on the page, by section."""
 
 
-def sentences(redone: Reproduction) -> list[str]:
+def describe_outcome(redone: Reproduction) -> list[str]:
     """Return what agrees with the paper and what does not, in one sentence each."""
     simulated = redone.simulated_torque
     identified = float(simulated.rms(simulated.from_identified).max())
     cad = float(simulated.rms(simulated.from_cad).max())
     return [
-        f"Table 2: {agreement_sentence(redone)}",
+        f"Table 2: {describe_agreement(redone)}",
         f"Table 1: alpha_7 is a misprint ({redone.paper.alpha_7_printed:g} deg), which would change"
         f" {redone.mismatches_with_printed_alpha} rows of Table 2.",
         f"Simulated torque: predicted from CAD to {cad:.0e} N m RMS, from the parameters identified"
         f" in simulation to {identified:.0e} N m.",
-        f"Consistency: {consistency_sentence(redone)}",
-        f"Gray rows: {highlighted_sentence(redone)}",
+        f"Consistency: {describe_consistency(redone)}",
+        f"Gray rows: {describe_highlighted(redone)}",
     ]
 
 
-def reproduction_text(redone: Reproduction, full: bool = False) -> str:
+def describe_reproduction(redone: Reproduction, full: bool = False) -> str:
     """Return what `asbuilt reproduce` prints; every table if `full`."""
-    lines = [wrapped(SOURCE), "", *(wrapped(sentence) for sentence in sentences(redone)), ""]
-    tables = [*all_tables(redone).values()] if full else [table_3(redone)]
-    return "\n".join(lines) + "\n" + stacked(tables, full)
+    lines = [
+        wrap_text(SOURCE),
+        "",
+        *(wrap_text(sentence) for sentence in describe_outcome(redone)),
+        "",
+    ]
+    tables = [*build_all_tables(redone).values()] if full else [tabulate_torque_errors(redone)]
+    return "\n".join(lines) + "\n" + stack_tables(tables, full)
 
 
 def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
     """Write every table as CSV, every figure as PNG, the text and a page with all of them."""
-    tables, figures = all_tables(redone), all_figures(redone)
+    tables, figures = build_all_tables(redone), draw_all_figures(redone)
     files = {
-        "page": atomic_write(folder / "reproduction.html", reproduction_html(redone)),
-        "text": atomic_write(folder / "reproduction.txt", reproduction_text(redone, full=True)),
+        "page": atomic_write(folder / "reproduction.html", render_reproduction(redone)),
+        "text": atomic_write(folder / "reproduction.txt", describe_reproduction(redone, full=True)),
     }
     for name, table in tables.items():
         files[name] = atomic_write(folder / f"{name}.csv", table.as_csv())
@@ -78,18 +88,18 @@ def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
     return files
 
 
-def reproduction_html(redone: Reproduction) -> str:
+def render_reproduction(redone: Reproduction) -> str:
     """Return the page with every table and figure, complete in one file."""
-    tables, figures = all_tables(redone), all_figures(redone)
+    tables, figures = build_all_tables(redone), draw_all_figures(redone)
     shown = {name: table_markup(table, name) for name, table in tables.items()} | {
-        name: image_markup(_png_address(figure), name) for name, figure in figures.items()
+        name: image_markup(_encode_png(figure), name) for name, figure in figures.items()
     }
     blocks = (
         Block(heading.lower(), heading, [shown[name] for name in names])
         for heading, names in zip(("CAD", "Robot"), ORDER, strict=True)
     )
-    verdict = Block("verdict", "Verdict", (list_markup(sentences(redone)),))
-    return page(
+    verdict = Block("verdict", "Verdict", (list_markup(describe_outcome(redone)),))
+    return render_page(
         "The 2015 paper",
         "reproduced",
         [verdict, *blocks],
@@ -98,7 +108,7 @@ def reproduction_html(redone: Reproduction) -> str:
     )
 
 
-def _png_address(figure: Figure) -> str:
+def _encode_png(figure: Figure) -> str:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)
     return data_address(stream.getvalue(), "image/png")
@@ -172,7 +182,7 @@ AXES = ("#D55E00", "#009E73", "#0072B2")
 """Colours of the x, y and z axis of a frame."""
 
 
-def all_figures(redone: Reproduction) -> dict[str, Figure]:
+def draw_all_figures(redone: Reproduction) -> dict[str, Figure]:
     """Return every figure by the name of its file."""
     simulated, measured = redone.simulated_torque, redone.rigid_validation
     names = redone.model.joint_names[SHOWN]
@@ -183,10 +193,12 @@ def all_figures(redone: Reproduction) -> dict[str, Figure]:
         )
 
     return {
-        "figure1": frame_figure(
-            two_link_arm(), [0.5, 0.9], "Figure 1. Frames, d to the centres of mass and r from them"
+        "figure1": draw_frame_figure(
+            build_two_link_arm(),
+            [0.5, 0.9],
+            "Figure 1. Frames, d to the centres of mass and r from them",
         ),
-        "figure2": frame_figure(
+        "figure2": draw_frame_figure(
             redone.model, BENT, "Figure 2. Kinematic model: frames and centres of mass"
         ),
         "figure3_simulated": torques(
@@ -213,7 +225,7 @@ def all_figures(redone: Reproduction) -> dict[str, Figure]:
     }
 
 
-def two_link_arm() -> RobotModel:
+def build_two_link_arm() -> RobotModel:
     """Return a spatial arm of two links for Figure 1."""
     upper = LinkInertia.from_com(2.0, [-0.12, 0.05, 0.06], 0.02 * np.eye(3))
     fore = LinkInertia.from_com(1.0, [-0.2, 0.06, 0.05], 0.01 * np.eye(3))
@@ -221,13 +233,13 @@ def two_link_arm() -> RobotModel:
     return robot_from_dh(rows, name="spatial two-link arm")
 
 
-def frame_figure(model: RobotModel, q: Sequence[float], title: str) -> Figure:
+def draw_frame_figure(model: RobotModel, q: Sequence[float], title: str) -> Figure:
     """Draw link frames (x red, y green, z blue) and centres of mass of a robot in a pose."""
     poses = [np.eye(4), *link_poses(model, np.asarray(q))]
     origins = np.array([pose[:3, 3] for pose in poses])
     size = float(np.ptp(origins, axis=0).max())
-    with styled():
-        figure = blank_figure(5.6, 5.2)
+    with apply_style():
+        figure = make_blank_figure(5.6, 5.2)
         axes = figure.add_subplot(projection="3d")
         assert isinstance(axes, Axes3D)
         axes.plot(*origins.T, color="#8A8F98", linewidth=5, solid_capstyle="round", alpha=0.6)
@@ -235,7 +247,7 @@ def frame_figure(model: RobotModel, q: Sequence[float], title: str) -> Figure:
             for axis, colour in enumerate(AXES):
                 arrow = 0.14 * size * pose[:3, axis]
                 axes.quiver(*pose[:3, 3], *arrow, color=colour, linewidth=1.3)
-        for place, names in _frame_names(origins).items():
+        for place, names in _name_frames(origins).items():
             axes.text(*place, f"{names}   ", fontsize=8, ha="right", va="top")
         for k, (link, pose) in enumerate(zip(model.links, poses[1:], strict=True), start=1):
             centre = (pose @ np.append(link.inertia.com, 1.0))[:3]
@@ -253,11 +265,11 @@ def frame_figure(model: RobotModel, q: Sequence[float], title: str) -> Figure:
         axes.set_box_aspect((1, 1, 1), zoom=1.35)
         axes.view_init(elev=16, azim=-62)
         axes.set_axis_off()
-        headline(figure, title)
+        add_headline(figure, title)
     return figure
 
 
-def _frame_names(origins: Array) -> dict[tuple[float, ...], str]:
+def _name_frames(origins: Array) -> dict[tuple[float, ...], str]:
     """Return the names of the frames at each place."""
     names: dict[tuple[float, ...], str] = {}
     for k, origin in enumerate(origins):

@@ -23,12 +23,12 @@ from asbuilt import (
     simulate_recording,
 )
 from asbuilt.arrays import Array
-from asbuilt.cli.hayat2015.facts import Paper, published
+from asbuilt.cli.hayat2015.facts import Paper, read_paper
 from asbuilt.cli.hayat2015.virtual_robot import (
     DIFFERENCES,
     Recordings,
+    make_simulation_motion,
     record_virtual_robot,
-    simulation_motion,
 )
 from asbuilt.description import DHRow, bundled_robot, robot_from_dh
 from asbuilt.excitation.motions.motion import Motion
@@ -170,19 +170,19 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
     """
     report = progress or (lambda what, fraction: None)
     report("reproduce Tables 1 and 2", 0.0)
-    model, paper = bundled_robot(ROBOT), published()
+    model, paper = bundled_robot(ROBOT), read_paper()
     base = find_base_parameters(model)
-    simulated = _identified_from_simulation(model)
+    simulated = _identify_from_simulation(model)
     cad_margin, robot_margin = (
         consistency_margin(base, column) for column in (paper.cad, paper.robot)
     )
     report("record the virtual robot", 0.0)
     recordings = record_virtual_robot(model)
     report("identify the virtual robot", 0.0)
-    rigid, rigid_validation = _identified(
+    rigid, rigid_validation = _identify_and_validate(
         model, recordings, SignalChain.preset("paper2015"), "ols", DriveSet()
     )
-    full, full_validation = _identified(
+    full, full_validation = _identify_and_validate(
         model, recordings, None, "wls", DriveSet.parse("viscous,coulomb,offset")
     )
     report("identify the virtual robot", 1.0)
@@ -190,12 +190,12 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
     return Reproduction(
         model=model,
         paper=paper,
-        parameters=_table_2(model, base, paper, simulated, rigid.estimates),
+        parameters=_reproduce_table_2(model, base, paper, simulated, rigid.estimates),
         ids_equal=sum(int(ours) == theirs.id for ours, theirs in same_ids),
-        mismatches_with_printed_alpha=_mismatches_with_printed_alpha(model, base, paper),
+        mismatches_with_printed_alpha=_count_printed_alpha_mismatches(model, base, paper),
         cad_margin=cad_margin,
         robot_margin=robot_margin,
-        simulated_torque=_simulated_torque(
+        simulated_torque=_simulate_torque(
             model, base, recordings.test_motion, paper.cad, simulated
         ),
         differences=DIFFERENCES,
@@ -207,7 +207,7 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
     )
 
 
-def _identified(
+def _identify_and_validate(
     model: RobotModel,
     recordings: Recordings,
     chain: SignalChain | None,
@@ -223,9 +223,9 @@ def _identified(
     return result, validate_samples(result, prepared.validation[0])
 
 
-def _identified_from_simulation(model: RobotModel) -> Array:
+def _identify_from_simulation(model: RobotModel) -> Array:
     """Identify the base parameters from noise-free quintic motion, as in section 3.1."""
-    motion = simulation_motion(model)
+    motion = make_simulation_motion(model)
     moved = motion.sample(SIMULATION_RATE)
     samples = Samples(
         moved.t,
@@ -240,7 +240,7 @@ def _identified_from_simulation(model: RobotModel) -> Array:
     return identify_samples(model, samples, method="ols").estimates
 
 
-def _simulated_torque(
+def _simulate_torque(
     model: RobotModel, base: BaseParameters, motion: Motion, cad: Array, identified: Array
 ) -> SimulatedTorque:
     moved = motion.sample(SIMULATION_RATE)
@@ -253,10 +253,10 @@ def _simulated_torque(
     )
 
 
-def _table_2(
+def _reproduce_table_2(
     model: RobotModel, base: BaseParameters, paper: Paper, simulated: Array, virtual_robot: Array
 ) -> tuple[ReproducedParameter, ...]:
-    values, rounding = base.values(model.parameters), _table_1_rounding(model, base)
+    values, rounding = base.values(model.parameters), _bound_table_1_rounding(model, base)
     rows = []
     for k, row in enumerate(paper.parameters):
         expression = row.coefficients(base.standard_names)
@@ -269,7 +269,7 @@ def _table_2(
                 same_expression=np.allclose(expression, base.regrouping[k], rtol=0, atol=1e-12),
                 cad_printed=row.cad,
                 cad_ours=float(values[k]),
-                tolerance=float(rounding[k]) + _half_digit(row.cad),
+                tolerance=float(rounding[k]) + _halve_last_digit(row.cad),
                 simulated=float(simulated[k]),
                 robot=row.robot,
                 virtual_robot=float(virtual_robot[k]),
@@ -278,14 +278,14 @@ def _table_2(
     return tuple(rows)
 
 
-def _half_digit(value: float) -> float:
+def _halve_last_digit(value: float) -> float:
     """Return half of the last decimal with which a number was typed."""
     exponent = Decimal(repr(value)).as_tuple().exponent
     assert isinstance(exponent, int)
     return 0.5 * 10.0**exponent
 
 
-def _table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
+def _bound_table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
     """Return how far the rounding of Table 1 can move each base parameter, shape (n_base,)."""
     total = np.zeros(base.n_base)
     parameters = np.array(model.parameters)
@@ -301,21 +301,21 @@ def _table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
             moved[10 * i : 10 * i + 10] = changed.parameters
             return np.abs(base.regrouping @ (moved - parameters))
 
-        step = _half_digit(round(mass, 10))
+        step = _halve_last_digit(round(mass, 10))
         total += effect(LinkInertia.from_com(mass + step, com, inertia))
         for axis in range(3):
             shifted = com.copy()
-            shifted[axis] += _half_digit(round(float(com[axis]), 10))
+            shifted[axis] += _halve_last_digit(round(float(com[axis]), 10))
             total += effect(LinkInertia.from_com(mass, shifted, inertia))
             for other in range(axis, 3):
                 changed = inertia.copy()
-                changed[axis, other] += _half_digit(round(float(inertia[axis, other]), 13))
+                changed[axis, other] += _halve_last_digit(round(float(inertia[axis, other]), 13))
                 changed[other, axis] = changed[axis, other]
                 total += effect(LinkInertia.from_com(mass, com, changed))
     return total
 
 
-def _mismatches_with_printed_alpha(model: RobotModel, base: BaseParameters, paper: Paper) -> int:
+def _count_printed_alpha_mismatches(model: RobotModel, base: BaseParameters, paper: Paper) -> int:
     """Count the CAD values of Table 2 that alpha_7 as printed in Table 1 would not give."""
     offsets = [model.lengths.get(f"b{i + 1}", 0.0) for i in range(model.n_joints)]
     twists = [90.0, -90.0, -90.0, 90.0, 90.0, -90.0, paper.alpha_7_printed]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.cli.hayat2015.reproduction import ReproducedParameter, Reproduction
-from asbuilt.tables import Cell, Column, Table, share
+from asbuilt.tables import Cell, Column, Table, format_share
 
 INERTIA = (("Ixx", 0, 0), ("Iyy", 1, 1), ("Izz", 2, 2), ("Ixy", 0, 1), ("Iyz", 1, 2), ("Izx", 0, 2))
 
 
-def table_1(redone: Reproduction) -> Table:
+def tabulate_links(redone: Reproduction) -> Table:
     """Return Table 1: kinematic parameters and mass properties of every link."""
     rows: list[tuple[Cell, ...]] = []
     for k, (joint, link) in enumerate(zip(redone.model.joints, redone.model.links, strict=True)):
@@ -43,7 +43,7 @@ def table_1(redone: Reproduction) -> Table:
     return Table(columns, tuple(rows), "Table 1. KUKA LBR iiwa 7 R800 from CAD", notes=(note,))
 
 
-def table_2(redone: Reproduction) -> Table:
+def tabulate_base_parameters(redone: Reproduction) -> Table:
     """Return Table 2: expressions, CAD values and estimates of all base parameters."""
     columns = (
         Column("row", align="right", of=lambda row: redone.parameters.index(row) + 1),
@@ -66,11 +66,11 @@ def table_2(redone: Reproduction) -> Table:
         columns,
         "Table 2. Base parameters (SI)",
         notes=(
-            f"{agreement_sentence(redone)} The paper misprints the expressions of rows"
+            f"{describe_agreement(redone)} The paper misprints the expressions of rows"
             f" {' and '.join(misprints)}.",
             f"Rows {', '.join(rounded)} differ by at most {redone.largest_difference:.1e}, which"
             " the rounding of Table 1 allows.",
-            consistency_sentence(redone),
+            describe_consistency(redone),
         ),
         details=(
             "'simulated': quintic motion, noise-free torque, least squares (section 3.1).",
@@ -80,7 +80,7 @@ def table_2(redone: Reproduction) -> Table:
     )
 
 
-def agreement_sentence(redone: Reproduction) -> str:
+def describe_agreement(redone: Reproduction) -> str:
     """Return how many ids, expressions and CAD values equal the paper's."""
     total = len(redone.parameters)
     return (
@@ -89,7 +89,7 @@ def agreement_sentence(redone: Reproduction) -> str:
     )
 
 
-def consistency_sentence(redone: Reproduction) -> str:
+def describe_consistency(redone: Reproduction) -> str:
     """Return whether the two columns of Table 2 are physically consistent."""
     cad, robot = redone.cad_margin, redone.robot_margin
     return (
@@ -99,7 +99,7 @@ def consistency_sentence(redone: Reproduction) -> str:
     )
 
 
-def highlighted_table(redone: Reproduction) -> Table:
+def tabulate_highlighted(redone: Reproduction) -> Table:
     """Return the gray rows of Table 2: the difference of the robot from CAD, relative to CAD."""
     parameters = redone.parameters
     columns = (
@@ -107,28 +107,38 @@ def highlighted_table(redone: Reproduction) -> Table:
         Column("base parameter", width=24, of="ours"),
         Column("CAD", align="decimal", style=".3f", of="cad_ours"),
         Column("robot", align="decimal", style=".3f", of="robot"),
-        Column("difference", "", "decimal", share, of=lambda row: _difference(row, row.robot)),
+        Column(
+            "difference",
+            "",
+            "decimal",
+            format_share,
+            of=lambda row: _measure_difference(row, row.robot),
+        ),
         Column("virtual", align="decimal", style=".3f", of="virtual_robot"),
         Column(
-            "difference", "", "decimal", share, of=lambda row: _difference(row, row.virtual_robot)
+            "difference",
+            "",
+            "decimal",
+            format_share,
+            of=lambda row: _measure_difference(row, row.virtual_robot),
         ),
     )
     note = (
         "The text of the paper does not list its gray rows; these have CAD values above 1."
-        f" {highlighted_sentence(redone)}"
+        f" {describe_highlighted(redone)}"
     )
     gray = [parameters[k] for k in redone.paper.highlighted]
     return Table.of(gray, columns, "Gray rows of Table 2", notes=(note,))
 
 
-def highlighted_sentence(redone: Reproduction) -> str:
+def describe_highlighted(redone: Reproduction) -> str:
     """Return the median differences of gray and other rows, for the paper and the virtual robot."""
     gray = set(redone.paper.highlighted)
     medians = {
         (who, is_gray): float(
             np.median(
                 [
-                    _difference(row, getattr(row, who))
+                    _measure_difference(row, getattr(row, who))
                     for k, row in enumerate(redone.parameters)
                     if (k in gray) is is_gray and row.cad_ours != 0.0
                 ]
@@ -138,18 +148,19 @@ def highlighted_sentence(redone: Reproduction) -> str:
         for is_gray in (True, False)
     }
     return (
-        f"Median difference from CAD of gray rows {share(medians['robot', True], 0)}, of others"
-        f" {share(medians['robot', False], 0)} (virtual robot:"
-        f" {share(medians['virtual_robot', True], 0)},"
-        f" {share(medians['virtual_robot', False], 0)})."
+        f"Median difference from CAD of gray rows {format_share(medians['robot', True], 0)}, of"
+        " others"
+        f" {format_share(medians['robot', False], 0)} (virtual robot:"
+        f" {format_share(medians['virtual_robot', True], 0)},"
+        f" {format_share(medians['virtual_robot', False], 0)})."
     )
 
 
-def _difference(row: ReproducedParameter, value: float) -> float:
+def _measure_difference(row: ReproducedParameter, value: float) -> float:
     return abs(value - row.cad_ours) / abs(row.cad_ours)
 
 
-def table_3(redone: Reproduction) -> Table:
+def tabulate_torque_errors(redone: Reproduction) -> Table:
     """Return Table 3: RMS torque error on the test motion, of the paper and the virtual robot."""
     joints = redone.paper.table3_joints
     rigid, full = redone.rigid_validation, redone.full_validation
@@ -186,7 +197,7 @@ def table_3(redone: Reproduction) -> Table:
     )
 
 
-def simulated_torque_table(redone: Reproduction) -> Table:
+def tabulate_simulated_torque(redone: Reproduction) -> Table:
     """Return the errors against simulated torque along the test motion (section 4)."""
     simulated = redone.simulated_torque
     rows = (
@@ -208,12 +219,12 @@ def simulated_torque_table(redone: Reproduction) -> Table:
     return Table(columns, rows, "Validation with simulated torque (section 4)", notes=(note,))
 
 
-def all_tables(redone: Reproduction) -> dict[str, Table]:
+def build_all_tables(redone: Reproduction) -> dict[str, Table]:
     """Return every table by the name of its file."""
     return {
-        "table1": table_1(redone),
-        "table2": table_2(redone),
-        "gray_rows": highlighted_table(redone),
-        "simulated_torque": simulated_torque_table(redone),
-        "table3": table_3(redone),
+        "table1": tabulate_links(redone),
+        "table2": tabulate_base_parameters(redone),
+        "gray_rows": tabulate_highlighted(redone),
+        "simulated_torque": tabulate_simulated_torque(redone),
+        "table3": tabulate_torque_errors(redone),
     }

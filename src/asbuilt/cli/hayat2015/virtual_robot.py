@@ -75,9 +75,9 @@ def record_virtual_robot(model: RobotModel) -> Recordings:
         upper=POSES * bounds.upper,
         acceleration=SMOOTHNESS * bounds.acceleration,
     )
-    training = _training_motion(bounds, rng)
+    training = _make_training_motion(bounds, rng)
     test = PointToPointMotion.within(
-        _random_poses(bounds, rng, 8),
+        _draw_random_poses(bounds, rng, 8),
         velocity=bounds.velocity,
         acceleration=bounds.acceleration,
         dwell=0.25,
@@ -99,10 +99,10 @@ def record_virtual_robot(model: RobotModel) -> Recordings:
     return Recordings(logs[0], logs[1], test)
 
 
-def simulation_motion(model: RobotModel) -> Motion:
+def make_simulation_motion(model: RobotModel) -> Motion:
     """Return quintic motion that moves every joint, as in section 3.1.1."""
     bounds = MotionBounds.assumed(model, 0.8)
-    return _quintic(bounds, _random_poses(bounds, np.random.default_rng(SEED), 12))
+    return _make_quintic(bounds, _draw_random_poses(bounds, np.random.default_rng(SEED), 12))
 
 
 def _with_lighter_wrist(model: RobotModel) -> RobotModel:
@@ -116,19 +116,21 @@ def _with_lighter_wrist(model: RobotModel) -> RobotModel:
     return replace(model, links=tuple(links))
 
 
-def _training_motion(bounds: MotionBounds, rng: np.random.Generator) -> Motion:
+def _make_training_motion(bounds: MotionBounds, rng: np.random.Generator) -> Motion:
     """Return spline and point-to-point motion of about the paper's 53 s."""
     spline = SplineMotion.within(
-        _random_poses(bounds, rng, 14), velocity=bounds.velocity, acceleration=bounds.acceleration
+        _draw_random_poses(bounds, rng, 14),
+        velocity=bounds.velocity,
+        acceleration=bounds.acceleration,
     )
-    poses = _random_poses(bounds, rng, 12)
+    poses = _draw_random_poses(bounds, rng, 12)
     poses[0] = spline.end
-    return Concatenated([spline, _quintic(bounds, poses)])
+    return Concatenated([spline, _make_quintic(bounds, poses)])
 
 
-def _quintic(bounds: MotionBounds, poses: Array) -> QuinticMotion:
+def _make_quintic(bounds: MotionBounds, poses: Array) -> QuinticMotion:
     return QuinticMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration)
 
 
-def _random_poses(bounds: MotionBounds, rng: np.random.Generator, count: int) -> Array:
+def _draw_random_poses(bounds: MotionBounds, rng: np.random.Generator, count: int) -> Array:
     return rng.uniform(bounds.lower, bounds.upper, size=(count, len(bounds.lower)))

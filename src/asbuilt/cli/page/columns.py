@@ -14,9 +14,9 @@ import typer
 
 import asbuilt
 from asbuilt import Cure, ReadingOptions, RecordingError, UsageError
-from asbuilt.cli.answers import answer, cure_text
-from asbuilt.cli.arguments.options import AsJson, Full, Robot, described_robot
-from asbuilt.experiment.logs.columns.roles import unit_scale
+from asbuilt.cli.answers import answer, describe_cure
+from asbuilt.cli.arguments.options import AsJson, Full, Robot, load_described_robot
+from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.writing import atomic_write
 
@@ -87,13 +87,13 @@ class MatchedColumns:
         }
 
     def _column(self, name: str) -> dict[str, Any]:
-        from asbuilt.writers.figures.thinning import thinned
+        from asbuilt.writers.figures.thinning import thin_curves
 
         values = self.table.columns[name]
         quantity, joint = self.role(name) or (None, None)
         rows = np.arange(len(values), dtype=np.float64)
         finite = values[np.isfinite(values)]
-        across, curve = thinned(rows, values, points=CURVE_POINTS)
+        across, curve = thin_curves(rows, values, points=CURVE_POINTS)
         lowest = float(finite.min()) if finite.size else 0.0
         return {
             "name": name,
@@ -102,7 +102,7 @@ class MatchedColumns:
             "factor": None if self.layout is None else self.layout.scales.get(name),
             "smallest": lowest if finite.size else None,
             "largest": float(finite.max()) if finite.size else None,
-            "curve": {"row": _listed(across), "above_smallest": _listed(curve - lowest)},
+            "curve": {"row": _list_values(across), "above_smallest": _list_values(curve - lowest)},
         }
 
     def as_text(self, full: bool = False) -> str:
@@ -152,7 +152,7 @@ def columns(
 
     What is wrong is changed by a recording sheet (--sheet).
     """
-    model = described_robot(robot, fixed_base=reading.fixed_base)
+    model = load_described_robot(robot, fixed_base=reading.fixed_base)
     matched = match_columns(model, log, reading)
     answer(as_json, matched.as_document, lambda: matched.as_text(full))
     if not matched.ok:
@@ -168,24 +168,24 @@ def match_columns(model: asbuilt.RobotModel, log: Path, reading: ReadingOptions)
 
     check_readable(log)
     sheet, _ = find_sheet(log, reading.sheet)
-    table = _columns_of(log, sheet)
+    table = _read_columns(log, sheet)
     try:
-        fitted, layout = _layout_of(table, sheet, model, reading)
+        fitted, layout = _find_layout(table, sheet, model, reading)
     except RecordingError as problem:
-        cure = cure_text(problem.cure)
+        cure = describe_cure(problem.cure)
         message = problem.message + (f"; {cure}" if cure else "")
-        return MatchedColumns(model, table, _draft(table, sheet, model, reading), message)
+        return MatchedColumns(model, table, _draft_layout(table, sheet, model, reading), message)
     return MatchedColumns(fitted, table, layout)
 
 
-def _draft(
+def _draft_layout(
     table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> Layout | None:
     """Return what the names of the columns alone give, else their values; None if nothing."""
     from asbuilt.experiment.logs.columns.layout import find_layout
-    from asbuilt.experiment.logs.readers import layout_of, suggested_sheet
+    from asbuilt.experiment.logs.readers import find_table_layout, propose_sheet
     from asbuilt.experiment.logs.sheet import RecordingSheet
-    from asbuilt.untrusted import parsed_toml
+    from asbuilt.untrusted import parse_toml
 
     if table.named:
         with suppress(RecordingError):
@@ -198,20 +198,18 @@ def _draft(
                 has_gains=True,
             )
     with suppress(RecordingError, ValueError):
-        draft = RecordingSheet.model_validate(
-            parsed_toml(suggested_sheet(table, model, reading.rate))
-        )
-        return layout_of(table, draft, model, reading)
+        draft = RecordingSheet.model_validate(parse_toml(propose_sheet(table, model, reading.rate)))
+        return find_table_layout(table, draft, model, reading)
     return None
 
 
-def _columns_of(log: Path, sheet: RecordingSheet) -> LogTable:
+def _read_columns(log: Path, sheet: RecordingSheet) -> LogTable:
     """Return the columns of a log, the first rows of a long one."""
-    from asbuilt.experiment.logs.formats.log_format import log_format
+    from asbuilt.experiment.logs.formats.log_format import choose_log_format
     from asbuilt.experiment.logs.long_recordings import is_long
     from asbuilt.experiment.logs.readers import read_table
 
-    stream = log_format(log).stream if is_long(log) else None
+    stream = choose_log_format(log).stream if is_long(log) else None
     header = None if stream is None else stream.header(log, sheet)
     if stream is None or header is None:
         return read_table([log], sheet)
@@ -220,16 +218,16 @@ def _columns_of(log: Path, sheet: RecordingSheet) -> LogTable:
     return header
 
 
-def _layout_of(
+def _find_layout(
     table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> tuple[asbuilt.RobotModel, Layout]:
     """Return the layout, and the robot without the joints that the log lacks."""
-    from asbuilt.experiment.logs.readers import layout_of
+    from asbuilt.experiment.logs.readers import find_table_layout
 
     model = model.locked(dict.fromkeys(name for name in sheet.lock if name in model.joint_names))
     while True:
         try:
-            return model, layout_of(table, sheet, model, reading)
+            return model, find_table_layout(table, sheet, model, reading)
         except RecordingError as problem:
             missing = problem.fields.get("missing")
             if not missing:
@@ -237,7 +235,7 @@ def _layout_of(
             model = model.locked(dict.fromkeys(missing))
 
 
-def _listed(values: Array) -> list[float | None]:
+def _list_values(values: Array) -> list[float | None]:
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
@@ -293,13 +291,13 @@ def write_sheet(
     columns: dict[str, Any] = {}
     units: dict[str, str] = dict(content.get("units", {}))
     for quantity in ("time", *QUANTITIES):
-        names = _columns(quantity, joints, chosen)
+        names = _order_columns(quantity, joints, chosen)
         found = [each["name"] for each in document["columns"] if each["quantity"] == quantity]
         # A sheet that names the time takes it from that column alone, without its nanoseconds.
         if names and not (quantity == "time" and document["named"] and names == found):
-            listed = [_number_or_name(name, named=document["named"]) for name in names]
+            listed = [_choose_number_or_name(name, named=document["named"]) for name in names]
             columns[quantity] = listed[0] if quantity == "time" else listed
-            unit = _unit(quantity, [factors.get(name) for name in names])
+            unit = _choose_unit(quantity, [factors.get(name) for name in names])
             if unit:
                 units.setdefault(quantity, unit)
     extra = content.get("columns", {}).get("extra")
@@ -313,7 +311,7 @@ def write_sheet(
     return atomic_write(path, tomli_w.dumps(content))
 
 
-def _columns(
+def _order_columns(
     quantity: str, joints: Sequence[str], chosen: Sequence[Mapping[str, Any]]
 ) -> list[str]:
     """Return the columns of a quantity in the order of the joints, none if it has none."""
@@ -334,17 +332,17 @@ def _columns(
     return names
 
 
-def _number_or_name(name: str, *, named: bool) -> str | int:
+def _choose_number_or_name(name: str, *, named: bool) -> str | int:
     return name if named else int(name)
 
 
-def _unit(quantity: str, factors: Sequence[float | None]) -> str | None:
+def _choose_unit(quantity: str, factors: Sequence[float | None]) -> str | None:
     """Return the unit that the columns were found to be in; None for SI or an unknown one."""
     known = {factor for factor in factors if factor is not None}
     if known <= {1.0}:
         return None
     for unit in UNITS:
-        scale = unit_scale(unit)
+        scale = parse_unit_scale(unit)
         if scale is not None and all(abs(scale / each - 1.0) < SAME_UNIT for each in known):
             return unit
     raise UsageError(

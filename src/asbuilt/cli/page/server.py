@@ -20,7 +20,7 @@ from urllib.parse import unquote
 
 import typer
 
-from asbuilt.cli.answers import answer, cure_text
+from asbuilt.cli.answers import answer, describe_cure
 from asbuilt.cli.arguments.options import AsJson, Browser, Out, PagePort, complete_robot
 from asbuilt.cli.page.session import Session
 from asbuilt.errors import AsbuiltError, UsageError
@@ -118,7 +118,7 @@ class Handler(BaseHTTPRequestHandler):
         elif place is not None and place.startswith("files/"):
             self._file(self._written(place.removeprefix("files/")), FRAMED)
         elif place is not None:
-            self._file(_resource(place or "page.html"), OWN)
+            self._file(_find_resource(place or "page.html"), OWN)
 
     def do_POST(self) -> None:
         """Change what is chosen, write a sheet, start a step, or end it."""
@@ -139,7 +139,7 @@ class Handler(BaseHTTPRequestHandler):
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
         except AsbuiltError as problem:
-            hint = cure_text(problem.cure)
+            hint = describe_cure(problem.cure)
             text = problem.message + (f"; {hint}" if hint else "")
             self._json({"error": text}, HTTPStatus.CONFLICT)
             return
@@ -153,7 +153,7 @@ class Handler(BaseHTTPRequestHandler):
         size = self._size(LARGEST_UPLOAD)
         if size is None:
             return
-        path = self.session.folder / UPLOADS / Path(*map(_file_name, place.split("/")[1:]))
+        path = self.session.folder / UPLOADS / Path(*map(_clean_file_name, place.split("/")[1:]))
         left = size
 
         def pieces() -> Any:
@@ -254,7 +254,7 @@ class Handler(BaseHTTPRequestHandler):
         self.close_connection = True
 
 
-def _resource(name: str) -> Path | None:
+def _find_resource(name: str) -> Path | None:
     """Return a file of the page, or the style of reports that it shares; None for others."""
     from asbuilt.writers.reports import page as reports
 
@@ -268,10 +268,10 @@ def _resource(name: str) -> Path | None:
     return None
 
 
-def _file_name(name: str) -> str:
+def _clean_file_name(name: str) -> str:
     """Return a name that is one of a file in this folder, whatever was sent.
 
-    >>> _file_name("../../.bashrc"), _file_name("run 1.csv")
+    >>> _clean_file_name("../../.bashrc"), _clean_file_name("run 1.csv")
     ('bashrc', 'run_1.csv')
     """
     last = name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from asbuilt import Cure, ReadingOptions, StudyOptions, UsageError, robot_names
-from asbuilt.cli.arguments.spread import option_name
+from asbuilt.cli.arguments.spread import name_option
 from asbuilt.cli.page.columns import write_sheet
 from asbuilt.cli.page.worker import Worker
 from asbuilt.dynamics.drives.selection import available_terms
@@ -120,13 +120,13 @@ class Session:
             if path.startswith("-"):
                 raise UsageError(f"{path!r} looks like an option; write ./{path}")
         for options in (choices.reading, choices.options, choices.export):
-            _words(options)
+            _split_words(options)
         self.choices = choices
 
     def arguments(self, step: str) -> tuple[str, ...]:
         """Return the arguments of the command of a step."""
         chosen, result = self.choices, str(self.result)
-        reading = _words(chosen.reading)
+        reading = _split_words(chosen.reading)
         logs = (*chosen.logs, *chosen.validation)
         validate = [word for log in chosen.validation for word in ("--validate", log)]
         effects = ["--effects", chosen.effects] if chosen.effects else []
@@ -136,12 +136,12 @@ class Session:
             "check": ("check", chosen.robot, *logs, *reading),
             "identify": (
                 "identify", chosen.robot, *chosen.logs, *validate, *reading,
-                *_words(chosen.options), *effects, "-o", str(self.folder),
+                *_split_words(chosen.options), *effects, "-o", str(self.folder),
             ),
             "view": (
                 "view", result, *chosen.logs[:1], *reading, "--save", str(self.folder / VIEW)
             ),
-            "export": ("export", result, *_words(chosen.export)),
+            "export": ("export", result, *_split_words(chosen.export)),
         }[step]  # fmt: skip
 
     def refusal(self, step: str) -> str | None:
@@ -201,7 +201,7 @@ class Session:
         document = self.answer("columns")
         if document is None or "error" in document:
             raise UsageError("the columns of the log have not been read")
-        words = [*_words(self.choices.reading)]
+        words = [*_split_words(self.choices.reading)]
         place = words.index("--sheet") + 1 if "--sheet" in words else 0
         log = Path((*self.choices.logs, *self.choices.validation)[0])
         path = self.folder / f"{log.name}.sheet.toml"
@@ -241,8 +241,8 @@ class Session:
             "robots": robot_names(),
             "switchable": [TILT, *available_terms()],
             "options": {
-                "reading": _option_names(ReadingOptions),
-                "options": _option_names(StudyOptions),
+                "reading": _map_option_names(ReadingOptions),
+                "options": _map_option_names(StudyOptions),
             },
             "job": None if job is None else job.as_dict(),
             "steps": {
@@ -257,12 +257,12 @@ class Session:
         }
 
 
-def _option_names(group: type[Any]) -> dict[str, str]:
+def _map_option_names(group: type[Any]) -> dict[str, str]:
     """Return the option of each field of an option class, with which a finding is cured."""
-    return {each.name: option_name(each.name) for each in fields(group)}
+    return {each.name: name_option(each.name) for each in fields(group)}
 
 
-def _words(options: str) -> Sequence[str]:
+def _split_words(options: str) -> Sequence[str]:
     """Return the words of a part of a command line."""
     try:
         return shlex.split(options)

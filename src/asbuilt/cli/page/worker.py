@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from asbuilt.isolation import isolated_command
+from asbuilt.isolation import build_isolated_command
 
 PROGRAM = "from asbuilt.cli.page.worker import serve; serve()"
 LONGEST_TEXT = 2000
@@ -49,7 +49,7 @@ class Worker:
             if "answer" in message:
                 return cast(dict[str, Any], message["answer"])
             progress(*message["progress"])
-        return _error("Ended", f"the command ended with status {process.wait()}")
+        return _make_error("Ended", f"the command ended with status {process.wait()}")
 
     def cancel(self) -> None:
         """End the running command; no file is half-written. The next process starts at once."""
@@ -68,7 +68,7 @@ class Worker:
         with self._lock:
             if self._process is None or self._process.poll() is not None:
                 self._process = subprocess.Popen(
-                    isolated_command(PROGRAM),
+                    build_isolated_command(PROGRAM),
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
@@ -94,10 +94,10 @@ def serve() -> None:
 
 
 def _answer(main: Callable[..., None], arguments: list[str], progress: Progress) -> dict[str, Any]:
-    from asbuilt.cli.answers import progress_told
+    from asbuilt.cli.answers import tell_progress
 
     printed, status = io.StringIO(), 0
-    with contextlib.redirect_stdout(printed), progress_told(progress):
+    with contextlib.redirect_stdout(printed), tell_progress(progress):
         try:
             main(arguments)
         except SystemExit as end:
@@ -106,8 +106,8 @@ def _answer(main: Callable[..., None], arguments: list[str], progress: Progress)
         return cast(dict[str, Any], json.loads(printed.getvalue()))
     except ValueError:
         text = printed.getvalue()[:LONGEST_TEXT]
-        return _error("Ended", f"the command ended with status {status}. {text}")
+        return _make_error("Ended", f"the command ended with status {status}. {text}")
 
 
-def _error(kind: str, message: str) -> dict[str, Any]:
+def _make_error(kind: str, message: str) -> dict[str, Any]:
     return {"error": {"kind": kind, "message": message, "hint": None}}

@@ -67,16 +67,16 @@ class MeshPart:
 
     @property
     def density(self) -> float:
-        """Density [kg/m^3]; raises `DescriptionError` as `density_of` does."""
-        return density_of(self.material, str(self.path))
+        """Density [kg/m^3]; raises `DescriptionError` as `look_up_density` does."""
+        return look_up_density(self.material, str(self.path))
 
 
-def density_of(material: str | float, place: str) -> float:
+def look_up_density(material: str | float, place: str) -> float:
     """Return the density [kg/m^3] of a material of `MATERIALS`, or the number itself.
 
     Raises `DescriptionError` for an unknown material and a density that no matter has.
 
-    >>> density_of("aluminium", "link_1")
+    >>> look_up_density("aluminium", "link_1")
     2700.0
     """
     if isinstance(material, str):

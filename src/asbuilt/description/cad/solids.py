@@ -13,7 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.cad.meshes import MeshSolid, read_mesh
-from asbuilt.description.formats.xml import described_text, extents, numbers, parsed_xml
+from asbuilt.description.formats.xml import described_text, parse_xml, read_extents, read_numbers
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
@@ -57,7 +57,7 @@ def read_solids(
     """
     path = Path(model.source)
     content, source = described_text(path) if path.is_file() else (b"", model.source)
-    root = parsed_xml(content, source) if content else None
+    root = parse_xml(content, source) if content else None
     if root is None or root.tag != "robot":
         raise DescriptionError(
             f"{model.name} does not come from a URDF file, so it has no geometry; give the mass"
@@ -74,22 +74,23 @@ def read_solids(
         if link == ROOT:
             continue
         solids = [
-            _solid(element, name, link, pose, kind, searched, source) for kind in (prefer, other)
+            _read_solid(element, name, link, pose, kind, searched, source)
+            for kind in (prefer, other)
         ]
         usable = [each for each in solids if each is not None]
         if usable:
             best = min(usable, key=lambda each: (bool(each.missing), not each.closed))
-            found.append(best if best is usable[0] else _instead(best, usable[0]))
+            found.append(best if best is usable[0] else _replace_preferred(best, usable[0]))
     return tuple(found)
 
 
-def _instead(taken: LinkSolid, left: LinkSolid) -> LinkSolid:
+def _replace_preferred(taken: LinkSolid, left: LinkSolid) -> LinkSolid:
     """Return the solid taken, with what is wrong with the preferred one."""
     wrong = (*left.doubts, *(f"{name} was not found" for name in left.missing))[0]
     return replace(taken, doubts=(f"counts instead of {left.kind}: {wrong}", *taken.doubts))
 
 
-def _solid(
+def _read_solid(
     element: Element,
     name: str,
     link: int,
@@ -106,7 +107,7 @@ def _solid(
             continue
         place = f"{source}, link {name!r}, {kind}"
         try:
-            solid = _body(geometry[0], place, folders)
+            solid = _read_body(geometry[0], place, folders)
         except DescriptionError as error:
             if geometry[0].tag != "mesh":
                 raise  # a number that makes no sense, not a file to look for elsewhere
@@ -116,7 +117,7 @@ def _solid(
         if solid is None:
             missing.append(geometry[0].get("filename", geometry[0].tag))
             continue
-        whole = pose @ _origin(body, place)
+        whole = pose @ _read_origin(body, place)
         corners = solid.corners @ whole[:3, :3].T + whole[:3, 3]
         bodies.append(MeshSolid(solid.inertia.moved(whole), corners, solid.doubts, solid.closed))
     if not bodies and not missing:
@@ -134,38 +135,45 @@ def _solid(
     )
 
 
-def _origin(body: Element, place: str) -> Array:
+def _read_origin(body: Element, place: str) -> Array:
     origin = body.find("origin")
     given: Mapping[str, str] = {} if origin is None else origin.attrib
     xyz, rpy = (
-        numbers(origin, key, 3, place) if origin is not None and key in given else [0.0] * 3
+        read_numbers(origin, key, 3, place) if origin is not None and key in given else [0.0] * 3
         for key in ("xyz", "rpy")
     )
     return placement(rotation_from_rpy(rpy), xyz)
 
 
-def _body(shape: Element, place: str, folders: Sequence[Path]) -> MeshSolid | None:
+def _read_body(shape: Element, place: str, folders: Sequence[Path]) -> MeshSolid | None:
     """Return a primitive, or the solid of a mesh; None if its file is not there."""
     if shape.tag == "box":
-        x, y, z = extents(shape, "size", 3, place)
-        return _primitive(x * y * z, (x, y, z), (y * y + z * z, x * x + z * z, x * x + y * y), 12)
+        x, y, z = read_extents(shape, "size", 3, place)
+        return _make_primitive(
+            x * y * z, (x, y, z), (y * y + z * z, x * x + z * z, x * x + y * y), 12
+        )
     if shape.tag == "cylinder":
-        (r,), (h,) = extents(shape, "radius", 1, place), extents(shape, "length", 1, place)
+        (r,), (h,) = (
+            read_extents(shape, "radius", 1, place),
+            read_extents(shape, "length", 1, place),
+        )
         across = 3.0 * r * r + h * h
         sizes = (2.0 * r, 2.0 * r, h)
-        return _primitive(np.pi * r * r * h, sizes, (across, across, 6.0 * r * r), 12)
+        return _make_primitive(np.pi * r * r * h, sizes, (across, across, 6.0 * r * r), 12)
     if shape.tag == "sphere":
-        (r,) = extents(shape, "radius", 1, place)
-        return _primitive(4.0 / 3.0 * np.pi * r**3, (2.0 * r,) * 3, (2.0 * r * r,) * 3, 5)
+        (r,) = read_extents(shape, "radius", 1, place)
+        return _make_primitive(4.0 / 3.0 * np.pi * r**3, (2.0 * r,) * 3, (2.0 * r * r,) * 3, 5)
     if shape.tag != "mesh":
         return None
     file = find_mesh(shape.get("filename", ""), folders)
     if file is None:
         return None
-    return read_mesh(file, numbers(shape, "scale", 3, place) if shape.get("scale") else [1.0] * 3)
+    return read_mesh(
+        file, read_numbers(shape, "scale", 3, place) if shape.get("scale") else [1.0] * 3
+    )
 
 
-def _primitive(
+def _make_primitive(
     volume: float, sizes: Sequence[float], squares: Sequence[float], divisor: float
 ) -> MeshSolid:
     """Return a centred solid whose moments are `volume squares / divisor` for unit density."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.cad.meshes import LENGTH, CadLink
-from asbuilt.description.finite import finite_number, read_rows
+from asbuilt.description.finite import parse_finite_number, read_rows
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link
 from asbuilt.errors import DescriptionError
@@ -73,7 +73,7 @@ def read_cad_table(
         )
     lines, separator = read_rows(path, ";\t,", "part")
     decimal_point = "," if separator == "," else "."  # which a comma in a number stands for
-    columns, factors = _columns(path, lines[0][1], mass_unit, length_unit)
+    columns, factors = _find_columns(path, lines[0][1], mass_unit, length_unit)
     parts: dict[str, list[tuple[str, LinkInertia]]] = {}
     warnings: dict[str, list[str]] = {}
     for number, cells in lines[1:]:
@@ -85,7 +85,7 @@ def read_cad_table(
             )
         values = {
             name: (
-                finite_number(
+                parse_finite_number(
                     cells[columns[name]].strip().replace(",", decimal_point), f"{place}: {name}"
                 )
                 * factors[name]
@@ -93,7 +93,7 @@ def read_cad_table(
             for name in DIMENSION
         }
         link = cells[columns["link"]].strip()
-        inertia = _inertia(values, about, products)
+        inertia = _make_inertia(values, about, products)
         if placements is not None and link in placements:
             inertia = inertia.moved(placements[link])
         part = (
@@ -122,7 +122,7 @@ def read_cad_table(
     }
 
 
-def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkInertia:
+def _make_inertia(values: Mapping[str, float], about: str, products: str) -> LinkInertia:
     sign = 1.0 if products == "tensor" else -1.0
     xy, xz, yz = (sign * values[name] for name in ("Ixy", "Ixz", "Iyz"))
     tensor = np.array([[values["Ixx"], xy, xz], [xy, values["Iyy"], yz], [xz, yz, values["Izz"]]])
@@ -135,7 +135,7 @@ def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkIner
     )
 
 
-def _columns(
+def _find_columns(
     path: Path, header: list[str], mass_unit: str, length_unit: str
 ) -> tuple[dict[str, int], dict[str, float]]:
     columns: dict[str, int] = {}
@@ -161,7 +161,7 @@ def _columns(
                     " or give mass_unit and length_unit"
                 )
             try:
-                factors[name] = unit_factor(given, mass=mass, length=length)
+                factors[name] = parse_unit_factor(given, mass=mass, length=length)
             except DescriptionError as error:
                 raise DescriptionError(f"{path}: column {cell.strip()!r}: {error}") from None
     missing = [name for name in COLUMNS if name not in columns and name != "part"]
@@ -173,14 +173,14 @@ def _columns(
     return columns, factors
 
 
-def unit_factor(text: str, *, mass: int, length: int) -> float:
+def parse_unit_factor(text: str, *, mass: int, length: int) -> float:
     """Return the SI value of a unit such as `"g mm^2"`, `"kg*m²"` or `"lb in2"`.
 
     It must be mass^mass length^length.
 
     Raises `DescriptionError` where a symbol is unknown or the dimension is another one.
 
-    >>> unit_factor("g mm^2", mass=1, length=2)
+    >>> parse_unit_factor("g mm^2", mass=1, length=2)
     1e-09
     """
     value, found_mass, found_length = 1.0, 0, 0

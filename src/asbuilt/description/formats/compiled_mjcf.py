@@ -14,8 +14,8 @@ from numpy.polynomial import Polynomial
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, Joint, Loop, Mimic
 from asbuilt.description.rotation import (
-    composed,
-    inverted,
+    compose_placements,
+    invert_placement,
     placement,
     rotation_from_quaternion,
 )
@@ -23,7 +23,7 @@ from asbuilt.description.structure.parts import ancestors
 
 
 @contextmanager
-def collected_warnings(mujoco: ModuleType) -> Iterator[list[str]]:
+def collect_warnings(mujoco: ModuleType) -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
     warnings: list[str] = []
     previous = mujoco.get_mju_user_warning()
@@ -142,7 +142,7 @@ Equation = tuple[dict[int, float], float]
 """Factors c by joint and a number d: `sum_j c_j q_j = d`, the joint that may follow first."""
 
 
-def coupled_by_equalities(
+def couple_by_equalities(
     mujoco: Any, compiled: Any, joints: Sequence[Joint], loops: Collection[int] = ()
 ) -> tuple[list[Joint], int]:
     """Return the joints with those that follow others, and the number of equalities left out.
@@ -154,8 +154,8 @@ def coupled_by_equalities(
     """
     found, left_out = list(joints), 0
     for k in sorted({*range(compiled.neq)} - {*loops}):
-        equation = _equation(mujoco, compiled, k)
-        at = None if equation is None else _follower(mujoco, compiled, found, k, equation[0])
+        equation = _read_equation(mujoco, compiled, k)
+        at = None if equation is None else _find_follower(mujoco, compiled, found, k, equation[0])
         if equation is None or at is None:
             left_out += 1
             continue
@@ -166,7 +166,7 @@ def coupled_by_equalities(
     return found, left_out
 
 
-def _equation(mujoco: Any, m: Any, k: int) -> Equation | None:
+def _read_equation(mujoco: Any, m: Any, k: int) -> Equation | None:
     """Return an equality `y - y0 = a + b (x - x0)` as an equation of joints, if it is linear."""
     kinds, one, other = mujoco.mjtEq, int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
     if not m.eq_active0[k] or np.any(m.eq_data[k, 2:5]):
@@ -174,7 +174,7 @@ def _equation(mujoco: Any, m: Any, k: int) -> Equation | None:
     if m.eq_type[k] == kinds.mjEQ_JOINT and other >= 0:
         sides = [{one: 1.0}, {other: 1.0}]
     elif m.eq_type[k] == kinds.mjEQ_TENDON:
-        sides = [_fixed_tendon(mujoco, m, t) if t >= 0 else {} for t in (one, other)]
+        sides = [_read_fixed_tendon(mujoco, m, t) if t >= 0 else {} for t in (one, other)]
     else:
         return None
     if not sides[0] or (other >= 0 and not sides[1]):
@@ -186,7 +186,7 @@ def _equation(mujoco: Any, m: Any, k: int) -> Equation | None:
     return factors, float(m.eq_data[k, 0]) + sum(c * float(rest[j]) for j, c in factors.items())
 
 
-def _fixed_tendon(mujoco: Any, m: Any, tendon: int) -> dict[int, float]:
+def _read_fixed_tendon(mujoco: Any, m: Any, tendon: int) -> dict[int, float]:
     """Return the factors of a fixed tendon by joint, none for a spatial one."""
     wraps = range(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
     if any(m.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
@@ -194,7 +194,7 @@ def _fixed_tendon(mujoco: Any, m: Any, tendon: int) -> dict[int, float]:
     return {int(m.wrap_objid[w]): float(m.wrap_prm[w]) for w in wraps}
 
 
-def _follower(
+def _find_follower(
     mujoco: Any, m: Any, joints: Sequence[Joint], k: int, factors: dict[int, float]
 ) -> int | None:
     """Return the joint that follows the others of an equation, None where none can."""
@@ -209,12 +209,14 @@ def _follower(
         for j in ([int(m.eq_obj1id[k])] if by_joints else factors)
         if factors[j]
         and joints[j].mimic is None
-        and not any(joints[j].name in _sources(joints, other) for other in factors if other != j)
+        and not any(
+            joints[j].name in _list_sources(joints, other) for other in factors if other != j
+        )
     ]
     return next((j for j in free if j not in driven), free[0] if free else None)
 
 
-def _sources(joints: Sequence[Joint], index: int) -> set[str]:
+def _list_sources(joints: Sequence[Joint], index: int) -> set[str]:
     """Return the names of a joint and of all that it follows."""
     by_name = {joint.name: k for k, joint in enumerate(joints)}
     found, waiting = set[str](), [index]
@@ -229,7 +231,7 @@ Place = tuple[str, Array]
 """A link by name, and the pose (4, 4) in it of a body or a site."""
 
 
-def loops_by_equalities(
+def find_loops_by_equalities(
     mujoco: Any, m: Any, bodies: Mapping[int, Place], joints: Sequence[Joint]
 ) -> tuple[list[Loop], list[int]]:
     """Return the loops that equalities close, and the numbers of these.
@@ -243,16 +245,16 @@ def loops_by_equalities(
         if not m.eq_active0[k]:
             continue
         if m.eq_type[k] == kinds.mjEQ_JOINT:
-            loop = _curve(m, k, joints, name)
+            loop = _read_curve_loop(m, k, joints, name)
         elif (welds := m.eq_type[k] == kinds.mjEQ_WELD) or m.eq_type[k] == kinds.mjEQ_CONNECT:
-            loop = _closed(mujoco, m, k, bodies, name, welds=bool(welds))
+            loop = _read_body_loop(mujoco, m, k, bodies, name, welds=bool(welds))
         if loop is not None:
             found.append(loop)
             used.append(k)
     return found, used
 
 
-def _curve(m: Any, k: int, joints: Sequence[Joint], name: str) -> Loop | None:
+def _read_curve_loop(m: Any, k: int, joints: Sequence[Joint], name: str) -> Loop | None:
     """Return `y - y0 = a_0 + a_1 (x - x0) + ...` as a loop where it is no linear coupling."""
     one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
     polynomial = Polynomial(m.eq_data[k, :5])
@@ -269,7 +271,7 @@ def _curve(m: Any, k: int, joints: Sequence[Joint], name: str) -> Loop | None:
     return Loop("joint", joints=moved, polynomial=tuple(terms.tolist()), name=name)
 
 
-def _closed(
+def _read_body_loop(
     mujoco: Any, m: Any, k: int, bodies: Mapping[int, Place], name: str, *, welds: bool
 ) -> Loop | None:
     """Return the loop of an equality between bodies or sites; None where both are one link."""
@@ -281,14 +283,17 @@ def _closed(
     elif welds:
         # the pose of body 2 in body 1, and the point of it that is held
         pose = placement(rotation_from_quaternion(data[6:10]), data[3:6])
-        at = [composed(pose, placement(translation=data[:3])), placement(translation=data[:3])]
+        at = [
+            compose_placements(pose, placement(translation=data[:3])),
+            placement(translation=data[:3]),
+        ]
     else:
         at = [placement(translation=data[:3]), placement(translation=data[3:6])]
     (link_a, on_a), (link_b, on_b) = (bodies[body] for body in ids)
     if link_a == link_b:
         return None
-    one, other = composed(on_a, at[0]), composed(on_b, at[1])
-    turned = composed(one, inverted(other))[:3, :3] if welds else np.eye(3)
+    one, other = compose_placements(on_a, at[0]), compose_placements(on_b, at[1])
+    turned = compose_placements(one, invert_placement(other))[:3, :3] if welds else np.eye(3)
     return Loop(
         "weld" if welds else "connect",
         link_a,

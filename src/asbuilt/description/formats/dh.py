@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.finite import finite_number, read_rows
+from asbuilt.description.finite import parse_finite_number, read_rows
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.lengths import NO_SYMBOLS, added_symbols, named, rotated_symbols
+from asbuilt.description.lengths import NO_SYMBOLS, add_symbols, drop_empty_symbols, rotate_symbols
 from asbuilt.description.model import (
     ROOT,
     USUAL_GRAVITY,
@@ -28,7 +28,13 @@ from asbuilt.description.model import (
     RobotModel,
     Symbols,
 )
-from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, straightened
+from asbuilt.description.rotation import (
+    compose_placements,
+    placement,
+    rotation_x,
+    rotation_z,
+    straighten_angle,
+)
 from asbuilt.errors import DescriptionError, refuse
 
 Convention = Literal["standard", "modified"]
@@ -98,7 +104,7 @@ def robot_from_dh(
     remarks = list(notes)
     joints, links = [], []
     for i, row in enumerate(rows):
-        joints.append(dh_joint(row, i, convention, remarks))
+        joints.append(build_dh_joint(row, i, convention, remarks))
         lengths |= dh_lengths(row, i)
         inertia = row.inertia if row.inertia is not None else LinkInertia.zero()
         links.append(
@@ -131,7 +137,7 @@ def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
     }
 
 
-def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
+def build_dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
     """Return the joint of a Denavit-Hartenberg row.
 
     `notes` takes a remark on every angle that was straightened.
@@ -145,8 +151,8 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
             raise DescriptionError(
                 f"{column} of row {number} is {value}; it must be a finite number"
             )
-    alpha = straightened(row.alpha, f"alpha of row {number}", notes)
-    theta = straightened(row.theta, f"theta of row {number}", notes)
+    alpha = straighten_angle(row.alpha, f"alpha of row {number}", notes)
+    theta = straighten_angle(row.theta, f"theta of row {number}", notes)
     parent = index - 1 if row.parent is None else row.parent
     if not ROOT <= parent < index:
         raise DescriptionError(
@@ -163,11 +169,11 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
         after = placement(tilt, (row.a, 0.0, row.b))
         after_symbols = (along_x, (), along_z)
     else:
-        before = composed(
+        before = compose_placements(
             placement(tilt, (row.a, 0.0, 0.0)), placement(rotation_z(theta), (0.0, 0.0, row.b))
         )
         after = np.eye(4)
-        before_symbols = added_symbols((along_x, (), ()), rotated_symbols(tilt, ((), (), along_z)))
+        before_symbols = add_symbols((along_x, (), ()), rotate_symbols(tilt, ((), (), along_z)))
     joint = Joint(
         name=row.joint or f"joint_{number}",
         kind=row.kind,
@@ -176,26 +182,28 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
         after=after,
         limits=row.limits,
         drive=row.drive,
-        before_symbols=named(before_symbols),
-        after_symbols=named(after_symbols),
+        before_symbols=drop_empty_symbols(before_symbols),
+        after_symbols=drop_empty_symbols(after_symbols),
     )
-    return joint if row.origin is None else joint_on_origin(joint, row.origin)
+    return joint if row.origin is None else place_joint_on_origin(joint, row.origin)
 
 
-def joint_on_origin(joint: Joint, origin: Array, origin_symbols: Symbols | None = None) -> Joint:
+def place_joint_on_origin(
+    joint: Joint, origin: Array, origin_symbols: Symbols | None = None
+) -> Joint:
     """Return the joint with a placement (4, 4) in front of it.
 
     Symbols survive where both translations are zero or have symbols.
     """
-    before = composed(origin, joint.before)
+    before = compose_placements(origin, joint.before)
     local = joint.before_symbols or (None if joint.before[:3, 3].any() else NO_SYMBOLS)
     ahead = origin_symbols or (None if origin[:3, 3].any() else NO_SYMBOLS)
     symbols = (
         None
         if local is None or ahead is None
-        else added_symbols(ahead, rotated_symbols(origin[:3, :3], local))
+        else add_symbols(ahead, rotate_symbols(origin[:3, :3], local))
     )
-    return replace(joint, before=before, before_symbols=named(symbols))
+    return replace(joint, before=before, before_symbols=drop_empty_symbols(symbols))
 
 
 GEOMETRY_COLUMNS = ("b", "a", "alpha_deg")
@@ -231,7 +239,7 @@ def read_dh_table(path: str | Path) -> RobotModel:
                 " columns"
             )
         rows.append(
-            _row(
+            _read_row(
                 f"{path}, line {line}",
                 dict(zip(columns, (cell.strip() for cell in cells), strict=True)),
             )
@@ -272,9 +280,9 @@ def _check_columns(path: Path, columns: list[str]) -> None:
     )
 
 
-def _row(place: str, cells: dict[str, str]) -> DHRow:
+def _read_row(place: str, cells: dict[str, str]) -> DHRow:
     def number(column: str) -> float:
-        return finite_number(cells.get(column, "0"), f"{place}: {column}")
+        return parse_finite_number(cells.get(column, "0"), f"{place}: {column}")
 
     kind = cells.get("kind", "revolute").lower()
     if kind not in KINDS:

@@ -55,11 +55,11 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "usual_drive": model.usual_drive,
         "contacts": [str(contact) for contact in model.contacts],
         "motor_coupling": _list(model.motor_coupling),
-        "joints": [_joint_document(joint) for joint in model.joints],
-        "followers": [_joint_document(joint) for joint in model.followers],
-        "loops": [_loop_document(loop) for loop in model.loops],
+        "joints": [_write_joint(joint) for joint in model.joints],
+        "followers": [_write_joint(joint) for joint in model.followers],
+        "loops": [_write_loop(loop) for loop in model.loops],
         "posture": dict(model.posture),
-        "links": [_link_document(link) for link in model.links],
+        "links": [_write_link(link) for link in model.links],
         "frames": [
             {"name": frame.name, "link": frame.link, "placement": frame.placement.tolist()}
             for frame in model.frames
@@ -75,23 +75,23 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
     try:
         return RobotModel(
             name=str(document["name"]),
-            joints=tuple(_joint(item) for item in document["joints"]),
-            followers=tuple(_joint(item) for item in document.get("followers", ())),
-            links=tuple(_link(item) for item in document["links"]),
+            joints=tuple(_read_joint(item) for item in document["joints"]),
+            followers=tuple(_read_joint(item) for item in document.get("followers", ())),
+            links=tuple(_read_link(item) for item in document["links"]),
             loops=tuple(Loop(**item) for item in document.get("loops", ())),
             posture={
                 str(name): float(value) for name, value in document.get("posture", {}).items()
             },
-            gravity=_array(document["gravity"]),
+            gravity=_read_array(document["gravity"]),
             root_link=str(document["root_link"]),
             frames=tuple(
-                Frame(str(item["name"]), int(item["link"]), _array(item["placement"]))
+                Frame(str(item["name"]), int(item["link"]), _read_array(item["placement"]))
                 for item in document["frames"]
             ),
             lengths={str(symbol): float(value) for symbol, value in document["lengths"].items()},
             drives_by_design=bool(document["drives_by_design"]),
-            described_gravity=_array_or_none(document.get("described_gravity")),
-            motor_coupling=_array_or_none(document.get("motor_coupling")),
+            described_gravity=_read_optional_array(document.get("described_gravity")),
+            motor_coupling=_read_optional_array(document.get("motor_coupling")),
             locked_joints={
                 str(name): float(value) for name, value in document.get("locked_joints", {}).items()
             },
@@ -126,7 +126,7 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
         ) from problem
 
 
-def _loop_document(loop: Loop) -> dict[str, Any]:
+def _write_loop(loop: Loop) -> dict[str, Any]:
     given = {item.name: getattr(loop, item.name) for item in fields(Loop)}
     return {
         name: value.tolist() if isinstance(value, np.ndarray) else value
@@ -134,7 +134,7 @@ def _loop_document(loop: Loop) -> dict[str, Any]:
     }
 
 
-def _joint_document(joint: Joint) -> dict[str, Any]:
+def _write_joint(joint: Joint) -> dict[str, Any]:
     limits = {item.name: getattr(joint.limits, item.name) for item in fields(JointLimits)}
     return {
         "name": joint.name,
@@ -155,7 +155,7 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
     }
 
 
-def _joint(document: Mapping[str, Any]) -> Joint:
+def _read_joint(document: Mapping[str, Any]) -> Joint:
     unlimited = JointLimits()
     limits = {
         name: getattr(unlimited, name) if value is None else float(value)
@@ -172,17 +172,17 @@ def _joint(document: Mapping[str, Any]) -> Joint:
         name=str(document["name"]),
         kind=document["kind"],
         parent=int(document["parent"]),
-        before=_array(document["before"]),
-        after=_array(document["after"]),
+        before=_read_array(document["before"]),
+        after=_read_array(document["after"]),
         limits=JointLimits(**limits),
         drive=DriveValues(**drive, terms=terms),
-        before_symbols=_symbols(document["before_symbols"]),
-        after_symbols=_symbols(document["after_symbols"]),
-        mimic=_mimic(document.get("mimic")),
+        before_symbols=_read_symbols(document["before_symbols"]),
+        after_symbols=_read_symbols(document["after_symbols"]),
+        mimic=_read_mimic(document.get("mimic")),
     )
 
 
-def _mimic(document: Mapping[str, Any] | None) -> Mimic | None:
+def _read_mimic(document: Mapping[str, Any] | None) -> Mimic | None:
     if document is None:
         return None
     if "multiplier" in document:  # written before joints could follow several others
@@ -190,7 +190,7 @@ def _mimic(document: Mapping[str, Any] | None) -> Mimic | None:
     return Mimic(**document)
 
 
-def _link_document(link: Link) -> dict[str, Any]:
+def _write_link(link: Link) -> dict[str, Any]:
     return {
         "name": link.name,
         "inertia": link.inertia.parameters.tolist(),
@@ -200,19 +200,20 @@ def _link_document(link: Link) -> dict[str, Any]:
     }
 
 
-def _link(document: Mapping[str, Any]) -> Link:
+def _read_link(document: Mapping[str, Any]) -> Link:
     return Link(
         name=str(document["name"]),
-        inertia=LinkInertia(_array(document["inertia"])),
+        inertia=LinkInertia(_read_array(document["inertia"])),
         inertia_known=bool(document["inertia_known"]),
         negligible=bool(document.get("negligible", False)),
         parts=tuple(
-            (str(name), LinkInertia(_array(parameters))) for name, parameters in document["parts"]
+            (str(name), LinkInertia(_read_array(parameters)))
+            for name, parameters in document["parts"]
         ),
     )
 
 
-def _symbols(document: Any) -> Symbols | None:
+def _read_symbols(document: Any) -> Symbols | None:
     return (
         None
         if document is None
@@ -222,12 +223,12 @@ def _symbols(document: Any) -> Symbols | None:
     )
 
 
-def _array(values: Any) -> NDArray[np.float64]:
+def _read_array(values: Any) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
 
 
-def _array_or_none(values: Any) -> NDArray[np.float64] | None:
-    return None if values is None else _array(values)
+def _read_optional_array(values: Any) -> NDArray[np.float64] | None:
+    return None if values is None else _read_array(values)
 
 
 def _list(values: NDArray[np.float64] | None) -> list[Any] | None:

@@ -108,12 +108,12 @@ class _Expression:
         """Return the value of a node; the method of its kind has it."""
         found = getattr(self, "_" + type(node).__name__.lower(), None)
         if found is None:
-            raise _refused(node)
+            raise _make_refusal(node)
         return found(node)
 
     def _constant(self, node: ast.Constant) -> Any:
         if not isinstance(node.value, LITERALS):
-            raise _refused(node)
+            raise _make_refusal(node)
         return node.value
 
     def _name(self, node: ast.Name) -> Any:
@@ -126,13 +126,13 @@ class _Expression:
         """Return an item of a namespace or table, never an attribute of an object."""
         owner = self.value(node.value)
         if not isinstance(owner, dict) or node.attr.startswith("_"):
-            raise _refused(node)
+            raise _make_refusal(node)
         return owner[node.attr]
 
     def _subscript(self, node: ast.Subscript) -> Any:
         owner = self.value(node.value)
         if not isinstance(owner, str | list | tuple | dict):
-            raise _refused(node)
+            raise _make_refusal(node)
         return owner[self.value(node.slice)]
 
     def _slice(self, node: ast.Slice) -> slice:
@@ -141,12 +141,12 @@ class _Expression:
 
     def _binop(self, node: ast.BinOp) -> Any:
         if type(node.op) not in BINARY:
-            raise _refused(node)
+            raise _make_refusal(node)
         return BINARY[type(node.op)](self.value(node.left), self.value(node.right))
 
     def _unaryop(self, node: ast.UnaryOp) -> Any:
         if type(node.op) not in UNARY:
-            raise _refused(node)
+            raise _make_refusal(node)
         return UNARY[type(node.op)](self.value(node.operand))
 
     def _boolop(self, node: ast.BoolOp) -> Any:
@@ -192,11 +192,11 @@ class _Expression:
                     return getattr(kind(owner), node.attr)  # type: ignore[no-any-return]
         function: Callable[..., Any] = self.value(node)
         if not any(function is each for each in self._functions):
-            raise _refused(node)
+            raise _make_refusal(node)
         return function
 
 
-def _refused(node: ast.AST) -> ExpressionError:
+def _make_refusal(node: ast.AST) -> ExpressionError:
     return ExpressionError(f"{ast.unparse(node)[:80]} is not allowed")
 
 
@@ -249,27 +249,27 @@ def _restrict(xacro: Any, folder: Path, largest: int) -> None:
     math, python, own = (xacro.NameSpace() for _ in range(3))
     math.update(MATH)
     python.update(BUILTINS)
-    own.update(load_yaml=xacro.load_yaml, dotify=dict, arg=_argument(xacro))
+    own.update(load_yaml=xacro.load_yaml, dotify=dict, arg=_make_argument_lookup(xacro))
     names = {**MATH, **BUILTINS, "load_yaml": xacro.load_yaml}
     xacro._global_symbols = names | {"math": math, "python": python, "xacro": own}
     functions = [each for each in (*names.values(), *own.values()) if callable(each)]
     xacro.safe_eval = lambda text, symbols, local=None: evaluate(text, symbols, functions)
-    xacro.eval_extension = lambda text: _substituted(xacro, text)
+    xacro.eval_extension = lambda text: _substitute(xacro, text)
     warnings.simplefilter("ignore")
     sys.addaudithook(lambda event, given: _allow(event, given, folder, largest))
 
 
-def _argument(xacro: Any) -> Any:
+def _make_argument_lookup(xacro: Any) -> Any:
     """Return the function that gives an argument of the file by name."""
     return lambda name: xacro.substitution_args_context["arg"][name]
 
 
-def _substituted(xacro: Any, text: str) -> Any:
+def _substitute(xacro: Any, text: str) -> Any:
     """Return what `$(arg NAME)` stands for; what asks for more than that is refused."""
     command, *names = text[2:-1].split()
     if command != "arg" or len(names) != 1:
         raise ValueError(f"{text[:80]} is not allowed")
-    return _argument(xacro)(names[0])
+    return _make_argument_lookup(xacro)(names[0])
 
 
 def _allow(event: str, given: tuple[Any, ...], folder: Path, largest: int) -> None:

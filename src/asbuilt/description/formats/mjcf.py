@@ -13,16 +13,16 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.finite import finite_number
+from asbuilt.description.finite import parse_finite_number
 from asbuilt.description.formats.compiled_mjcf import (
     Actuators,
-    collected_warnings,
-    coupled_by_equalities,
-    loops_by_equalities,
+    collect_warnings,
+    couple_by_equalities,
+    find_loops_by_equalities,
     with_passive_joints,
 )
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
-from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
+from asbuilt.description.formats.xml import described_text, find_outermost_tag, parse_xml
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import (
     ROOT,
@@ -35,17 +35,17 @@ from asbuilt.description.model import (
     RobotModel,
 )
 from asbuilt.description.rotation import (
-    composed,
-    condensed,
+    compose_placements,
+    condense_notes,
     placement,
     rotation_from_quaternion,
     rotation_from_rpy,
     rotation_onto,
     rotation_z,
     rpy_from_rotation,
-    straightened,
+    straighten_angle,
 )
-from asbuilt.description.structure.free_base import BaseKind, free_mjcf, links_on_base
+from asbuilt.description.structure.free_base import BaseKind, clear_base_inertias, free_mjcf
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 
@@ -88,7 +88,7 @@ def read_mjcf(
     (format: MuJoCo XML reference).
     """
     content, source = described_text(path_or_text)
-    root = parsed_xml(content, source)
+    root = parse_xml(content, source)
     if root.tag != "mujoco":
         raise DescriptionError(
             f"{source}: the outermost element is <{root.tag}>; an MJCF file has <mujoco model=...>"
@@ -101,7 +101,7 @@ def read_mjcf(
         free_mjcf(root, base, source)
     unknown = _without_shapes(root, source)
     held = _without_free_joints(root) if fixed_base else []
-    compiled, warnings = _compiled(mujoco, root, source)
+    compiled, warnings = _compile_model(mujoco, root, source)
     tree = _Tree(mujoco, compiled, source, unknown)
     tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     tree.notes.extend(f"the free joint of {body!r} is held at its pose" for body in held)
@@ -123,8 +123,8 @@ def read_mjcf(
             f"the springs of {', '.join(sprung)} (stiffness) are left out; identify them with the"
             " drive terms auto,spring:joints=..."
         )
-    loops, closing = loops_by_equalities(mujoco, compiled, tree.places, tree.joints)
-    joints, left_out = coupled_by_equalities(mujoco, compiled, tree.joints, closing)
+    loops, closing = find_loops_by_equalities(mujoco, compiled, tree.places, tree.joints)
+    joints, left_out = couple_by_equalities(mujoco, compiled, tree.joints, closing)
     joints = with_passive_joints(mujoco, compiled, joints, tree.names, loops)
     rest = compiled.qpos0[compiled.jnt_qposadr] if loops else ()
     links = [
@@ -141,19 +141,19 @@ def read_mjcf(
         joints=tuple(joints),
         loops=tuple(loops),
         posture={joint.name: float(q) for joint, q in zip(tree.joints, rest, strict=False)},
-        links=links_on_base(source, joints, links, base),
+        links=clear_base_inertias(source, joints, links, base),
         gravity=np.array(compiled.opt.gravity),
         root_link="world",
         frames=tuple(tree.frames),
         source="MJCF text" if source == "the description" else source,
-        notes=condensed(tree.notes),
+        notes=condense_notes(tree.notes),
     ).closed()
 
 
-def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
+def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
     """Return the compiled model and MuJoCo's warnings."""
     try:
-        with collected_warnings(mujoco) as warnings:
+        with collect_warnings(mujoco) as warnings:
             compiled = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
     except RecursionError:
         raise DescriptionError(
@@ -191,7 +191,7 @@ def _without_shapes(root: Element, source: str) -> set[str]:
     shapes: dict[str | None, str] = {
         name: shape
         for element in root.findall("default")
-        for name, shape in _default_shapes(element, "sphere")
+        for name, shape in _list_default_shapes(element, "sphere")
     }
     for element in root.iter():
         element.attrib.pop("material", None)
@@ -206,7 +206,7 @@ def _without_shapes(root: Element, source: str) -> set[str]:
     ]
     while waiting:
         body, inherited = waiting.pop()
-        inside = list(_inside(body, body.get("childclass", inherited)))
+        inside = list(_list_inside(body, body.get("childclass", inherited)))
         waiting.extend(
             (element, childclass) for _, element, childclass in inside if element.tag == "body"
         )
@@ -217,7 +217,7 @@ def _without_shapes(root: Element, source: str) -> set[str]:
             if element.tag == "geom"
         ]
         lost = not explicit and any(
-            _shape(geom, shapes.get(kind, "sphere")) in SHAPELESS for _, geom, kind in geoms
+            _find_shape(geom, shapes.get(kind, "sphere")) in SHAPELESS for _, geom, kind in geoms
         )
         for holder, geom, _ in geoms:
             if explicit or lost or body.tag == "worldbody":
@@ -245,23 +245,25 @@ def _without_free_joints(root: Element) -> list[str]:
     return held
 
 
-def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, Element, str | None]]:
+def _list_inside(
+    body: Element, childclass: str | None
+) -> Iterator[tuple[Element, Element, str | None]]:
     """Yield holder, element and class in force for what belongs to a body.
 
     `<frame>` elements, which are no bodies, are passed through.
     """
     for element in body:
         if element.tag == "frame":
-            yield from _inside(element, element.get("childclass", childclass))
+            yield from _list_inside(element, element.get("childclass", childclass))
         else:
             yield body, element, childclass
 
 
-def _shape(geom: Element, inherited: str) -> str:
+def _find_shape(geom: Element, inherited: str) -> str:
     return "mesh" if geom.get("mesh") is not None else geom.get("type") or inherited
 
 
-def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, str]]:
+def _list_default_shapes(element: Element, inherited: str) -> list[tuple[str | None, str]]:
     geom = element.find("geom")
     shape = inherited
     if geom is not None:
@@ -271,7 +273,9 @@ def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, 
         [(None, shape)] if name == "main" else []
     )
     return own + [
-        entry for nested in element.findall("default") for entry in _default_shapes(nested, shape)
+        entry
+        for nested in element.findall("default")
+        for entry in _list_default_shapes(nested, shape)
     ]
 
 
@@ -315,7 +319,7 @@ class _Tree:
         name = self.name(self.mujoco.mjtObj.mjOBJ_BODY, body, "body")
         parent = int(m.body_parentid[body])
         carrier = self.carrier[parent]
-        pose = composed(
+        pose = compose_placements(
             self.pose[parent], self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}")
         )
         first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
@@ -337,7 +341,7 @@ class _Tree:
             )
         elif m.body_mass[body] > 0.0:
             frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
-            mass = finite_number(f"{m.body_mass[body]:.17g}", f"body {name!r}: mass")
+            mass = parse_finite_number(f"{m.body_mass[body]:.17g}", f"body {name!r}: mass")
             inertia = LinkInertia.from_com(mass, np.zeros(3), np.diag(m.body_inertia[body]))
             self.parts[carrier].append((name, inertia.moved(frame).moved(pose)))
 
@@ -371,8 +375,8 @@ class _Tree:
             name=name,
             kind=self.kind(index),
             parent=parent,
-            before=composed(pose, placement(onto, anchor), back),
-            after=composed(placement(onto.T), placement(translation=-anchor)),
+            before=compose_placements(pose, placement(onto, anchor), back),
+            after=compose_placements(placement(onto.T), placement(translation=-anchor)),
             limits=self.limits(index),
             drive=self.drive(int(m.jnt_dofadr[index]), index),
         )
@@ -419,7 +423,7 @@ class _Tree:
         R = rotation_from_quaternion(quaternion)
         before = len(self.notes)
         angles = [
-            straightened(float(angle), f"{name} of {what}", self.notes)
+            straighten_angle(float(angle), f"{name} of {what}", self.notes)
             for name, angle in zip(("roll", "pitch", "yaw"), rpy_from_rotation(R), strict=True)
         ]
         return placement(R if len(self.notes) == before else rotation_from_rpy(angles), position)
@@ -435,7 +439,9 @@ class _Tree:
                 )
                 self.frames.append(
                     Frame(
-                        name=name, link=self.carrier[body], placement=composed(self.pose[body], own)
+                        name=name,
+                        link=self.carrier[body],
+                        placement=compose_placements(self.pose[body], own),
                     )
                 )
 
@@ -446,7 +452,7 @@ FORMATS.register(
         "MJCF",
         (".mjcf", ".xml"),
         read_mjcf,
-        lambda content: outermost_tag(content) == "mujoco",
+        lambda content: find_outermost_tag(content) == "mujoco",
         read_fixed=partial(read_mjcf, fixed_base=True),
         read_on_base=lambda path, base: read_mjcf(path, base=base),
     ),

@@ -25,7 +25,7 @@ PALETTE = ("0.90 0.49 0.13 1", "0.86 0.87 0.88 1")
 """Colours of housings and rods."""
 
 
-def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True) -> str:
+def format_mjcf(model: RobotModel, *, actuators: bool = True, shapes: bool = True) -> str:
     """Return the robot as an MJCF document.
 
     Placements and inertias keep full precision, so MuJoCo's torques equal the model's.
@@ -48,7 +48,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     --------
     >>> from asbuilt.description.catalogue import bundled_robot
     >>> from asbuilt.description.formats.mjcf import read_mjcf
-    >>> read_mjcf(mjcf_text(bundled_robot("ur10e"))).n_joints
+    >>> read_mjcf(format_mjcf(bundled_robot("ur10e"))).n_joints
     6
     """
     model = model.with_rotors
@@ -61,28 +61,30 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
         inertiafromgeom="false",
         balanceinertia="false",
     )
-    SubElement(root, "option", gravity=_numbers(model.gravity), integrator="RK4", timestep="0.001")
+    SubElement(
+        root, "option", gravity=_format_numbers(model.gravity), integrator="RK4", timestep="0.001"
+    )
     if shapes:
-        _scene(root, stretched_length(model))
+        _add_scene(root, stretched_length(model))
     bodies, at = {ROOT: SubElement(root, "worldbody")}, reference_posture(model)
     for k in model.link_order:
-        bodies[k] = _body(bodies[model.parents[k]], model, k, float(at[k]))
+        bodies[k] = _add_body(bodies[model.parents[k]], model, k, float(at[k]))
     for frame in model.frames:
         SubElement(
             bodies[frame.link],
             "site",
-            {"name": frame.name, **_pose(frame.placement), "size": "0.005"},
+            {"name": frame.name, **_describe_pose(frame.placement), "size": "0.005"},
         )
     if shapes:
         for solid in link_solids(model):
-            _geom(bodies[solid.link], solid)
+            _add_geom(bodies[solid.link], solid)
     _add_equalities(root, model, at)
     _add_springs(root, model, bodies)
     if actuators:
         motors = SubElement(root, "actuator")
         for joint in model.joints:
             torque = joint.limits.torque
-            limit = {"ctrlrange": _numbers([-torque, torque])} if np.isfinite(torque) else {}
+            limit = {"ctrlrange": _format_numbers([-torque, torque])} if np.isfinite(torque) else {}
             SubElement(motors, "motor", {"name": joint.name, "joint": joint.name, **limit})
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
@@ -113,10 +115,10 @@ def _add_equalities(root: Element, model: RobotModel, at: Array) -> None:
             tendon = SubElement(tendons, "fixed", name=name)
             terms = {joint.name: 1.0} | {k: -f for k, f in factors.items()}
             for other, factor in terms.items():
-                SubElement(tendon, "joint", joint=other, coef=_numbers([factor]))
+                SubElement(tendon, "joint", joint=other, coef=_format_numbers([factor]))
             offset -= sum(factor * rest[k] for k, factor in terms.items())
             follows = [offset, 0.0, 0.0, 0.0, 0.0]
-            SubElement(equality, "tendon", tendon1=name, polycoef=_numbers(follows))
+            SubElement(equality, "tendon", tendon1=name, polycoef=_format_numbers(follows))
     for loop in model.loops:
         _add_loop(equality, model, loop, rest)
     root.extend(each for each in (tendons, equality) if len(each))
@@ -131,16 +133,19 @@ def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]
     written = len(tendons)
     for k, joint in enumerate(model.joints):
         for key, numbers in joint.drive.terms.items():
-            rate, free = _tendon_spring(key, numbers)
+            rate, free = _read_tendon_spring(key, numbers)
             if not rate:
                 continue
             ends = spring_ends(joint, numbers)
             name = f"{key} at {joint.name}"
             tendon = Element(
-                "spatial", name=name, stiffness=_numbers([rate]), springlength=_numbers([free])
+                "spatial",
+                name=name,
+                stiffness=_format_numbers([rate]),
+                springlength=_format_numbers([free]),
             )
             for side, body, point in zip("ab", (joint.parent, k), ends, strict=True):
-                site = {"name": f"{name} {side}", "pos": _numbers(point), "size": "0.005"}
+                site = {"name": f"{name} {side}", "pos": _format_numbers(point), "size": "0.005"}
                 SubElement(bodies[body], "site", site)
                 SubElement(tendon, "site", site=site["name"])
             tendons.append(tendon)
@@ -148,7 +153,7 @@ def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]
         root.append(tendons)
 
 
-def _tendon_spring(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
+def _read_tendon_spring(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
     """Return stiffness [N/m] and free length [m] of a drive term; no stiffness if it has none."""
     if key == "extension_spring":
         return numbers.get("Ke", 0.0), numbers["length"]
@@ -168,7 +173,7 @@ def _add_polynomial(
     terms[: len(moved.coef)] = moved.coef
     terms[0] -= rest[joints[0]]
     names = {f"joint{k + 1}": name for k, name in enumerate(joints)}
-    SubElement(equality, "joint", {**names, "polycoef": _numbers(terms)})
+    SubElement(equality, "joint", {**names, "polycoef": _format_numbers(terms)})
 
 
 def _add_loop(equality: Element, model: RobotModel, loop: Loop, rest: Mapping[str, float]) -> None:
@@ -187,25 +192,25 @@ def _add_loop(equality: Element, model: RobotModel, loop: Loop, rest: Mapping[st
         links["body2"] = model.links[other].name
     if loop.kind == "weld":
         anchor = point
-    SubElement(equality, loop.kind, {**name, **links, "anchor": _numbers(anchor)})
+    SubElement(equality, loop.kind, {**name, **links, "anchor": _format_numbers(anchor)})
 
 
-def _body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
+def _add_body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
     joint, link = model.moving_joints[k], model.links[k]
     pose = joint.before @ joint.moved(at) @ joint.after if at else joint.before @ joint.after
-    body = SubElement(parent, "body", {"name": link.name, **_pose(pose)})
-    _inertial(body, link.inertia, f"{model.name}: link {link.name!r}")
-    rest = {"ref": _numbers([at])} if at else {}
-    SubElement(body, "joint", {"name": joint.name, **_joint(joint), **rest})
+    body = SubElement(parent, "body", {"name": link.name, **_describe_pose(pose)})
+    _add_inertial(body, link.inertia, f"{model.name}: link {link.name!r}")
+    rest = {"ref": _format_numbers([at])} if at else {}
+    SubElement(body, "joint", {"name": joint.name, **_describe_joint(joint), **rest})
     return body
 
 
-def _joint(joint: Joint) -> dict[str, str]:
+def _describe_joint(joint: Joint) -> dict[str, str]:
     R, p = joint.after[:3, :3], joint.after[:3, 3]
     fields = {
         "type": "hinge" if joint.is_revolute else "slide",
-        "axis": _numbers(R[2]),
-        "pos": _numbers(-R.T @ p),
+        "axis": _format_numbers(R[2]),
+        "pos": _format_numbers(-R.T @ p),
     }
     limits, drive = joint.limits, joint.drive
     if (
@@ -214,24 +219,25 @@ def _joint(joint: Joint) -> dict[str, str]:
         and np.isfinite(limits.upper)
         and limits.lower < limits.upper
     ):
-        fields["range"] = _numbers([limits.lower, limits.upper])
+        fields["range"] = _format_numbers([limits.lower, limits.upper])
     if np.isfinite(limits.torque):
-        fields["actuatorfrcrange"] = _numbers([-limits.torque, limits.torque])
+        fields["actuatorfrcrange"] = _format_numbers([-limits.torque, limits.torque])
     for name, value in (
         ("armature", drive.armature),
         ("damping", drive.viscous),
         ("frictionloss", drive.coulomb),
     ):
         if value is not None and value != 0.0:
-            fields[name] = _numbers([value])
+            fields[name] = _format_numbers([value])
     if stiffness := (spring := drive.terms.get("spring", {})).get("Ks"):
         fields.update(
-            stiffness=_numbers([stiffness]), springref=_numbers([spring.get("rest", 0.0)])
+            stiffness=_format_numbers([stiffness]),
+            springref=_format_numbers([spring.get("rest", 0.0)]),
         )
     return fields
 
 
-def _inertial(body: Element, inertia: LinkInertia, what: str) -> None:
+def _add_inertial(body: Element, inertia: LinkInertia, what: str) -> None:
     reason = inertia.inconsistency()
     if reason is not None:
         raise InertiaError(
@@ -239,7 +245,11 @@ def _inertial(body: Element, inertia: LinkInertia, what: str) -> None:
         )
     if inertia.mass <= FEATHER:
         SubElement(
-            body, "inertial", pos="0 0 0", mass=repr(FEATHER), diaginertia=_numbers([FEATHER] * 3)
+            body,
+            "inertial",
+            pos="0 0 0",
+            mass=repr(FEATHER),
+            diaginertia=_format_numbers([FEATHER] * 3),
         )
         return
     moments, axes = np.linalg.eigh(inertia.inertia_about_com)
@@ -247,29 +257,37 @@ def _inertial(body: Element, inertia: LinkInertia, what: str) -> None:
         axes[:, 0] *= -1.0
     moments = np.maximum(moments, FEATHER)
     moments[0] = max(moments[0], moments[2] - moments[1])
-    pose = {"pos": _numbers(inertia.com), "quat": _numbers(quaternion_from_rotation(axes))}
+    pose = {
+        "pos": _format_numbers(inertia.com),
+        "quat": _format_numbers(quaternion_from_rotation(axes)),
+    }
     SubElement(
-        body, "inertial", {**pose, "mass": repr(inertia.mass), "diaginertia": _numbers(moments)}
+        body,
+        "inertial",
+        {**pose, "mass": repr(inertia.mass), "diaginertia": _format_numbers(moments)},
     )
 
 
-def _scene(root: Element, reach: float) -> None:
+def _add_scene(root: Element, reach: float) -> None:
     SubElement(SubElement(root, "visual"), "global", offwidth="1920", offheight="1440")
     SubElement(
-        root, "statistic", extent=_numbers([reach]), center=_numbers([0.0, 0.0, 0.4 * reach])
+        root,
+        "statistic",
+        extent=_format_numbers([reach]),
+        center=_format_numbers([0.0, 0.0, 0.4 * reach]),
     )
 
 
-def _geom(body: Element, solid: Solid) -> None:
+def _add_geom(body: Element, solid: Solid) -> None:
     rod = solid.kind == "rod"
-    ends = _numbers([*solid.start, *solid.stop])
+    ends = _format_numbers([*solid.start, *solid.stop])
     SubElement(
         body,
         "geom",
         {
             "type": "capsule" if rod else "cylinder",
             "fromto": ends,
-            "size": _numbers([solid.radius]),
+            "size": _format_numbers([solid.radius]),
             "rgba": PALETTE[rod],
         },
         contype="0",
@@ -279,12 +297,12 @@ def _geom(body: Element, solid: Solid) -> None:
     )
 
 
-def _pose(placement: Array) -> dict[str, str]:
-    fields = {"pos": _numbers(placement[:3, 3])}
+def _describe_pose(placement: Array) -> dict[str, str]:
+    fields = {"pos": _format_numbers(placement[:3, 3])}
     if not np.array_equal(placement[:3, :3], np.eye(3)):
-        fields["quat"] = _numbers(quaternion_from_rotation(placement[:3, :3]))
+        fields["quat"] = _format_numbers(quaternion_from_rotation(placement[:3, :3]))
     return fields
 
 
-def _numbers(values: ArrayLike) -> str:
+def _format_numbers(values: ArrayLike) -> str:
     return " ".join(repr(float(value) + 0.0) for value in np.ravel(values))

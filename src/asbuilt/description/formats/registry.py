@@ -50,7 +50,7 @@ FORMATS: Registry[DescriptionFormat] = Registry(
 """
 
 
-def known_suffixes() -> tuple[str, ...]:
+def list_suffixes() -> tuple[str, ...]:
     """Return the suffixes of all formats, sorted."""
     return tuple(sorted({suffix for each in FORMATS.values() for suffix in each.suffixes}))
 

@@ -15,14 +15,19 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.finite import finite_number
+from asbuilt.description.finite import parse_finite_number
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.formats.xml import close_match, described_text, outermost_tag, parsed_xml
+from asbuilt.description.formats.xml import (
+    close_match,
+    described_text,
+    find_outermost_tag,
+    parse_xml,
+)
 from asbuilt.description.model import Loop, RobotModel
 from asbuilt.description.rotation import (
-    composed,
-    inverted,
+    compose_placements,
+    invert_placement,
     placement,
     rotation_from_rpy,
     rpy_from_rotation,
@@ -69,7 +74,7 @@ class _Frames:
             origin = self.stated[origin][0]
         for each in reversed(chain):
             before, pose = self.stated[each]
-            self.found[each] = composed(self.found[before], pose)
+            self.found[each] = compose_placements(self.found[before], pose)
         return self.found[name]
 
 
@@ -85,35 +90,35 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         Naming the element, what was given and what would do.
     """
     content, source = described_text(path_or_text)
-    root = parsed_xml(content, source)
+    root = parse_xml(content, source)
     if root.tag != "sdf":
         raise DescriptionError(f"{source}: the outermost element is <{root.tag}>, expected <sdf>")
-    model = _only_model(root, source)
-    closing = _closing_joints(model, source)
+    model = _find_only_model(root, source)
+    closing = _find_closing_joints(model, source)
     robot = read_urdf(tostring(_as_urdf(model, source, closing)))
     gravity = root.find("world/gravity")
-    turned = np.eye(3) if model.find("pose") is None else _pose(model, source)[:3, :3]
+    turned = np.eye(3) if model.find("pose") is None else _read_pose(model, source)[:3, :3]
     free_fall = (
         np.asarray(robot.gravity)
         if gravity is None
-        else _numbers(gravity.text, 3, f"{source}: <gravity>")
+        else _parse_numbers(gravity.text, 3, f"{source}: <gravity>")
     )
-    loops = _loops(closing, _frames(model, source), source)
+    loops = _read_loops(closing, _read_frames(model, source), source)
     return replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops).closed()
 
 
-def _closing_joints(model: Element, source: str) -> list[Element]:
+def _find_closing_joints(model: Element, source: str) -> list[Element]:
     """Return the joints to links that another joint before them moves already: they close loops."""
     moved, closing = set[str](), list[Element]()
     for joint in model.findall("joint"):
-        child = _text(joint, "child", source)
+        child = _read_text(joint, "child", source)
         if child in moved:
             closing.append(joint)
         moved.add(child)
     return closing
 
 
-def _loops(joints: Sequence[Element], frames: _Frames, source: str) -> tuple[Loop, ...]:
+def _read_loops(joints: Sequence[Element], frames: _Frames, source: str) -> tuple[Loop, ...]:
     """Return joints as loops that are closed where all joints are at zero.
 
     A hinge is two points on its axis.
@@ -122,12 +127,12 @@ def _loops(joints: Sequence[Element], frames: _Frames, source: str) -> tuple[Loo
     for joint in joints:
         name, kind = str(joint.get("name")), joint.get("type")
         place = f"{source}, joint {name!r}"
-        links = [_text(joint, side, place) for side in ("parent", "child")]
+        links = [_read_text(joint, side, place) for side in ("parent", "child")]
         links = [MODEL if link == "world" else link for link in links]
         at = frames.pose(name)
-        inside = [composed(inverted(frames.pose(link)), at) for link in links]
+        inside = [compose_placements(invert_placement(frames.pose(link)), at) for link in links]
         if kind == "fixed":
-            turned = composed(inside[0], inverted(inside[1]))[:3, :3]
+            turned = compose_placements(inside[0], invert_placement(inside[1]))[:3, :3]
             one, other = (each[:3, 3] for each in inside)
             loops.append(Loop("weld", links[0], one, links[1], other, turned, name=name))
             continue
@@ -140,14 +145,14 @@ def _loops(joints: Sequence[Element], frames: _Frames, source: str) -> tuple[Loo
         axis = joint.find("axis")
         points = [np.zeros(3)]
         if kind != "ball" and axis is not None:
-            points.append(HINGE * _direction(axis, frames, name, place))
+            points.append(HINGE * _read_direction(axis, frames, name, place))
         for point in points:
             one, other = (each[:3, :3] @ point + each[:3, 3] for each in inside)
             loops.append(Loop("connect", links[0], one, links[1], other, name=name))
     return tuple(loops)
 
 
-def _only_model(root: Element, source: str) -> Element:
+def _find_only_model(root: Element, source: str) -> Element:
     models = [*root.findall("model"), *root.findall("world/model")]
     if len(models) != 1:
         names = ", ".join(str(each.get("name")) for each in models)
@@ -166,9 +171,9 @@ def _only_model(root: Element, source: str) -> Element:
 
 
 def _as_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
-    frames = _frames(model, source)
+    frames = _read_frames(model, source)
     robot = Element("robot", name=str(model.get("name") or "robot"))
-    children = {_text(joint, "child", source) for joint in model.findall("joint")}
+    children = {_read_text(joint, "child", source) for joint in model.findall("joint")}
     SubElement(robot, "link", name=MODEL)
     for link in model.findall("link"):
         _add_link(robot, link, source)
@@ -181,18 +186,18 @@ def _as_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element
     return robot
 
 
-def _frames(model: Element, source: str) -> _Frames:
+def _read_frames(model: Element, source: str) -> _Frames:
     frames = _Frames(source, {"world": (MODEL, np.eye(4))})
     for tag, usual in (("link", MODEL), ("frame", MODEL), ("joint", "")):
         for element in model.findall(tag):
             name = element.get("name")
             if not name or name in frames.stated:
                 raise DescriptionError(f"{source}: a <{tag}> has no name of its own ({name!r})")
-            origin = usual or _text(element, "child", source)
+            origin = usual or _read_text(element, "child", source)
             origin = element.get("attached_to") or origin
             pose = element.find("pose")
             relative = None if pose is None else pose.get("relative_to")
-            frames.stated[name] = (relative or origin, _pose(element, f"{source}, {name}"))
+            frames.stated[name] = (relative or origin, _read_pose(element, f"{source}, {name}"))
     return frames
 
 
@@ -204,11 +209,13 @@ def _add_link(robot: Element, link: Element, source: str) -> None:
         return
     place = f"{source}, link {name!r}"
     body = SubElement(written, "inertial")
-    _add_origin(body, _pose(inertial, place))
-    SubElement(body, "mass", value=_text(inertial, "mass", place, "1.0"))
+    _add_origin(body, _read_pose(inertial, place))
+    SubElement(body, "mass", value=_read_text(inertial, "mass", place, "1.0"))
     inertia = inertial.find("inertia")
     usual = {each: "1.0" if each[1] == each[2] else "0.0" for each in INERTIA}
-    given = usual if inertia is None else {k: _text(inertia, k, place, usual[k]) for k in INERTIA}
+    given = (
+        usual if inertia is None else {k: _read_text(inertia, k, place, usual[k]) for k in INERTIA}
+    )
     SubElement(body, "inertia", given)
 
 
@@ -217,7 +224,7 @@ def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> 
     place = f"{source}, joint {name!r}"
     if kind not in KINDS:
         raise DescriptionError(f"{place}: type {kind!r} is not one of {', '.join(KINDS)}")
-    parent, child = _text(joint, "parent", place), _text(joint, "child", place)
+    parent, child = _read_text(joint, "parent", place), _read_text(joint, "child", place)
     parent = MODEL if parent == "world" else parent
     body = f"{name} (joint)"
     SubElement(robot, "link", name=body)
@@ -234,12 +241,12 @@ def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> 
 def _add_axis(
     written: Element, axis: Element, kind: str, frames: _Frames, name: str, place: str
 ) -> None:
-    SubElement(written, "axis", xyz=_spaced(_direction(axis, frames, name, place)))
+    SubElement(written, "axis", xyz=_format_spaced(_read_direction(axis, frames, name, place)))
     limit, bounds = axis.find("limit"), {}
     for key in ("lower", "upper", "effort", "velocity"):
         value = None if limit is None else limit.find(key)
         if value is not None:
-            number = _finite_or_none(value.text, f"{place}: <{key}>")
+            number = _parse_limit(value.text, f"{place}: <{key}>")
             if number is not None and not (key in ("effort", "velocity") and number < 0.0):
                 bounds[key] = repr(number)
     if kind == "revolute" and not {"lower", "upper"} <= set(bounds):
@@ -249,18 +256,18 @@ def _add_axis(
     _add_mimic(written, axis, place)
     dynamics = axis.find("dynamics")
     if dynamics is not None:
-        given = {key: _text(dynamics, key, place, "0") for key in ("damping", "friction")}
+        given = {key: _read_text(dynamics, key, place, "0") for key in ("damping", "friction")}
         SubElement(written, "dynamics", given)
 
 
-def _direction(axis: Element, frames: _Frames, name: str, place: str) -> Array:
+def _read_direction(axis: Element, frames: _Frames, name: str, place: str) -> Array:
     """Return the axis of a joint in its own frame."""
     xyz = axis.find("xyz")
     direction = np.array([0.0, 0.0, 1.0])
     if xyz is not None:
-        direction = _numbers(xyz.text, 3, f"{place}: <xyz>")
+        direction = _parse_numbers(xyz.text, 3, f"{place}: <xyz>")
         frame = xyz.get("expressed_in")
-        if frame or _text(axis, "use_parent_model_frame", place, "false") in ("true", "1"):
+        if frame or _read_text(axis, "use_parent_model_frame", place, "false") in ("true", "1"):
             turned = frames.pose(name)[:3, :3].T @ frames.pose(frame or MODEL)[:3, :3]
             direction = turned @ direction
     return direction
@@ -275,7 +282,7 @@ def _add_mimic(written: Element, axis: Element, place: str) -> None:
     if not leader:
         raise DescriptionError(f"{place}: <mimic> names no joint; give joint = the one it follows")
     multiplier, offset, reference = (
-        finite_number(_text(mimic, key, place, usual), f"{place}: <{key}> of <mimic>")
+        parse_finite_number(_read_text(mimic, key, place, usual), f"{place}: <{key}> of <mimic>")
         for key, usual in (("multiplier", "1"), ("offset", "0"), ("reference", "0"))
     )
     SubElement(
@@ -287,11 +294,11 @@ def _add_mimic(written: Element, axis: Element, place: str) -> None:
     )
 
 
-def _finite_or_none(text: str | None, what: str) -> float | None:
+def _parse_limit(text: str | None, what: str) -> float | None:
     """Return a limit, None where SDF states that there is none."""
     if (text or "").strip().lstrip("+-").lower() in ("inf", "infinity"):
         return None
-    value = finite_number((text or "").strip(), what)
+    value = parse_finite_number((text or "").strip(), what)
     return None if abs(value) >= UNLIMITED else value
 
 
@@ -309,7 +316,7 @@ def _connect(
     """Add a joint from the frame `start` (of the parent) to the frame `at` (of the child)."""
     joint = SubElement(robot, "joint", name=name, type=kind)
     begin, end = frames.pose(start or parent), frames.pose(at or str(child))
-    _add_origin(joint, composed(inverted(begin), end))
+    _add_origin(joint, compose_placements(invert_placement(begin), end))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=str(child))
     return joint
@@ -317,32 +324,32 @@ def _connect(
 
 def _add_origin(element: Element, pose: Array) -> None:
     rpy = rpy_from_rotation(pose[:3, :3])
-    SubElement(element, "origin", xyz=_spaced(pose[:3, 3]), rpy=_spaced(rpy))
+    SubElement(element, "origin", xyz=_format_spaced(pose[:3, 3]), rpy=_format_spaced(rpy))
 
 
-def _spaced(values: Array) -> str:
+def _format_spaced(values: Array) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _pose(element: Element, place: str) -> Array:
+def _read_pose(element: Element, place: str) -> Array:
     pose = element.find("pose")
     if pose is None or not (pose.text or "").strip():
         return np.eye(4)
     if pose.get("rotation_format") not in (None, "euler_rpy"):
         raise DescriptionError(f"{place}: the rotation of <pose> must be given as euler_rpy")
-    values = _numbers(pose.text, 6, f"{place}: <pose>")
+    values = _parse_numbers(pose.text, 6, f"{place}: <pose>")
     angles = np.deg2rad(values[3:]) if pose.get("degrees") in ("true", "1") else values[3:]
     return placement(rotation_from_rpy(angles), values[:3])
 
 
-def _numbers(text: str | None, count: int, what: str) -> Array:
+def _parse_numbers(text: str | None, count: int, what: str) -> Array:
     cells = (text or "").split()
     if len(cells) != count:
         raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
-    return np.array([finite_number(cell, what) for cell in cells])
+    return np.array([parse_finite_number(cell, what) for cell in cells])
 
 
-def _text(element: Element, tag: str, place: str, default: str | None = None) -> str:
+def _read_text(element: Element, tag: str, place: str, default: str | None = None) -> str:
     found = element.find(tag)
     text = (found.text or "").strip() if found is not None else ""
     if not text:
@@ -357,6 +364,9 @@ def _text(element: Element, tag: str, place: str, default: str | None = None) ->
 FORMATS.register(
     "sdf",
     DescriptionFormat(
-        "SDF", (".sdf", ".world", ".xml"), read_sdf, lambda content: outermost_tag(content) == "sdf"
+        "SDF",
+        (".sdf", ".world", ".xml"),
+        read_sdf,
+        lambda content: find_outermost_tag(content) == "sdf",
     ),
 )

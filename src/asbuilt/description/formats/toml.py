@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.formats.dh import DHRow, dh_joint, dh_lengths, joint_on_origin
+from asbuilt.description.formats.dh import DHRow, build_dh_joint, dh_lengths, place_joint_on_origin
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.toml_tables import (
     DHTable,
     LinkTable,
     PlacementTable,
     RobotFile,
-    checked_file,
+    check_robot_file,
 )
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.lengths import length_values, parsed_length, rotated_symbols
+from asbuilt.description.lengths import evaluate_lengths, parse_length, rotate_symbols
 from asbuilt.description.model import (
     ROOT,
     DriveValues,
@@ -38,17 +38,17 @@ from asbuilt.description.model import (
     Symbols,
 )
 from asbuilt.description.rotation import (
-    composed,
+    compose_placements,
     placement,
     rotation_from_rpy,
     rotation_onto,
-    snapped,
-    straightened,
+    snap_entries,
+    straighten_angle,
 )
-from asbuilt.description.structure.motors import coupled_joints
+from asbuilt.description.structure.motors import couple_joints
 from asbuilt.description.structure.springs import Spring, with_springs
 from asbuilt.errors import AsbuiltError, DescriptionError
-from asbuilt.untrusted import parsed_toml, read_bytes, read_text, reason
+from asbuilt.untrusted import describe_problem, parse_toml, read_bytes, read_text
 
 LONGEST_CHAIN = 8
 """Most robot files of which each extends the next."""
@@ -79,13 +79,19 @@ def robot_from_toml(
     Raises `DescriptionError` as `read_robot_toml`.
     """
     try:
-        content = parsed_toml(text)
+        content = parse_toml(text)
     except ValueError as error:
-        raise DescriptionError(f"{source}: this is not valid TOML: {reason(error)}") from None
-    file = checked_file(content, source)
+        raise DescriptionError(
+            f"{source}: this is not valid TOML: {describe_problem(error)}"
+        ) from None
+    file = check_robot_file(content, source)
     try:
-        model = _extended(file, source, folder) if file.extends else _model(file, source)
-        model = with_springs(model, _springs(file, model)) if file.springs else model
+        model = (
+            _extend_description(file, source, folder)
+            if file.extends
+            else _build_model(file, source)
+        )
+        model = with_springs(model, _read_springs(file, model)) if file.springs else model
         return model.closed() if close else model
     except AsbuiltError as error:
         raise DescriptionError(f"{source}: {error}") from None
@@ -116,12 +122,12 @@ class _Reading:
         Numbers among them get symbols such as `x3`.
         """
         if table.rotation is not None:
-            R = snapped(table.rotation)
+            R = snap_entries(table.rotation)
         else:
             angles = zip(("roll", "pitch", "yaw"), table.rpy or (0.0, 0.0, 0.0), strict=True)
             R = rotation_from_rpy(
                 [
-                    straightened(value * self.file.angle, f"{name} of {what}", self.notes)
+                    straighten_angle(value * self.file.angle, f"{name} of {what}", self.notes)
                     for name, value in angles
                 ]
             )
@@ -131,11 +137,11 @@ class _Reading:
             self.symbols(value, f"{axis}{index + 1}")
             for axis, value in zip("xyz", table.xyz, strict=True)
         )
-        return placement(R, length_values(symbols, self.lengths)), symbols
+        return placement(R, evaluate_lengths(symbols, self.lengths)), symbols
 
     def symbols(self, value: float | str, symbol: str) -> tuple[tuple[float, str], ...]:
         if isinstance(value, str):
-            return parsed_length(value, self.lengths)
+            return parse_length(value, self.lengths)
         if value == 0.0:
             return ()
         while symbol in self.lengths:
@@ -155,7 +161,7 @@ class _Reading:
             limits=self.limits(link),
             drive=link.drive.values,
         )
-        joint = dh_joint(row, index, self.file.convention or "standard", self.notes)
+        joint = build_dh_joint(row, index, self.file.convention or "standard", self.notes)
         for symbol, value in dh_lengths(row, index).items():
             if self.lengths.setdefault(symbol, value) != value:
                 raise DescriptionError(
@@ -163,7 +169,7 @@ class _Reading:
                     f" {link.name!r}, where it is {value}; give it another name"
                 )
         if link.origin is not None:
-            joint = joint_on_origin(
+            joint = place_joint_on_origin(
                 joint, *self.placed(link.origin, f"origin of link {link.name!r}", index)
             )
         return joint
@@ -184,13 +190,13 @@ class _Reading:
             name=link.joint or f"joint_{index + 1}",
             kind=link.kind,
             parent=parent,
-            before=composed(before, placement(onto)),
-            after=composed(placement(onto.T), after),
+            before=compose_placements(before, placement(onto)),
+            after=compose_placements(placement(onto.T), after),
             limits=self.limits(link),
             drive=link.drive.values,
             before_symbols=before_symbols,
             after_symbols=(
-                rotated_symbols(onto.T, after_symbols) if after_symbols is not None else None
+                rotate_symbols(onto.T, after_symbols) if after_symbols is not None else None
             ),
         )
 
@@ -198,7 +204,7 @@ class _Reading:
         return link.limits.in_si(1.0 if link.kind == "prismatic" else self.file.angle)
 
 
-def _model(file: RobotFile, source: str) -> RobotModel:
+def _build_model(file: RobotFile, source: str) -> RobotModel:
     reading = _Reading(file, dict(file.lengths), list(file.notes))
     names = [link.name for link in file.links]
     joints: list[Joint] = []
@@ -214,7 +220,7 @@ def _model(file: RobotFile, source: str) -> RobotModel:
             else reading.dh_joint(link, link.dh, i, parent)
         )
         if link.mimic is not None:
-            joint = replace(joint, mimic=_mimic(link, file))
+            joint = replace(joint, mimic=_read_mimic(link, file))
         joints.append(joint)
     frames = []
     for frame in file.frames:
@@ -226,13 +232,15 @@ def _model(file: RobotFile, source: str) -> RobotModel:
                 placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0],
             )
         )
-    coupled = _with_passive(coupled_joints(joints, _motors(file), _moved(file)), file)
+    coupled = _with_passive(
+        couple_joints(joints, _read_motors(file), _read_moved_joints(file)), file
+    )
     return RobotModel(
         name=file.name,
         joints=coupled,
-        loops=_loops(file),
-        posture=_posture(file, coupled),
-        links=tuple(_link(link) for link in file.links),
+        loops=_read_loops(file),
+        posture=_read_posture(file, coupled),
+        links=tuple(_make_link(link) for link in file.links),
         gravity=np.array(file.gravity),
         root_link=file.root_link,
         frames=tuple(frames),
@@ -241,12 +249,12 @@ def _model(file: RobotFile, source: str) -> RobotModel:
         source=source,
         citation=file.citation,
         notes=tuple(reading.notes),
-        motor_coupling=_motor_coupling(file, [joint.name for joint in coupled]),
+        motor_coupling=_build_motor_coupling(file, [joint.name for joint in coupled]),
         usual_drive=file.usual_drive,
     )
 
 
-def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
+def _extend_description(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
     """Return the robot of another description with the additions of a file."""
     path = (folder or Path()) / file.extends
     if not path.is_file():
@@ -257,7 +265,7 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
         raise DescriptionError(f"extends names {path}, which is no description in a known format")
     model = found.read(path)
     every, links, frames = model.in_tree_order()
-    joints = _with_passive(coupled_joints(every, _motors(file), _moved(file)), file)
+    joints = _with_passive(couple_joints(every, _read_motors(file), _read_moved_joints(file)), file)
     changes = {
         name: getattr(file, name)
         for name in ("name", "citation", "usual_drive")
@@ -272,9 +280,9 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
         followers=(),
         links=links,
         frames=frames,
-        loops=(*model.loops, *_loops(file)),
-        posture={**model.posture, **_posture(file, joints)},
-        motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
+        loops=(*model.loops, *_read_loops(file)),
+        posture={**model.posture, **_read_posture(file, joints)},
+        motor_coupling=_build_motor_coupling(file, [joint.name for joint in joints]),
         notes=(*model.notes, *file.notes),
         source=source,
     )
@@ -286,7 +294,7 @@ def _refuse_long_chain(path: Path) -> None:
     while chain[-1].suffix == ".toml" and chain[-1].is_file():
         text = read_text(chain[-1], "description", DescriptionError)
         try:
-            extended = parsed_toml(text).get("extends")
+            extended = parse_toml(text).get("extends")
         except ValueError:
             return  # reported where the file is read
         if not isinstance(extended, str) or not extended:
@@ -299,7 +307,7 @@ def _refuse_long_chain(path: Path) -> None:
             )
 
 
-def _motors(file: RobotFile) -> dict[str, tuple[JointLimits, DriveValues]]:
+def _read_motors(file: RobotFile) -> dict[str, tuple[JointLimits, DriveValues]]:
     """Return limits and drive of the motors that are no joints."""
     found = dict[str, tuple[JointLimits, DriveValues]]()
     for motor in file.motors:
@@ -309,7 +317,7 @@ def _motors(file: RobotFile) -> dict[str, tuple[JointLimits, DriveValues]]:
     return found
 
 
-def _moved(file: RobotFile) -> dict[str, Mimic]:
+def _read_moved_joints(file: RobotFile) -> dict[str, Mimic]:
     """Return what moves the joints that couplings name."""
     found = dict[str, Mimic]()
     for table in file.couplings:
@@ -346,7 +354,7 @@ def _with_passive(joints: Sequence[Joint], file: RobotFile) -> tuple[Joint, ...]
     )
 
 
-def _loops(file: RobotFile) -> tuple[Loop, ...]:
+def _read_loops(file: RobotFile) -> tuple[Loop, ...]:
     """Return the loops; angles of `rpy` are in the unit of the file, near right ones exact."""
     return tuple(
         Loop(
@@ -355,7 +363,7 @@ def _loops(file: RobotFile) -> tuple[Loop, ...]:
             point_a=np.array(table.point_a),
             link_b=table.link_b,
             point_b=np.array(table.point_b),
-            rotation=snapped(
+            rotation=snap_entries(
                 rotation_from_rpy([file.angle * each for each in table.rpy or (0, 0, 0)])
                 if table.rotation is None
                 else table.rotation
@@ -368,7 +376,7 @@ def _loops(file: RobotFile) -> tuple[Loop, ...]:
     )
 
 
-def _springs(file: RobotFile, model: RobotModel) -> tuple[Spring, ...]:
+def _read_springs(file: RobotFile, model: RobotModel) -> tuple[Spring, ...]:
     """Return the springs, the rest of those that turn in radians."""
     slides = {joint.name for joint in model.joints if not joint.is_revolute}
     return tuple(
@@ -382,7 +390,7 @@ def _springs(file: RobotFile, model: RobotModel) -> tuple[Spring, ...]:
     )
 
 
-def _posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
+def _read_posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
     """Return the posture at which loops are closed [rad or m], angles of revolute joints scaled."""
     slides = {name for j in joints if not j.is_revolute for name in (j.name, j.name_in_tree)}
     return {
@@ -391,7 +399,7 @@ def _posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
     }
 
 
-def _mimic(link: LinkTable, file: RobotFile) -> Mimic:
+def _read_mimic(link: LinkTable, file: RobotFile) -> Mimic:
     assert link.mimic is not None
     names = [each.joint or f"joint_{i + 1}" for i, each in enumerate(file.links)]
     if link.mimic.joint not in names:
@@ -402,7 +410,7 @@ def _mimic(link: LinkTable, file: RobotFile) -> Mimic:
     return Mimic({link.mimic.joint: link.mimic.multiplier}, link.mimic.offset)
 
 
-def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
+def _build_motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
     drives = [table for table in file.couplings if table.motor is not None]
     if not drives:
         return None
@@ -419,7 +427,7 @@ def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
     return coupling
 
 
-def _link(link: LinkTable) -> Link:
+def _make_link(link: LinkTable) -> Link:
     if link.parts:
         parts = tuple((part.name, part.inertia or LinkInertia.zero()) for part in link.parts)
         total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))

@@ -20,19 +20,19 @@ from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind, JointLimits
-from asbuilt.description.rotation import rotation_fault
+from asbuilt.description.rotation import find_rotation_fault
 from asbuilt.errors import DescriptionError, refuse
-from asbuilt.registry import did_you_mean, known_fields
+from asbuilt.registry import list_known_fields, suggest_name
 
 
-def _no_truth(value: Any) -> Any:
+def _refuse_truth(value: Any) -> Any:
     """Refuse `mass = true`, which would be 1."""
     if isinstance(value, bool):
         raise ValueError(f"a number is expected, got {str(value).lower()}")
     return value
 
 
-NUMBER = BeforeValidator(_no_truth)
+NUMBER = BeforeValidator(_refuse_truth)
 Number = Annotated[float, NUMBER]
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST), NUMBER]
 Positive = Annotated[float, Field(gt=0.0), NUMBER]
@@ -78,7 +78,7 @@ class PlacementTable(_Table):
 
     @model_validator(mode="after")
     def _one_rotation(self) -> PlacementTable:
-        fault = None if self.rotation is None else rotation_fault(self.rotation)
+        fault = None if self.rotation is None else find_rotation_fault(self.rotation)
         refuse(
             ValueError,
             (
@@ -521,7 +521,7 @@ BESIDE_OTHERS = frozenset(
 """Fields of a file that describes all of a robot, not of one that extends another."""
 
 
-def checked_file(content: dict[str, Any], source: str) -> RobotFile:
+def check_robot_file(content: dict[str, Any], source: str) -> RobotFile:
     """Return the checked file.
 
     Raises one `DescriptionError` that names file, table, field, what was given and what is
@@ -530,10 +530,10 @@ def checked_file(content: dict[str, Any], source: str) -> RobotFile:
     try:
         return RobotFile.model_validate(content)
     except ValidationError as error:
-        raise DescriptionError(_explained(source, content, error)) from None
+        raise DescriptionError(_explain_error(source, content, error)) from None
 
 
-def _explained(source: str, content: dict[str, Any], error: ValidationError) -> str:
+def _explain_error(source: str, content: dict[str, Any], error: ValidationError) -> str:
     complaints = []
     problems = error.errors(include_url=False)
     deeper = {problem["loc"][0] for problem in problems if len(problem["loc"]) > 1}
@@ -543,7 +543,7 @@ def _explained(source: str, content: dict[str, Any], error: ValidationError) -> 
         table: Any = content
         place: list[str] = []
         for step in problem["loc"]:
-            table = _inside(table, step)
+            table = _step_inside(table, step)
             if isinstance(step, int):
                 label = table.get("name", "") if isinstance(table, dict) else ""
                 place[-1:] = [
@@ -556,8 +556,8 @@ def _explained(source: str, content: dict[str, Any], error: ValidationError) -> 
         if problem["type"] == "missing":
             message = "is missing"
         elif problem["type"] == "extra_forbidden":
-            known = known_fields(RobotFile.model_json_schema(), problem["loc"][:-1])
-            near = did_you_mean(str(problem["loc"][-1]), known)
+            known = list_known_fields(RobotFile.model_json_schema(), problem["loc"][:-1])
+            near = suggest_name(str(problem["loc"][-1]), known)
             message = f"is not a field of this table; {near}known are {', '.join(known)}"
         elif not isinstance(given, (dict, list)):
             message = f"{message}, got {given!r}"
@@ -567,7 +567,7 @@ def _explained(source: str, content: dict[str, Any], error: ValidationError) -> 
     return f"{source}: " + "; ".join(complaints[:3]) + more
 
 
-def _inside(table: Any, step: int | str) -> Any:
+def _step_inside(table: Any, step: int | str) -> Any:
     if isinstance(table, dict):
         return table.get(str(step))
     return (

@@ -14,11 +14,11 @@ from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     close_match,
     described_text,
-    number,
-    numbers,
-    outermost_tag,
-    parsed_xml,
-    required,
+    find_outermost_tag,
+    parse_xml,
+    read_number,
+    read_numbers,
+    require_attribute,
 )
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import (
@@ -33,14 +33,14 @@ from asbuilt.description.model import (
     RobotModel,
 )
 from asbuilt.description.rotation import (
-    composed,
-    condensed,
+    compose_placements,
+    condense_notes,
     placement,
     rotation_from_rpy,
     rotation_onto,
-    straightened,
+    straighten_angle,
 )
-from asbuilt.description.structure.free_base import BaseKind, free_urdf, links_on_base
+from asbuilt.description.structure.free_base import BaseKind, clear_base_inertias, free_urdf
 from asbuilt.errors import DescriptionError, refuse
 from asbuilt.findings import Cure
 
@@ -109,7 +109,7 @@ def read_urdf(
     http://wiki.ros.org/urdf/XML).
     """
     content, source = described_text(path_or_text)
-    root = parsed_xml(content, source)
+    root = parse_xml(content, source)
     refuse(
         DescriptionError,
         (
@@ -126,10 +126,10 @@ def read_urdf(
     if base != "fixed":
         free_urdf(root, base, source)
     notes = [f"the floating joint {name!r} is held at its origin" for name in held]
-    bodies = _bodies(root, source, notes, straighten)
-    connections = _connections(root, bodies, source, notes, straighten)
-    top = _root_link(bodies, connections, source)
-    tree = _merged(top, bodies, connections, source, notes)
+    bodies = _read_bodies(root, source, notes, straighten)
+    connections = _read_connections(root, bodies, source, notes, straighten)
+    top = _find_root_link(bodies, connections, source)
+    tree = _merge_fixed(top, bodies, connections, source, notes)
     if not tree.joints:
         raise DescriptionError(
             f"{source}: no joint moves (revolute, continuous or prismatic), so there is nothing to"
@@ -144,52 +144,58 @@ def read_urdf(
         drives_by_design=False,
         name=(root.get("name") or "robot").strip(),
         joints=tuple(tree.joints),
-        links=links_on_base(source, tree.joints, links, base),
+        links=clear_base_inertias(source, tree.joints, links, base),
         root_link=top,
         frames=tuple(tree.frames),
         source="URDF text" if source == "the description" else source,
-        notes=condensed([note.replace(f"{source}, ", "") for note in notes]),
+        notes=condense_notes([note.replace(f"{source}, ", "") for note in notes]),
     )
 
 
-def _only(element: Element, tag: str, place: str, notes: list[str]) -> Element | None:
+def _find_only(element: Element, tag: str, place: str, notes: list[str]) -> Element | None:
     found = element.findall(tag)
     if len(found) > 1:
         notes.append(f"{place} has {len(found)} <{tag}> elements; the first counts, as in ROS")
     return found[0] if found else None
 
 
-def _origin(element: Element, place: str, notes: list[str], straighten: bool) -> Array:
-    origin = _only(element, "origin", place, notes)
+def _read_origin(element: Element, place: str, notes: list[str], straighten: bool) -> Array:
+    origin = _find_only(element, "origin", place, notes)
     if origin is None:
         return np.eye(4)
-    xyz = numbers(origin, "xyz", 3, place) if origin.get("xyz") is not None else [0.0, 0.0, 0.0]
-    rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") is not None else [0.0, 0.0, 0.0]
+    xyz = (
+        read_numbers(origin, "xyz", 3, place) if origin.get("xyz") is not None else [0.0, 0.0, 0.0]
+    )
+    rpy = (
+        read_numbers(origin, "rpy", 3, place) if origin.get("rpy") is not None else [0.0, 0.0, 0.0]
+    )
     if straighten:
         rpy = [
-            straightened(value, f"{name} of {place}", notes)
+            straighten_angle(value, f"{name} of {place}", notes)
             for name, value in zip(("roll", "pitch", "yaw"), rpy, strict=True)
         ]
     return placement(rotation_from_rpy(rpy), xyz)
 
 
-def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> _Bodies:
+def _read_bodies(root: Element, source: str, notes: list[str], straighten: bool) -> _Bodies:
     bodies: _Bodies = {}
     for i, element in enumerate(root.findall("link")):
-        name = required(element, "name", f"{source}, link number {i + 1}")
+        name = require_attribute(element, "name", f"{source}, link number {i + 1}")
         if name in bodies:
             raise DescriptionError(
                 f"{source}: two links are named {name!r}; every link needs its own name"
             )
         place = f"{source}, link {name!r}"
-        inertial = _only(element, "inertial", place, notes)
-        bodies[name] = None if inertial is None else _inertia(inertial, place, notes, straighten)
+        inertial = _find_only(element, "inertial", place, notes)
+        bodies[name] = (
+            None if inertial is None else _read_inertia(inertial, place, notes, straighten)
+        )
     if not bodies:
         raise DescriptionError(f"{source}: the URDF has no <link>")
     return bodies
 
 
-def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) -> LinkInertia:
+def _read_inertia(inertial: Element, place: str, notes: list[str], straighten: bool) -> LinkInertia:
     place = f"{place}, inertial"
     mass, tensor = inertial.find("mass"), inertial.find("inertia")
     if mass is None or tensor is None:
@@ -198,29 +204,29 @@ def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) 
             f"{place}: <{missing}> is missing; give <mass value=.../> and <inertia ixx=... .../>,"
             " or leave <inertial> out"
         )
-    xx, yy, zz = (number(tensor, name, place) for name in ("ixx", "iyy", "izz"))
-    xy, xz, yz = (number(tensor, name, place) for name in ("ixy", "ixz", "iyz"))
+    xx, yy, zz = (read_number(tensor, name, place) for name in ("ixx", "iyy", "izz"))
+    xy, xz, yz = (read_number(tensor, name, place) for name in ("ixy", "ixz", "iyz"))
     about_com = LinkInertia.from_com(
-        number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        read_number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     )
-    return about_com.moved(_origin(inertial, place, notes, straighten))
+    return about_com.moved(_read_origin(inertial, place, notes, straighten))
 
 
-def _connections(
+def _read_connections(
     root: Element, bodies: _Bodies, source: str, notes: list[str], straighten: bool
 ) -> list[_Connection]:
     connections: list[_Connection] = []
     names: set[str] = set()
     parent_joint: dict[str, str] = {}
     for i, element in enumerate(root.findall("joint")):
-        name = required(element, "name", f"{source}, joint number {i + 1}")
+        name = require_attribute(element, "name", f"{source}, joint number {i + 1}")
         if name in names:
             raise DescriptionError(
                 f"{source}: two joints are named {name!r}; every joint needs its own name"
             )
         names.add(name)
         place = f"{source}, joint {name!r}"
-        kind = required(element, "type", place)
+        kind = require_attribute(element, "type", place)
         refuse(
             DescriptionError,
             (
@@ -234,7 +240,7 @@ def _connections(
                 f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed",
             ),
         )
-        parent, child = (_end(element, end, bodies, place) for end in ("parent", "child"))
+        parent, child = (_read_end(element, end, bodies, place) for end in ("parent", "child"))
         refuse(
             DescriptionError,
             (parent == child, f"{place}: the joint connects link {parent!r} with itself"),
@@ -251,7 +257,7 @@ def _connections(
                 kind,
                 parent,
                 child,
-                _origin(element, place, notes, straighten),
+                _read_origin(element, place, notes, straighten),
                 element,
                 place,
             )
@@ -259,11 +265,11 @@ def _connections(
     return connections
 
 
-def _end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
+def _read_end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
     found = element.find(end)
     if found is None:
         raise DescriptionError(f"{place}: <{end} link=...> is missing")
-    name = required(found, "link", place)
+    name = require_attribute(found, "link", place)
     if name not in bodies:
         raise DescriptionError(
             f"{place}: the {end} link {name!r} does not exist{close_match(name, bodies)}"
@@ -271,7 +277,7 @@ def _end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
     return name
 
 
-def _root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> str:
+def _find_root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> str:
     children = {connection.child for connection in connections}
     tops = [name for name in bodies if name not in children]
     refuse(
@@ -291,7 +297,7 @@ def _root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> 
     return tops[0]
 
 
-def _merged(
+def _merge_fixed(
     top: str,
     bodies: _Bodies,
     connections: list[_Connection],
@@ -306,7 +312,7 @@ def _merged(
     waiting = [(connection, ROOT, np.eye(4)) for connection in reversed(below.get(top, []))]
     while waiting:
         connection, carrier, parent_pose = waiting.pop()
-        pose = composed(parent_pose, connection.origin)
+        pose = compose_placements(parent_pose, connection.origin)
         name, inertia = connection.child, bodies[connection.child]
         reached.add(name)
         if connection.kind == "fixed":
@@ -314,7 +320,7 @@ def _merged(
             if carrier != ROOT and inertia is not None:
                 tree.parts[carrier].append((name, inertia.moved(pose)))
         else:
-            tree.joints.append(_joint(connection, carrier, pose, notes))
+            tree.joints.append(_make_joint(connection, carrier, pose, notes))
             tree.links.append(name)
             tree.parts.append([(name, inertia)] if inertia is not None else [])
             carrier, pose = len(tree.joints) - 1, np.eye(4)
@@ -328,27 +334,27 @@ def _merged(
     return tree
 
 
-def _joint(connection: _Connection, parent: int, pose: Array, notes: list[str]) -> Joint:
-    onto = rotation_onto(_axis(connection, notes))
+def _make_joint(connection: _Connection, parent: int, pose: Array, notes: list[str]) -> Joint:
+    onto = rotation_onto(_read_axis(connection, notes))
     return Joint(
         name=connection.name,
         kind=MOVING[connection.kind],
         parent=parent,
-        before=composed(pose, placement(onto)),
+        before=compose_placements(pose, placement(onto)),
         after=placement(onto.T),
-        limits=_limits(connection, notes),
-        drive=_drive(connection),
-        mimic=_mimic(connection),
+        limits=_read_limits(connection, notes),
+        drive=_read_drive(connection),
+        mimic=_read_mimic(connection),
     )
 
 
-def _mimic(connection: _Connection) -> Mimic | None:
+def _read_mimic(connection: _Connection) -> Mimic | None:
     element, place = connection.element.find("mimic"), connection.place
     if element is None:
         return None
-    source = required(element, "joint", f"{place}, mimic")
-    multiplier = number(element, "multiplier", place, 1.0)
-    return Mimic({source: multiplier}, number(element, "offset", place, 0.0))
+    source = require_attribute(element, "joint", f"{place}, mimic")
+    multiplier = read_number(element, "multiplier", place, 1.0)
+    return Mimic({source: multiplier}, read_number(element, "offset", place, 0.0))
 
 
 def _check_mimics(
@@ -377,10 +383,10 @@ def _check_mimics(
             notes.append(f"{place}: the joint mimics a fixed joint; <mimic> is left out")
 
 
-def _axis(connection: _Connection, notes: list[str]) -> Array:
+def _read_axis(connection: _Connection, notes: list[str]) -> Array:
     element = connection.element.find("axis")
     given = np.array(
-        [1.0, 0.0, 0.0] if element is None else numbers(element, "xyz", 3, connection.place)
+        [1.0, 0.0, 0.0] if element is None else read_numbers(element, "xyz", 3, connection.place)
     )
     length = float(np.linalg.norm(given))
     if length == 0.0:
@@ -396,11 +402,14 @@ def _axis(connection: _Connection, notes: list[str]) -> Array:
     return given / length
 
 
-def _limits(connection: _Connection, notes: list[str]) -> JointLimits:
+def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
     element, place = connection.element.find("limit"), connection.place
     if element is None:
         return JointLimits()
-    lower, upper = number(element, "lower", place, -np.inf), number(element, "upper", place, np.inf)
+    lower, upper = (
+        read_number(element, "lower", place, -np.inf),
+        read_number(element, "upper", place, np.inf),
+    )
     if connection.kind == "continuous":
         lower, upper = -np.inf, np.inf
     if lower > upper:
@@ -409,7 +418,7 @@ def _limits(connection: _Connection, notes: list[str]) -> JointLimits:
         )
     bounds = {}
     for attribute in ("velocity", "effort"):
-        value = number(element, attribute, place, np.inf)
+        value = read_number(element, attribute, place, np.inf)
         if value < 0.0:
             raise DescriptionError(f"{place}: {attribute} limit is {value}; it must be positive")
         if value == 0.0:
@@ -429,12 +438,14 @@ def _without_floating_joints(root: Element) -> list[str]:
     return [each.get("name", "") for each in floating]
 
 
-def _drive(connection: _Connection) -> DriveValues:
+def _read_drive(connection: _Connection) -> DriveValues:
     element, place = connection.element.find("dynamics"), connection.place
     if element is None:
         return DriveValues()
-    damping = number(element, "damping", place) if element.get("damping") is not None else None
-    friction = number(element, "friction", place) if element.get("friction") is not None else None
+    damping = read_number(element, "damping", place) if element.get("damping") is not None else None
+    friction = (
+        read_number(element, "friction", place) if element.get("friction") is not None else None
+    )
     for name, value in (("damping", damping), ("friction", friction)):
         if value is not None and value < 0.0:
             raise DescriptionError(f"{place}: {name} is {value}; it must not be negative")
@@ -447,7 +458,7 @@ FORMATS.register(
         "URDF",
         (".urdf", ".xml"),
         read_urdf,
-        lambda content: outermost_tag(content) == "robot",
+        lambda content: find_outermost_tag(content) == "robot",
         read_fixed=partial(read_urdf, fixed_base=True),
         read_on_base=lambda path, base: read_urdf(path, base=base),
     ),

@@ -14,8 +14,8 @@ from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
-from asbuilt.isolation import isolated_command, isolated_environment
-from asbuilt.untrusted import file_named, is_xacro_trusted, read_bytes, shortened
+from asbuilt.isolation import build_isolated_command, build_isolated_environment
+from asbuilt.untrusted import is_xacro_trusted, name_file_in_errors, read_bytes, shorten_line
 
 LONGEST = 30.0
 """Seconds that an expansion may take."""
@@ -46,12 +46,12 @@ def read_xacro(path: str | Path) -> RobotModel:
     program = PROGRAM.format(path=str(file.resolve()), largest=LARGEST_DESCRIPTION, trusted=trusted)
     try:
         done = subprocess.run(
-            isolated_command(program),
+            build_isolated_command(program),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=LONGEST,
             check=False,
-            env=dict(os.environ) if trusted else isolated_environment({}),
+            env=dict(os.environ) if trusted else build_isolated_environment({}),
         )
     except subprocess.TimeoutExpired:
         raise DescriptionError(
@@ -60,7 +60,7 @@ def read_xacro(path: str | Path) -> RobotModel:
     if done.returncode:
         message = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
         raise DescriptionError(
-            f"{path}: xacro cannot expand it ({shortened(message)})",
+            f"{path}: xacro cannot expand it ({shorten_line(message)})",
             cure=Cure(
                 "expand it where its packages are installed, and give the URDF"
                 + ("" if trusted else "; or let it run any Python, if you trust whom it is from"),
@@ -68,7 +68,7 @@ def read_xacro(path: str | Path) -> RobotModel:
             ),
             file=str(path),
         )
-    with file_named(path):
+    with name_file_in_errors(path):
         return replace(read_urdf(done.stdout), source=str(path))
 
 

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from asbuilt.description.finite import finite_number
+from asbuilt.description.finite import parse_finite_number
 from asbuilt.errors import DescriptionError
 from asbuilt.ranges import Range
 from asbuilt.untrusted import read_bytes
@@ -43,7 +43,7 @@ def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
     return read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION), str(path)
 
 
-def outermost_tag(content: bytes) -> str:
+def find_outermost_tag(content: bytes) -> str:
     """Return the name of the first element of an XML text, comments passed over.
 
     An empty text where there is none.
@@ -57,7 +57,7 @@ def outermost_tag(content: bytes) -> str:
     return match[1].decode() if match else ""
 
 
-def parsed_xml(content: bytes, source: str) -> Element:
+def parse_xml(content: bytes, source: str) -> Element:
     """Return the root element.
 
     Entities, external references and malformed text raise `DescriptionError`.
@@ -106,7 +106,7 @@ def _refuse_depth(root: Element, source: str) -> None:
     )
 
 
-def required(element: Element, attribute: str, place: str) -> str:
+def require_attribute(element: Element, attribute: str, place: str) -> str:
     """Return a required attribute; raises `DescriptionError` with place and attribute."""
     value = element.get(attribute)
     if value is None or not value.strip():
@@ -114,37 +114,39 @@ def required(element: Element, attribute: str, place: str) -> str:
     return value.strip()
 
 
-def number(element: Element, attribute: str, place: str, default: float | None = None) -> float:
+def read_number(
+    element: Element, attribute: str, place: str, default: float | None = None
+) -> float:
     """Return a finite number from an attribute.
 
     Raises `DescriptionError` where it is missing (without default), no number or not finite.
     """
     if default is not None and element.get(attribute) is None:
         return default
-    return finite_number(
-        required(element, attribute, place), f"{place}: {attribute} of <{element.tag}>"
+    return parse_finite_number(
+        require_attribute(element, attribute, place), f"{place}: {attribute} of <{element.tag}>"
     )
 
 
-def numbers(element: Element, attribute: str, count: int, place: str) -> list[float]:
+def read_numbers(element: Element, attribute: str, count: int, place: str) -> list[float]:
     """Return `count` finite numbers separated by blanks.
 
     Raises `DescriptionError` with place and value.
     """
-    text = required(element, attribute, place)
+    text = require_attribute(element, attribute, place)
     what = f"{place}: {attribute} of <{element.tag}>"
     cells = text.split()
     if len(cells) != count:
         raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
-    return [finite_number(cell, what) for cell in cells]
+    return [parse_finite_number(cell, what) for cell in cells]
 
 
-def extents(element: Element, attribute: str, count: int, place: str) -> list[float]:
+def read_extents(element: Element, attribute: str, count: int, place: str) -> list[float]:
     """Return `count` sizes of a shape [m], separated by blanks.
 
     Raises `DescriptionError` with place and value unless each is in `SIZES`.
     """
-    values = numbers(element, attribute, count, place)
+    values = read_numbers(element, attribute, count, place)
     for value in values:
         if not SIZES.holds(value):
             raise DescriptionError(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
-from asbuilt.description.structure.couplings import TreeMotion, linear_part
-from asbuilt.description.structure.locking import usual_position
+from asbuilt.description.structure.couplings import TreeMotion, derive_linear_part
+from asbuilt.description.structure.locking import choose_usual_position
 from asbuilt.description.structure.loop_equations import loop_equations
 from asbuilt.description.structure.loops import (
     JOINT,
@@ -21,11 +21,11 @@ from asbuilt.description.structure.loops import (
     SIZE,
     Loop,
     LoopNumbers,
-    loop_numbers,
+    number_loops,
 )
 from asbuilt.description.structure.parts import ROOT, Frame, Joint
 from asbuilt.errors import DescriptionError, MotionError
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 
 CLOSED = 1e-4
 """Largest gap of a loop at the first posture, in its size or rad: numbers of four digits."""
@@ -194,7 +194,7 @@ class Closure:
     def _error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
         own = [k for k in range(self.n_joints) if self.moves_loops(k)]
-        at = joined([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
+        at = join_names([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
         what = (
             "is singular: motors do not place all passive joints"
             if pivot <= SINGULAR
@@ -231,7 +231,7 @@ def _run(
     return TreeMotion(at, rates, accelerations, shares), quality
 
 
-def closure_of(
+def derive_closure(
     robot: str,
     joints: Sequence[Joint],
     followers: Sequence[Joint],
@@ -268,10 +268,10 @@ def _open(
     frames: Sequence[Frame],
 ) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
-    order, linear, offset = linear_part(robot, every, n)
+    order, linear, offset = derive_linear_part(robot, every, n)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
     tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
-    numbers = loop_numbers(
+    numbers = number_loops(
         robot,
         loops,
         tree,
@@ -287,7 +287,9 @@ def _open(
         )
     home = np.array(
         [
-            posture.get(joint.name, posture.get(joint.name_in_tree, usual_position(joint.limits)))
+            posture.get(
+                joint.name, posture.get(joint.name_in_tree, choose_usual_position(joint.limits))
+            )
             for joint in coordinates
         ]
     )
@@ -342,28 +344,30 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         gap = f"{gaps[worst]:.3g} rad" if kind == JOINT else f"{1e3 * gaps[worst]:.3g} mm"
         raise DescriptionError(
             f"{robot}: the {found.loops[worst]} does not close: a gap of {gap} stays at the first"
-            f" posture ({_listed(found, u)}); check lengths and points, or give a posture nearer"
+            f" posture ({_format_posture(found, u)}); check lengths and points, or give a posture"
+            " nearer"
             " to a closed one",
             gap=gaps[worst],
         )
     if quality[2] > 0.0:
         return
     away = u + np.random.default_rng(SEED).uniform(-NEAR, NEAR, u.size) * found.scale
-    sizes, free = _still_free(found.equations(away)[:, n:-2] * found.scale[n:])
+    sizes, free = _find_free_directions(found.equations(away)[:, n:-2] * found.scale[n:])
     if sizes:
         names = [found.names[n + k] for k in free]
         raise DescriptionError(
-            f"{robot}: the loops leave passive joints free ({joined(names, len(names))}): the"
+            f"{robot}: the loops leave passive joints free ({join_names(names, len(names))}): the"
             f" chains have {sizes} freedom{'s' if sizes > 1 else ''} more than motors; name a joint"
             " of them that has a motor, or another loop"
         )
     raise DescriptionError(
-        f"{robot}: the first posture ({_listed(found, u)}) is singular: there the motors do not"
+        f"{robot}: the first posture ({_format_posture(found, u)}) is singular: there the motors"
+        " do not"
         " place all passive joints; give a posture away from it"
     )
 
 
-def _still_free(J: Array) -> tuple[int, list[int]]:
+def _find_free_directions(J: Array) -> tuple[int, list[int]]:
     """Return the number of directions that J does not see, and the columns that take part."""
     _, sizes, rows = np.linalg.svd(J)
     seen = int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0)))
@@ -371,7 +375,7 @@ def _still_free(J: Array) -> tuple[int, list[int]]:
     return len(null), np.flatnonzero(np.abs(null).max(axis=0, initial=0.0) > SEEN).tolist()
 
 
-def _listed(found: Closure, u: Array) -> str:
+def _format_posture(found: Closure, u: Array) -> str:
     return ", ".join(f"{name} = {value:.4g}" for name, value in zip(found.names, u, strict=True))
 
 
@@ -408,12 +412,12 @@ def _check_motors(found: Closure) -> None:
     if at.size:
         names = [found.names[k] for k in at]
         raise DescriptionError(
-            f"{found.robot}: the loops do not let {joined(names, len(names))} move: more motors"
+            f"{found.robot}: the loops do not let {join_names(names, len(names))} move: more motors"
             " than the chains have freedoms; name the joints that have no motor as passive"
         )
 
 
-def passive_joints(
+def find_passive_joints(
     robot: str,
     joints: Sequence[Joint],
     followers: Sequence[Joint],

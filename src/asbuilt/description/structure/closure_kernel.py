@@ -18,10 +18,10 @@ import numpy as np
 
 from asbuilt.compilation import kernel, part
 from asbuilt.description.structure.loop_equations import (
+    allocate_workspace,
     assemble,
-    into_tree,
-    room_for,
-    rows_of,
+    count_equations,
+    expand_into_tree,
 )
 
 NEWTON = 12
@@ -103,7 +103,7 @@ def _solve(work, first, count, order, column, out):
 
 
 @part
-def _gap(work, rows, phi):
+def _measure_gap(work, rows, phi):
     """Return the norm of phi, in units of the loops' sizes and rad."""
     total = 0.0
     for i in range(rows):
@@ -112,23 +112,23 @@ def _gap(work, rows, phi):
 
 
 @part
-def _factored(mechanism, u, still, n, work, room, here, order):
+def _factor_jacobian(mechanism, u, still, n, work, room, here, order):
     """Factor J at u; returns the gap and the ratio of pivots."""
-    into_tree(mechanism, u, 1.0, here)
+    expand_into_tree(mechanism, u, 1.0, here)
     assemble(mechanism, here, still, work, room)
-    gap = _gap(work, work.shape[0], work.shape[1] - 2)
+    gap = _measure_gap(work, work.shape[0], work.shape[1] - 2)
     return gap, _reduce(work, work.shape[0], n, order.size, order)
 
 
 @part
-def _closed(mechanism, u, still, n, scale, tolerance, search, work, room, here, order, step):
+def _close_loops(mechanism, u, still, n, scale, tolerance, search, work, room, here, order, step):
     """Move the passive joints of u until the loops close, and leave the factors of J there.
 
     Returns whether they do, the gap, and the ratio of pivots.
     """
     phi, passive = work.shape[1] - 2, order.size
     for _ in range(SEARCH if search else NEWTON):
-        gap, pivot = _factored(mechanism, u, still, n, work, room, here, order)
+        gap, pivot = _factor_jacobian(mechanism, u, still, n, work, room, here, order)
         if pivot <= SINGULAR:
             return False, gap, pivot
         _solve(work, n, passive, order, phi, step)
@@ -141,13 +141,13 @@ def _closed(mechanism, u, still, n, scale, tolerance, search, work, room, here, 
         for k in range(passive):
             u[n + k] -= share * step[k]
         if most <= CONVERGED:
-            gap, pivot = _factored(mechanism, u, still, n, work, room, here, order)
+            gap, pivot = _factor_jacobian(mechanism, u, still, n, work, room, here, order)
             return pivot > SINGULAR and gap <= tolerance, gap, pivot
     return False, gap, pivot
 
 
 @part
-def _predicted(u, moves, target, share, tried):
+def _predict_posture(u, moves, target, share, tried):
     """Write the posture a share of the way from u to motors at `target`, by the tangent."""
     passive, n = moves.shape
     for k in range(n):
@@ -160,7 +160,7 @@ def _predicted(u, moves, target, share, tried):
 
 
 @part
-def _far(u, target, scale):
+def _measure_farthest_motor(u, target, scale):
     """Return the longest way of a motor from u to `target`, in units of `scale`."""
     most = 0.0
     for k in range(target.size):
@@ -169,7 +169,7 @@ def _far(u, target, scale):
 
 
 @part
-def _moved(work, n, order, moves, step):
+def _solve_moves(work, n, order, moves, step):
     """Write how motors move passive joints, by the factors of J."""
     for j in range(n):
         _solve(work, n, order.size, order, j, step)
@@ -178,7 +178,7 @@ def _moved(work, n, order, moves, step):
 
 
 @part
-def _carried_along(u, moves, motor, bias):
+def _carry_rates(u, moves, motor, bias):
     """Write into u all coordinates' rates for the motors' rates; passive ones less `bias`."""
     passive, n = moves.shape
     for k in range(n):
@@ -237,8 +237,13 @@ def close_loops(
     angles, the size of a loop for lengths.
     """
     mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
-    n, n_tree, passive, rows = q.shape[1], at.shape[1], home.size - q.shape[1], rows_of(kinds)
-    work, room = np.zeros((rows, n + passive + 2)), room_for(n_tree)
+    n, n_tree, passive, rows = (
+        q.shape[1],
+        at.shape[1],
+        home.size - q.shape[1],
+        count_equations(kinds),
+    )
+    work, room = np.zeros((rows, n + passive + 2)), allocate_workspace(n_tree)
     order, step, none = np.zeros(passive, dtype=np.int64), np.zeros(passive), np.zeros(passive)
     here, still = np.zeros(n_tree), np.zeros(n_tree)
     # u is the last posture that closed; `known` the last of a sample
@@ -248,11 +253,11 @@ def close_loops(
         target = q[sample]
         if search:
             u[:n] = target
-        share = STRIDE / max(_far(u, target, scale), STRIDE)
+        share = STRIDE / max(_measure_farthest_motor(u, target, scale), STRIDE)
         closed = False
         while not closed:
-            _predicted(u, moves, target, share, tried)
-            closed, gap, pivot = _closed(
+            _predict_posture(u, moves, target, share, tried)
+            closed, gap, pivot = _close_loops(
                 mechanism,
                 tried,
                 still,
@@ -267,11 +272,11 @@ def close_loops(
                 step,
             )
             if closed:
-                _moved(work, n, order, moves, step)
+                _solve_moves(work, n, order, moves, step)
                 u[:] = tried
                 closed = share >= 1.0
-                share = STRIDE / max(_far(u, target, scale), STRIDE)
-            elif search or share * _far(u, target, scale) < SHORTEST:
+                share = STRIDE / max(_measure_farthest_motor(u, target, scale), STRIDE)
+            elif search or share * _measure_farthest_motor(u, target, scale) < SHORTEST:
                 break
             else:
                 share *= 0.25
@@ -279,19 +284,19 @@ def close_loops(
         quality[sample, 2] = 1.0 if closed else 0.0
         if not closed:
             if search:
-                into_tree(mechanism, tried, 1.0, at[sample])
+                expand_into_tree(mechanism, tried, 1.0, at[sample])
             else:
                 at[sample] = np.nan
                 rates[sample], accelerations[sample], shares[sample] = np.nan, np.nan, np.nan
             u[:], moves[:] = known, moved
             continue
         known[:], moved[:] = u, moves
-        into_tree(mechanism, u, 1.0, at[sample])
-        _carried_along(rate, moves, qd[sample], none)
-        into_tree(mechanism, rate, 0.0, rates[sample])
+        expand_into_tree(mechanism, u, 1.0, at[sample])
+        _carry_rates(rate, moves, qd[sample], none)
+        expand_into_tree(mechanism, rate, 0.0, rates[sample])
         assemble(mechanism, at[sample], rates[sample], work, room)
         _reduce(work, rows, n, passive, order)
         _solve(work, n, passive, order, work.shape[1] - 1, step)
-        _carried_along(rate, moves, qdd[sample], step)
-        into_tree(mechanism, rate, 0.0, accelerations[sample])
+        _carry_rates(rate, moves, qdd[sample], step)
+        expand_into_tree(mechanism, rate, 0.0, accelerations[sample])
         _write_shares(mechanism, moves, shares[sample])

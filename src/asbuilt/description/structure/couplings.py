@@ -107,7 +107,7 @@ class Separated:
     notes: tuple[str, ...]
 
 
-def separated(
+def separate_followers(
     robot: str,
     joints: Sequence[Joint],
     followers: Sequence[Joint],
@@ -121,7 +121,7 @@ def separated(
     a follower of several loses its own. Raises `DescriptionError` for a joint that follows
     none of the robot, or itself.
     """
-    tree_order(robot, joints, len(joints))
+    order_tree(robot, joints, len(joints))
     driven = [k for k, joint in enumerate(joints) if joint.has_motor]
     moved = [k for k, joint in enumerate(joints) if not joint.has_motor]
     order = [*driven, *moved, *range(len(joints), len(links))]
@@ -133,17 +133,18 @@ def separated(
     notes: list[str] = []
     for k, joint in enumerate(behind[: len(moved)]):
         if joint.is_passive:
-            notes += _passive_notes(joint)
+            notes += _note_passive(joint)
             behind[k] = replace(joint, drive=DriveValues())
             continue
-        factors, offset = moved_by(robot, joint, ordered)
+        factors, offset = resolve_coupling(robot, joint, ordered)
         notes.append(
-            f"joint {joint.name!r} follows {_sum_text(factors, offset)}; it has no drive and needs"
+            f"joint {joint.name!r} follows {_format_sum(factors, offset)}; it has no drive and"
+            " needs"
             " no column in a log"
         )
         if len(factors) == 1 and next(iter(factors)) in active:
             master, multiplier = next(iter(factors.items()))
-            active[master], further = _driving(active[master], joint, multiplier, offset)
+            active[master], further = _take_over_drive(active[master], joint, multiplier, offset)
             notes += further
         elif joint.drive != DriveValues() or joint.limits != JointLimits():
             notes.append(
@@ -160,7 +161,7 @@ def separated(
     )
 
 
-def _passive_notes(joint: Joint) -> Iterator[str]:
+def _note_passive(joint: Joint) -> Iterator[str]:
     """Yield what becomes of a joint that loops move."""
     yield (
         f"joint {joint.name!r} is passive: the loops place it; it has no drive and needs no column"
@@ -170,7 +171,7 @@ def _passive_notes(joint: Joint) -> Iterator[str]:
         yield f"friction and armature of passive joint {joint.name!r} are left out"
 
 
-def _sum_text(factors: Mapping[str, float], offset: float) -> str:
+def _format_sum(factors: Mapping[str, float], offset: float) -> str:
     """Return `'elbow' (position x -1 +0.1)`, or a sum of such terms."""
     constant = f"{offset:+.6g}" if offset else ""
     if len(factors) == 1:
@@ -181,7 +182,7 @@ def _sum_text(factors: Mapping[str, float], offset: float) -> str:
     )
 
 
-def moved_by(
+def resolve_coupling(
     robot: str, joint: Joint, joints: Sequence[Joint], seen: tuple[str, ...] = ()
 ) -> tuple[dict[str, float], float]:
     """Return the factors by coordinate that move a joint in the end, and the offset.
@@ -203,7 +204,7 @@ def moved_by(
         if name in coordinates:
             part, more = {name: 1.0}, 0.0
         elif name in others:
-            part, more = moved_by(robot, others[name], joints, (*seen, joint.name_in_tree))
+            part, more = resolve_coupling(robot, others[name], joints, (*seen, joint.name_in_tree))
         else:
             raise DescriptionError(
                 f"{robot}: joint {joint.name_in_tree!r} mimics {name!r}, which does not exist;"
@@ -217,7 +218,7 @@ def moved_by(
     return found, offset
 
 
-def tree_order(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
+def order_tree(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
     """Return the links in an order in which parents come first, driven joints in their own order.
 
     Raises `DescriptionError` where there is none.
@@ -244,12 +245,12 @@ def tree_order(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
     return order
 
 
-def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint]) -> Coupling:
+def derive_coupling(robot: str, joints: Sequence[Joint], followers: Sequence[Joint]) -> Coupling:
     """Return how the links of a robot move with its coordinates.
 
     Raises `DescriptionError` where some motion of the coordinates moves no link.
     """
-    order, matrix, offset = linear_part(robot, (*joints, *followers), len(joints))
+    order, matrix, offset = derive_linear_part(robot, (*joints, *followers), len(joints))
     names = [joint.name for joint in joints]
     if np.linalg.matrix_rank(matrix) < len(joints):
         still = np.linalg.svd(matrix)[2][-1]
@@ -263,23 +264,23 @@ def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint])
     return Coupling(order, matrix, offset)
 
 
-def linear_part(robot: str, every: Sequence[Joint], n: int) -> tuple[Indices, Array, Array]:
+def derive_linear_part(robot: str, every: Sequence[Joint], n: int) -> tuple[Indices, Array, Array]:
     """Return order, matrix and offset of the joints of all links, of which n have a motor.
 
     The columns of the matrix are motors, then passive joints.
     """
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
     names = {joint.name: k for k, joint in enumerate(coordinates)}
-    order = np.array(tree_order(robot, every, n), dtype=np.int64)
+    order = np.array(order_tree(robot, every, n), dtype=np.int64)
     matrix, offset = np.zeros((len(every), len(names))), np.zeros(len(every))
     for i, link in enumerate(order.tolist()):
-        factors, offset[i] = moved_by(robot, every[link], every)
+        factors, offset[i] = resolve_coupling(robot, every[link], every)
         for name, factor in factors.items():
             matrix[i, names[name]] = factor
     return order, matrix, offset
 
 
-def _driving(
+def _take_over_drive(
     joint: Joint, follower: Joint, multiplier: float, offset: float
 ) -> tuple[Joint, list[str]]:
     """Return the driven joint with what its follower has of drive and limits."""
@@ -296,11 +297,11 @@ def _driving(
         notes.append(f"{', '.join(values)} of joint {follower.name!r} count to {joint.name!r}")
     if follower.drive.terms or follower.drive.kp is not None:
         notes.append(f"drive terms and servo of joint {follower.name!r} are left out")
-    limits, further = _narrowed(joint, follower, multiplier, offset)
+    limits, further = _narrow_limits(joint, follower, multiplier, offset)
     return replace(joint, drive=replace(joint.drive, **values), limits=limits), [*notes, *further]
 
 
-def _narrowed(
+def _narrow_limits(
     joint: Joint, follower: Joint, multiplier: float, offset: float
 ) -> tuple[JointLimits, list[str]]:
     """Return the limits of a joint within its follower's, unless no motion would be left."""

@@ -36,7 +36,7 @@ JOINTS_OF: dict[BaseKind, tuple[str, ...]] = {
 WORLD = "world"
 
 
-def base_of(n_floating: int) -> BaseKind:
+def classify_base(n_floating: int) -> BaseKind:
     """Return the kind of a base with so many coordinates."""
     return next(kind for kind, names in JOINTS_OF.items() if len(names) == n_floating)
 
@@ -52,7 +52,7 @@ def count_base_joints(joints: Sequence[Joint], links: Sequence[Link]) -> int:
     return 0
 
 
-def links_on_base(
+def clear_base_inertias(
     robot: str, joints: Sequence[Joint], links: Sequence[Link], kind: BaseKind
 ) -> tuple[Link, ...]:
     """Return the links of a robot, those between the joints of its base without inertia.

@@ -11,18 +11,20 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.rotation import composed
+from asbuilt.description.rotation import compose_placements
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
 from asbuilt.errors import DescriptionError, UsageError, refuse
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 
-def usual_position(limits: JointLimits) -> float:
+def choose_usual_position(limits: JointLimits) -> float:
     """Return 0, or the middle of the limits [rad or m] if 0 lies outside them.
 
     >>> from asbuilt.description.model import JointLimits
-    >>> usual_position(JointLimits(0.01, 0.03)), usual_position(JointLimits(-1.0, 2.0))
-    (0.02, 0.0)
+    >>> choose_usual_position(JointLimits(0.01, 0.03))
+    0.02
+    >>> choose_usual_position(JointLimits(-1.0, 2.0))
+    0.0
     """
     if limits.lower <= 0.0 <= limits.upper:
         return 0.0
@@ -55,7 +57,7 @@ def locks_from_text(text: str) -> dict[str, float | None]:
     return found
 
 
-def merged(
+def merge_locked_links(
     joints: Sequence[Joint],
     links: Sequence[Link],
     frames: Sequence[Frame],
@@ -76,13 +78,15 @@ def merged(
         if joint.name not in values:
             free = replace(joint, parent=on)
             if not np.array_equal(at, np.eye(4)):
-                free = replace(free, before=composed(at, joint.before), before_symbols=None)
+                free = replace(
+                    free, before=compose_placements(at, joint.before), before_symbols=None
+                )
             kept.append(free)
             carriers.append(link)
             carrier.append(len(kept) - 1)
             pose.append(np.eye(4))
             continue
-        at = composed(at, joint.before, joint.moved(values[joint.name]), joint.after)
+        at = compose_placements(at, joint.before, joint.moved(values[joint.name]), joint.after)
         carrier.append(on)
         pose.append(at)
         named.append(Frame(link.name, on, at))
@@ -92,12 +96,12 @@ def merged(
         if frame.link == ROOT:
             named.append(frame)
         else:
-            place = composed(pose[frame.link], frame.placement)
+            place = compose_placements(pose[frame.link], frame.placement)
             named.append(replace(frame, link=carrier[frame.link], placement=place))
     return tuple(kept), tuple(carriers), tuple(named)
 
 
-def held_followers(
+def find_held_followers(
     present: Sequence[Joint], before: Mapping[str, str], values: Mapping[str, float]
 ) -> dict[str, str]:
     """Return the locked joints that follow one which stays, with that joint.
@@ -113,7 +117,7 @@ def held_followers(
     return {name: of for name, of in found.items() if of in moving}
 
 
-def assumed_carriers(
+def find_assumed_carriers(
     present: Sequence[Joint],
     before: Sequence[str],
     joints: Mapping[str, float | None] | Iterable[str],
@@ -142,7 +146,7 @@ def assumed_carriers(
     return (*before, *(name for name in guessed if name in carry))
 
 
-def lock_findings(
+def report_locks(
     locked: Mapping[str, float],
     followers: Mapping[str, str] | None = None,
     carriers: Sequence[str] = (),
@@ -159,7 +163,7 @@ def lock_findings(
         Finding(
             "follower_held",
             "warning",
-            f"{joined(coupled)}, but is held still: the inertia, weight and friction of what it"
+            f"{join_names(coupled)}, but is held still: the inertia, weight and friction of what it"
             " moves are missing from the torque of the joint that it follows",
             Cure("do not trust that joint's parameters, or record with it at rest and lock it"),
         ),
@@ -168,7 +172,8 @@ def lock_findings(
     names = ",".join(f"{name}=VALUE" for name in locked)
     several = len(held) > 1
     guess = (
-        f"; {joined(carriers)} carr{'y' if len(carriers) > 1 else 'ies'} joints that move, so that"
+        f"; {join_names(carriers)} carr{'y' if len(carriers) > 1 else 'ies'} joints that move, so"
+        " that"
         " their torques are wrong if this position is"
         if carriers
         else ""
@@ -177,7 +182,8 @@ def lock_findings(
         Finding(
             "joints_locked",
             "warning" if carriers else "info",
-            f"joints are locked that the recording lacks or that were named: {joined(held)}; their"
+            f"joints are locked that the recording lacks or that were named: {join_names(held)};"
+            " their"
             f" links count to those that carry them{guess}"
             if several
             else f"joint {held[0]} is locked, since the recording lacks it or it was named; its"
@@ -192,7 +198,7 @@ def lock_findings(
     )
 
 
-def locked_positions(
+def derive_locked_positions(
     robot: str,
     present: Sequence[Joint],
     locked: Mapping[str, float],
@@ -282,7 +288,7 @@ class _Lock:
         if name == joint.name and value is not None:
             return float(value)
         if joint.mimic is None or (joint.has_motor and name == joint.name):
-            return usual_position(joint.limits)
+            return choose_usual_position(joint.limits)
         return self.place(joint)
 
     def place(self, joint: Joint) -> float:

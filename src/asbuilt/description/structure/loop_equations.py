@@ -27,7 +27,7 @@ def _cross(ax, ay, az, bx, by, bz):
 
 
 @part
-def _carried(w, dw, a, tx, ty, tz):
+def _carry_acceleration(w, dw, a, tx, ty, tz):
     """Add `dw x t + w x (w x t)` to the acceleration of a point moved on by t."""
     cx, cy, cz = _cross(w[0], w[1], w[2], tx, ty, tz)
     ex, ey, ez = _cross(w[0], w[1], w[2], cx, cy, cz)
@@ -38,19 +38,19 @@ def _carried(w, dw, a, tx, ty, tz):
 
 
 @part
-def _moved_on(R, x, t, w, dw, a):
+def _move_point(R, x, t, w, dw, a):
     """Move a point on by t of the axes R (3, 3)."""
     tx = R[0, 0] * t[0] + R[0, 1] * t[1] + R[0, 2] * t[2]
     ty = R[1, 0] * t[0] + R[1, 1] * t[1] + R[1, 2] * t[2]
     tz = R[2, 0] * t[0] + R[2, 1] * t[1] + R[2, 2] * t[2]
-    _carried(w, dw, a, tx, ty, tz)
+    _carry_acceleration(w, dw, a, tx, ty, tz)
     x[0] += tx
     x[1] += ty
     x[2] += tz
 
 
 @part
-def _turned(R, p, o):
+def _turn_axes(R, p, o):
     """Turn axes R by the rotation at p[o:o+9]."""
     for i in range(3):
         x, y, z = R[i, 0], R[i, 1], R[i, 2]
@@ -59,7 +59,7 @@ def _turned(R, p, o):
 
 
 @part
-def _side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, origins):
+def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, origins):
     """Walk from the shared link to the point of one side of a loop.
 
     Writes axes R and position x of the end, its angular velocity w, and dw and a, which are its
@@ -73,8 +73,8 @@ def _side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, ori
         if joint < 0:
             break
         p = placements[joint]
-        _moved_on(R, x, p[9:12], w, dw, a)
-        _turned(R, p, 0)
+        _move_point(R, x, p[9:12], w, dw, a)
+        _turn_axes(R, p, 0)
         zx, zy, zz = R[0, 2], R[1, 2], R[2, 2]
         axes[joint, 0], axes[joint, 1], axes[joint, 2] = zx, zy, zz
         origins[joint, 0], origins[joint, 1], origins[joint, 2] = x[0], x[1], x[2]
@@ -94,16 +94,16 @@ def _side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, ori
             w[2] += v * zz
         else:
             q = at[joint]
-            _carried(w, dw, a, q * zx, q * zy, q * zz)
+            _carry_acceleration(w, dw, a, q * zx, q * zy, q * zz)
             x[0] += q * zx
             x[1] += q * zy
             x[2] += q * zz
             a[0] += 2.0 * cx
             a[1] += 2.0 * cy
             a[2] += 2.0 * cz
-        _moved_on(R, x, p[21:24], w, dw, a)
-        _turned(R, p, 12)
-    _moved_on(R, x, point, w, dw, a)
+        _move_point(R, x, p[21:24], w, dw, a)
+        _turn_axes(R, p, 12)
+    _move_point(R, x, point, w, dw, a)
 
 
 @part
@@ -182,7 +182,7 @@ def assemble(mechanism, at, rate, work, room):
             w, dw, a = part_of[12:15], part_of[15:18], part_of[18:21]
             path = paths[loop, side]
             point = given[POINT + 3 * side : POINT + 3 * side + 3]
-            _side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, origins)
+            _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, origins)
             sign, welds = 1.0 - 2.0 * side, kind == WELD
             _add_side(
                 work, row, path, sign, welds, size, revolute, x, axes, origins, sources, first
@@ -192,7 +192,7 @@ def assemble(mechanism, at, rate, work, room):
             work[row + i, bias] = (ends[18 + i] - ends[42 + i]) / size
         if kind == WELD:
             one, other = ends[:9].reshape(3, 3), ends[24:33].reshape(3, 3)
-            _turned(one, given, TURN)
+            _turn_axes(one, given, TURN)
             # the rotation from the axes of b to where a wants them, as a vector of length sin
             for i in range(3):
                 j, k = (i + 1) % 3, (i + 2) % 3
@@ -205,7 +205,7 @@ def assemble(mechanism, at, rate, work, room):
 
 
 @part
-def into_tree(mechanism, u, share, at):
+def expand_into_tree(mechanism, u, share, at):
     """Write the joints of the tree `A u + b`, and `A u` where `share` is 0 in place of 1."""
     sources, first, offset = mechanism[5], mechanism[6], mechanism[7]
     for joint in range(at.size):
@@ -216,13 +216,13 @@ def into_tree(mechanism, u, share, at):
 
 
 @part
-def room_for(n_tree):
+def allocate_workspace(n_tree):
     """Return the memory that `assemble` works in."""
     return np.zeros(6 * n_tree + 48)
 
 
 @part
-def rows_of(kinds):
+def count_equations(kinds):
     """Return the number of equations."""
     rows = 0
     for kind in kinds:
@@ -238,5 +238,5 @@ def loop_equations(
     mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
     n_tree = offset.size
     at, still = np.zeros(n_tree), np.zeros(n_tree)
-    into_tree(mechanism, u, 1.0, at)
-    assemble(mechanism, at, still, equations, room_for(n_tree))
+    expand_into_tree(mechanism, u, 1.0, at)
+    assemble(mechanism, at, still, equations, allocate_workspace(n_tree))

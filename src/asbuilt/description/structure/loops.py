@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, read_only
-from asbuilt.description.rotation import rotation_fault
+from asbuilt.description.rotation import find_rotation_fault
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, ancestors
 from asbuilt.errors import DescriptionError, refuse
 
@@ -60,7 +60,7 @@ class Loop:
             object.__setattr__(self, name, array)
         object.__setattr__(self, "joints", tuple(self.joints))
         object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
-        fault, of_joints = rotation_fault(self.rotation.tolist()), self.kind == "joint"
+        fault, of_joints = find_rotation_fault(self.rotation.tolist()), self.kind == "joint"
         numbers = 1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
         refuse(
             DescriptionError,
@@ -112,7 +112,7 @@ class LoopNumbers:
         return sorted({int(joint) for joint in self.paths.ravel() if joint >= 0})
 
 
-def loop_numbers(
+def number_loops(
     robot: str,
     loops: Sequence[Loop],
     tree: Sequence[Joint],
@@ -135,14 +135,14 @@ def loop_numbers(
         if loop.kind == "joint":
             for name in loop.joints:
                 if name not in names:
-                    raise _unknown(robot, loop, "joint", name, names)
+                    raise _make_unknown_error(robot, loop, "joint", name, names)
             row[CURVE : CURVE + len(loop.polynomial)] = loop.polynomial
             paths.append(([names[loop.joints[0]]], [names[name] for name in loop.joints[1:]]))
             continue
         sides, turns = [], []
         for side, (name, point) in enumerate(loop.ends):
             if name not in links and name not in named:
-                raise _unknown(robot, loop, "link", name, {**links, **named})
+                raise _make_unknown_error(robot, loop, "link", name, {**links, **named})
             at = links.get(name, ROOT)
             pose = np.eye(4)
             if name not in links:
@@ -158,7 +158,7 @@ def loop_numbers(
                 f"{robot}: both sides of the {loop} are fixed to one link, so that it closes no"
                 " chain; name the two links that meet there"
             )
-        row[SIZE] = _size(tree, ways, row) or 1.0
+        row[SIZE] = _measure_size(tree, ways, row) or 1.0
         paths.append(ways)
     most = max(len(way) for ways in paths for way in ways)
     array = np.full((len(loops), 2, most), -1, dtype=np.int64)
@@ -171,7 +171,7 @@ def loop_numbers(
     return LoopNumbers(kinds, array, numbers)
 
 
-def _size(tree: Sequence[Joint], ways: tuple[list[int], list[int]], row: Array) -> float:
+def _measure_size(tree: Sequence[Joint], ways: tuple[list[int], list[int]], row: Array) -> float:
     """Return the length of a loop [m] that its placements and points add up to."""
     steps = [tree[k].before[:3, 3] for way in ways for k in way[1:]]
     steps += [tree[k].after[:3, 3] for way in ways for k in way]
@@ -180,7 +180,7 @@ def _size(tree: Sequence[Joint], ways: tuple[list[int], list[int]], row: Array) 
     return float(sum(np.linalg.norm(step) for step in steps))
 
 
-def _unknown(
+def _make_unknown_error(
     robot: str, loop: Loop, what: str, name: str, known: Mapping[str, object]
 ) -> DescriptionError:
     return DescriptionError(

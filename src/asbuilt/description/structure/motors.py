@@ -20,7 +20,7 @@ from asbuilt.description.structure.parts import (
 from asbuilt.errors import DescriptionError, refuse
 
 
-def coupled_joints(
+def couple_joints(
     joints: Sequence[Joint],
     motors: Mapping[str, tuple[JointLimits, DriveValues]],
     moved: Mapping[str, Mimic],
@@ -59,7 +59,7 @@ def coupled_joints(
             f"motor {free[0]!r} has the name of a joint that no coupling moves; say how, or rename"
             " the motor"
         )
-    at = _matched(motors, {name: moved[name] for name in names if name in moved})
+    at = _match_motors(motors, {name: moved[name] for name in names if name in moved})
     found = []
     for joint in joints:
         if joint.name not in moved:
@@ -76,7 +76,7 @@ def coupled_joints(
     return tuple(found)
 
 
-def _matched(motors: Mapping[str, object], moved: Mapping[str, Mimic]) -> dict[str, str]:
+def _match_motors(motors: Mapping[str, object], moved: Mapping[str, Mimic]) -> dict[str, str]:
     """Return the motor of each joint that has one: a matching, found by augmenting paths."""
     at = dict[str, str]()
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.rotation import checked_placement, placement, rotation_z
+from asbuilt.description.rotation import check_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
@@ -154,10 +154,10 @@ class Joint:
         object.__setattr__(
             self,
             "before",
-            checked_placement(self.before, f"the placement before joint {self.name!r}"),
+            check_placement(self.before, f"the placement before joint {self.name!r}"),
         )
         object.__setattr__(
-            self, "after", checked_placement(self.after, f"the placement after joint {self.name!r}")
+            self, "after", check_placement(self.after, f"the placement after joint {self.name!r}")
         )
 
     def __repr__(self) -> str:
@@ -251,7 +251,7 @@ class Frame:
         object.__setattr__(
             self,
             "placement",
-            checked_placement(self.placement, f"the placement of frame {self.name!r}"),
+            check_placement(self.placement, f"the placement of frame {self.name!r}"),
         )
 
 

@@ -80,12 +80,16 @@ def with_springs(model: RobotModel, springs: Sequence[Spring]) -> RobotModel:
     """
     terms = [dict(joint.drive.terms) for joint in model.joints]
     for spring in springs:
-        k, numbers = (_about if spring.kind == "torsion" else _across)(model, spring)
+        k, numbers = (_place_torsion_spring if spring.kind == "torsion" else _place_linear_spring)(
+            model, spring
+        )
         key, values = TERM_OF_KIND[spring.kind], {**numbers, **spring.known}
         if key == "extension_spring" and not spring.free_length:
             key, values = "balancer", _as_balancer(values)
         there = terms[k].get(key)
-        terms[k][key] = values if there is None else _both(spring, model, k, there, values)
+        terms[k][key] = (
+            values if there is None else _combine_springs(spring, model, k, there, values)
+        )
     joints = tuple(
         replace(joint, drive=replace(joint.drive, terms=own))
         for joint, own in zip(model.joints, terms, strict=True)
@@ -93,7 +97,7 @@ def with_springs(model: RobotModel, springs: Sequence[Spring]) -> RobotModel:
     return replace(model, joints=joints)
 
 
-def _about(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
+def _place_torsion_spring(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
     """Return the joint of a torsion spring, and where it is at rest."""
     if spring.joint not in model.joint_names:
         raise DescriptionError(
@@ -105,23 +109,24 @@ def _about(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
     return model.joint_names.index(spring.joint), {"rest": spring.rest}
 
 
-def _across(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
+def _place_linear_spring(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
     """Return the joint between the ends of a spring, and their places about its axis."""
     (one, at_one), (other, at_other) = (
-        _placed(model, spring, link, point)
+        _place_point(model, spring, link, point)
         for link, point in ((spring.link_a, spring.point_a), (spring.link_b, spring.point_b))
     )
     if one == other:
         raise DescriptionError(
-            f"both ends of {spring} are on {_link(model, one)}, {spring.point_a.tolist()} and"
+            f"both ends of {spring} are on {_name_link(model, one)}, {spring.point_a.tolist()} and"
             f" {spring.point_b.tolist()}, so that no joint moves one against the other"
         )
     if one != ROOT and model.parents[one] == other:
         one, at_one, other, at_other = other, at_other, one, at_one
     if other == ROOT or model.parents[other] != one:
         raise DescriptionError(
-            f"{spring} spans more than one joint, between {_link(model, one)} and"
-            f" {_link(model, other)}; only springs between a link and the one that carries it are"
+            f"{spring} spans more than one joint, between {_name_link(model, one)} and"
+            f" {_name_link(model, other)}; only springs between a link and the one that carries"
+            " it are"
             " described"
         )
     joint = model.moving_joints[other]
@@ -138,21 +143,23 @@ def _across(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
             " position at which the spring is at rest",
         ),
     )
-    return other, _about_axis(spring, joint, at_one, at_other)
+    return other, _measure_about_axis(spring, joint, at_one, at_other)
 
 
-def _placed(model: RobotModel, spring: Spring, link: str, point: Array) -> tuple[int, Array]:
+def _place_point(model: RobotModel, spring: Spring, link: str, point: Array) -> tuple[int, Array]:
     try:
         return model.place_of(link, point)
     except DescriptionError as error:
         raise DescriptionError(f"{spring}: {error}", value=link) from None
 
 
-def _link(model: RobotModel, link: int) -> str:
+def _name_link(model: RobotModel, link: int) -> str:
     return repr(model.root_link if link == ROOT else model.link_names[link])
 
 
-def _about_axis(spring: Spring, joint: Joint, below: Array, above: Array) -> dict[str, float]:
+def _measure_about_axis(
+    spring: Spring, joint: Joint, below: Array, above: Array
+) -> dict[str, float]:
     """Return distances of both ends from the joint axis, along it, and the angle between them.
 
     `below` (3,) is in the axes of the parent link, `above` (3,) in the axes of the joint's link.
@@ -196,7 +203,7 @@ def _as_balancer(numbers: Mapping[str, float]) -> dict[str, float]:
     return parts if "Ke" in numbers else {}
 
 
-def _both(
+def _combine_springs(
     spring: Spring,
     model: RobotModel,
     k: int,

@@ -12,7 +12,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.identifiability import (
     StandardParameter,
-    numeric_verdicts,
+    classify_numerically,
     parameter_verdicts,
 )
 from asbuilt.dynamics.base.observation_rank import (
@@ -20,19 +20,19 @@ from asbuilt.dynamics.base.observation_rank import (
     RANK_TOLERANCE,
     ROWS_PER_COLUMN,
     ObservationRank,
-    negligible_columns,
+    find_negligible_columns,
     observation_rank,
 )
 from asbuilt.dynamics.base.regrouping import (
-    structural_regrouping,
-    symbolic_regrouping,
+    regroup_structurally,
+    regroup_symbolically,
     without_noise,
 )
 from asbuilt.dynamics.base.regrouping_relations import reversed_echelon
-from asbuilt.dynamics.base.symbols import Polynomial, Row, written
+from asbuilt.dynamics.base.symbols import Polynomial, Row, format_sum
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
-from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.dynamics.kinematics import random_postures
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -47,7 +47,7 @@ KEPT = 48
 """Robots and drives whose base parameters are kept, for the logs of one robot."""
 
 
-def numeric_regrouping(model: RobotModel, drive: DriveSet) -> tuple[Indices, Array]:
+def regroup_numerically(model: RobotModel, drive: DriveSet) -> tuple[Indices, Array]:
     """Return the kept columns, counted from 0, and the matrix K with `Y = Y[:, columns] K`.
 
     The columns are the first independent ones of an observation matrix of random states, found from
@@ -58,10 +58,10 @@ def numeric_regrouping(model: RobotModel, drive: DriveSet) -> tuple[Indices, Arr
     n, rng = model.n_joints, np.random.default_rng(SEED)
     n_columns = 10 * model.n_links + drive.columns_per_joint * n
     samples = int(np.ceil(2.0 * ROWS_PER_COLUMN * n_columns / n))
-    q = random_postures(model, rng, samples)
+    q = draw_postures(model, rng, samples)
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
     Y = observation_matrix(model, q, qd, qdd, drive=drive)
-    Y[:, negligible_columns(model)] = 0.0
+    Y[:, find_negligible_columns(model)] = 0.0
     sizes = np.linalg.norm(Y, axis=0)
     absent = sizes <= ABSENT_COLUMN * sizes.max()
     scales = np.where(absent, 1.0, sizes)
@@ -194,27 +194,27 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     >>> base.standard[0].name, base.standard[0].status
     ('Ixx1', 'unidentifiable')
     """
-    return _found(model, drive)
+    return _find_cached(model, drive)
 
 
 @lru_cache(maxsize=KEPT)
-def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
+def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
     """Return the base parameters, remembered for the robots used last."""
     names = parameter_names(model, drive)
     by_numbers = model.coupling is not None
-    with one_blas_thread():
+    with use_one_blas_thread():
         if by_numbers:
-            columns, matrix = numeric_regrouping(model, drive)
-            verdicts = numeric_verdicts(model, columns, matrix, names)
+            columns, matrix = regroup_numerically(model, drive)
+            verdicts = classify_numerically(model, columns, matrix, names)
         else:
-            found = structural_regrouping(model, drive)
+            found = regroup_structurally(model, drive)
             columns, matrix = found.columns, found.matrix
             verdicts = parameter_verdicts(model, drive, found, names)
         numeric = observation_rank(model, drive)
         if numeric.rank != len(columns):
-            raise IdentifiabilityError(_disagreement(model, drive, len(columns), numeric))
+            raise IdentifiabilityError(_describe_disagreement(model, drive, len(columns), numeric))
         rows = [{int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)} for row in matrix]
-        symbolic = rows if by_numbers else symbolic_regrouping(model, drive, found)
+        symbolic = rows if by_numbers else regroup_symbolically(model, drive, found)
     return BaseParameters(
         robot=model.name,
         drive=drive,
@@ -223,17 +223,17 @@ def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
         columns=columns,
         regrouping=matrix,
         expressions=tuple(
-            _written(row, column, names) for row, column in zip(rows, columns, strict=True)
+            _write_sum(row, column, names) for row, column in zip(rows, columns, strict=True)
         ),
         symbolic=tuple(
-            _written(row, column, names) for row, column in zip(symbolic, columns, strict=True)
+            _write_sum(row, column, names) for row, column in zip(symbolic, columns, strict=True)
         ),
         standard=verdicts,
         link_joints=model.link_joints,
     )
 
 
-def _disagreement(
+def _describe_disagreement(
     model: RobotModel, drive: DriveSet, structural: int, numeric: ObservationRank
 ) -> str:
     sizes = numeric.singular_values[
@@ -249,6 +249,6 @@ def _disagreement(
     )
 
 
-def _written(row: Row, kept: int, names: tuple[str, ...]) -> str:
+def _write_sum(row: Row, kept: int, names: tuple[str, ...]) -> str:
     order = sorted(row, key=lambda j: (j != kept, j))
-    return written([(names[j], row[j]) for j in order])
+    return format_sum([(names[j], row[j]) for j in order])

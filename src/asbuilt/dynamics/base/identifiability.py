@@ -14,7 +14,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.regrouping import Regrouping
 from asbuilt.dynamics.base.regrouping_relations import RANK_TOLERANCE, row_space
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.kinematics import link_jacobians, link_poses, random_postures
+from asbuilt.dynamics.kinematics import draw_postures, link_jacobians, link_poses
 
 Status = Literal["identifiable", "grouped", "unidentifiable"]
 
@@ -70,25 +70,25 @@ def parameter_verdicts(
     model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]
 ) -> tuple[StandardParameter, ...]:
     """Return the verdict on every standard parameter, in id order."""
-    views = [_link_view(found, i) for i in range(model.n_joints)]
+    views = [_view_link(found, i) for i in range(model.n_joints)]
 
     def reason(j: int, status: Status) -> str:
         if j >= 10 * model.n_links:
             joint, position = divmod(j - 10 * model.n_links, drive.columns_per_joint)
-            return _of_richer_drive(drive, joint, position, status) or _of_drive(
+            return _explain_richer_drive(drive, joint, position, status) or _explain_drive(
                 model, views, joint, symbol=drive.symbols[position], status=status
             )
         link, symbol = j // 10, PARAMETER_NAMES[j % 10]
         if status == "grouped":
-            return _in_sums(model, found, views, j, symbol)
+            return _explain_sums(model, found, views, j, symbol)
         if status == "identifiable":
-            return _alone(views[link], symbol)
-        return _never(model, views[link], symbol)
+            return _explain_alone(views[link], symbol)
+        return _explain_no_effect(model, views[link], symbol)
 
-    return _verdicts(found.columns, found.matrix, names, reason)
+    return _make_verdicts(found.columns, found.matrix, names, reason)
 
 
-def _verdicts(
+def _make_verdicts(
     columns: Indices,
     matrix: Array,
     names: Sequence[str],
@@ -100,23 +100,23 @@ def _verdicts(
         rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
         alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
         status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
-        shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
+        shown = _name_sum(columns, matrix, names, j, rows) if status == "grouped" else ""
         sentence = f"{name}: {STATEMENTS[status]}: {reason(j, status)}{shown}"
         members = tuple(int(columns[b]) + 1 for b in rows)
         verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
     return tuple(verdicts)
 
 
-def _listed(words: Sequence[str]) -> str:
+def _list_words(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _shortened(words: Sequence[str]) -> str:
+def _shorten_list(words: Sequence[str]) -> str:
     extra = len(words) - LISTED_NAMES
-    return _listed(words if extra <= 0 else [*words[:LISTED_NAMES], f"{extra} more"])
+    return _list_words(words if extra <= 0 else [*words[:LISTED_NAMES], f"{extra} more"])
 
 
-def numeric_verdicts(
+def classify_numerically(
     model: RobotModel, columns: Indices, matrix: Array, names: Sequence[str]
 ) -> tuple[StandardParameter, ...]:
     """Return the verdicts that follow from a regrouping matrix alone.
@@ -124,7 +124,7 @@ def numeric_verdicts(
     The structure of closed chains adds why: about which axes a link turns, and which loop joins it
     to links whose masses have the same effect.
     """
-    views = _closed_views(model)
+    views = _view_closed_chains(model)
     reasons: dict[Status, str] = {
         "unidentifiable": "no motion of the joints that have a drive gives it a torque",
         "identifiable": "no other parameter has the same effect on the torques",
@@ -136,20 +136,20 @@ def numeric_verdicts(
         if not views or link >= model.n_links:
             return usual
         if status == "unidentifiable" and not model.links[link].negligible:
-            return _never(model, views[link], PARAMETER_NAMES[j % 10])
+            return _explain_no_effect(model, views[link], PARAMETER_NAMES[j % 10])
         if status == "grouped":
             together = np.flatnonzero(matrix[matrix[:, j] != 0.0].any(axis=0))
-            return _in_loop(model, link, together) or usual
+            return _explain_loop(model, link, together) or usual
         return usual
 
-    return _verdicts(columns, matrix, names, reason)
+    return _make_verdicts(columns, matrix, names, reason)
 
 
-def _closed_views(model: RobotModel) -> list[_LinkView]:
+def _view_closed_chains(model: RobotModel) -> list[_LinkView]:
     """Return how the links of closed chains move, from random postures; none for other robots."""
     if not model.loops:
         return []
-    q = random_postures(model, np.random.default_rng(SEED), POSTURES)
+    q = draw_postures(model, np.random.default_rng(SEED), POSTURES)
     twists, poses = link_jacobians(model, q), link_poses(model, q)
     views = []
     for k in range(model.n_links):
@@ -157,8 +157,8 @@ def _closed_views(model: RobotModel) -> list[_LinkView]:
         directions = row_space(own[:, :3])
         in_root = row_space(np.concatenate([*(poses[:, k, :3, :3] @ twists[:, k, :3])], axis=1).T)
         turns, screws = len(directions), len(row_space(own))
-        slope = _slope(model, in_root[0]) if len(in_root) == 1 else ""
-        axes = f"{_a(slope)} axis" if screws == 1 and slope else "parallel axes"
+        slope = _describe_slope(model, in_root[0]) if len(in_root) == 1 else ""
+        axes = f"{_add_article(slope)} axis" if screws == 1 and slope else "parallel axes"
         several = f"turns about axes of {'two' if turns == 2 else 'all'} directions"
         ways = {0: "never turns", 1: f"only turns about {axes}"}
         phrase = f"link {k + 1} {ways.get(turns, several)}"
@@ -168,7 +168,7 @@ def _closed_views(model: RobotModel) -> list[_LinkView]:
     return views
 
 
-def _in_loop(model: RobotModel, link: int, columns: Indices) -> str:
+def _explain_loop(model: RobotModel, link: int, columns: Indices) -> str:
     """Return why a parameter of a link in a loop is summed with parameters of others, or ""."""
     others = {int(j) // 10 for j in columns if j < 10 * model.n_links} - {link}
     for loop in model.loops:
@@ -180,7 +180,7 @@ def _in_loop(model: RobotModel, link: int, columns: Indices) -> str:
         ]
         inside = chains[0] ^ chains[1]
         if link in inside and others & inside:
-            held = _listed([str(k + 1) for k in sorted({link, *(others & inside)})])
+            held = _list_words([str(k + 1) for k in sorted({link, *(others & inside)})])
             return (
                 f"the {loop} joins links {held}: a mass on a joint between two links of it has the"
                 " same effect on either"
@@ -188,17 +188,17 @@ def _in_loop(model: RobotModel, link: int, columns: Indices) -> str:
     return ""
 
 
-def _shown_in(
+def _name_sum(
     columns: Indices, matrix: Array, names: Sequence[str], column: int, rows: Sequence[int]
 ) -> str:
     if column in columns:
         others = [names[int(j)] for j in np.flatnonzero(matrix[rows[0]]) if j != column]
-        return f"; its sum with {_shortened(others)} is identifiable, named {names[column]}"
+        return f"; its sum with {_shorten_list(others)} is identifiable, named {names[column]}"
     kept = [names[int(columns[b])] for b in rows]
-    return f"; it is part of the {'sums' if len(kept) > 1 else 'sum'} named {_shortened(kept)}"
+    return f"; it is part of the {'sums' if len(kept) > 1 else 'sum'} named {_shorten_list(kept)}"
 
 
-def _axis_at_rest(model: RobotModel, joint: int) -> Array:
+def _find_axis_at_rest(model: RobotModel, joint: int) -> Array:
     """Return the axis of a joint in root axes with all joints at zero."""
     R = np.eye(3)
     for i in model.ancestors(joint):
@@ -208,7 +208,7 @@ def _axis_at_rest(model: RobotModel, joint: int) -> Array:
     return np.asarray(R @ model.joints[joint].before[:3, 2])
 
 
-def _slope(model: RobotModel, axis: Array) -> str:
+def _describe_slope(model: RobotModel, axis: Array) -> str:
     strength = float(np.linalg.norm(model.gravity))
     if strength == 0.0:
         return "fixed"
@@ -216,11 +216,11 @@ def _slope(model: RobotModel, axis: Array) -> str:
     return "vertical" if cosine > 1.0 - SMALL else "horizontal" if cosine < SMALL else "inclined"
 
 
-def _a(word: str) -> str:
+def _add_article(word: str) -> str:
     return f"an {word}" if word[:1] in set("aeiou") else f"a {word}"
 
 
-def _link_view(found: Regrouping, link: int) -> _LinkView:
+def _view_link(found: Regrouping, link: int) -> _LinkView:
     model = found.model
     R, t = model.joints[link].after[:3, :3], model.joints[link].after[:3, 3]
     twists = found.motions[link].twists
@@ -230,20 +230,21 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
     chain = model.ancestors(link)
     turning = [i for i in chain if model.joints[i].is_revolute]
     name = f"link {link + 1}"
-    slides = row_space(np.array([_axis_at_rest(model, i) for i in chain]))
-    slope = _slope(model, _axis_at_rest(model, turning[0])) if turning else ""
+    slides = row_space(np.array([_find_axis_at_rest(model, i) for i in chain]))
+    slope = _describe_slope(model, _find_axis_at_rest(model, turning[0])) if turning else ""
     fixed, parallel = slope == "fixed", len(directions) == 1
     phrases = (
         (
             not turning and len(slides) == 1,
-            f"only slides along {_a(_slope(model, slides[0]))} line and never turns",
+            f"only slides along {_add_article(_describe_slope(model, slides[0]))} line and never"
+            " turns",
         ),
         (
             not turning,
             f"only slides, {'in a plane' if len(slides) == 2 else 'in all directions'},"
             " and never turns",
         ),
-        (parallel and len(twists) == 1, f"only turns about {_a(slope)} axis"),
+        (parallel and len(twists) == 1, f"only turns about {_add_article(slope)} axis"),
         (
             parallel and len(turning) < len(chain),
             f"slides, but turns only about {'parallel' if fixed else slope} axes",
@@ -263,7 +264,7 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
     )
 
 
-def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
+def _explain_no_effect(model: RobotModel, view: _LinkView, symbol: str) -> str:
     inertia, product = symbol.startswith("I"), symbol in ("Ixy", "Ixz", "Iyz")
     about_one = view.turns == view.screws == 1
     along = float(view.axis @ np.array([symbol == each for each in MOMENTS], dtype=np.float64))
@@ -314,7 +315,7 @@ def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
     return view.phrase + next(reason for holds, reason in reasons if holds)
 
 
-def _alone(view: _LinkView, symbol: str) -> str:
+def _explain_alone(view: _LinkView, symbol: str) -> str:
     if symbol.startswith("I"):
         what = "this product of inertia" if symbol[1] != symbol[2] else "this moment of inertia"
     else:
@@ -322,7 +323,7 @@ def _alone(view: _LinkView, symbol: str) -> str:
     return f"{view.phrase}, and no other parameter has the same effect on the torques as {what}"
 
 
-def _in_sums(
+def _explain_sums(
     model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, symbol: str
 ) -> str:
     link = column // 10
@@ -335,9 +336,9 @@ def _in_sums(
         if other.parent == link and (np.abs(found.null_blocks[child][:, column]) > SMALL).any()
     ]
     if givers and (column in found.columns or not mine.any()):
-        return _gathered(model, link, givers)
+        return _explain_gathering(model, link, givers)
     if parent != ROOT:
-        return _moved_to_parent(model, found, views, column, symbol)
+        return _explain_move_to_parent(model, found, views, column, symbol)
     of_drive = np.abs(own[mine, 10 * model.n_links :]).max(initial=0.0) > SMALL
     reasons = (
         (
@@ -361,21 +362,21 @@ def _bears_weight(model: RobotModel, link: int, symbol: str) -> bool:
     if symbol.startswith("I") or not joint.is_revolute:
         return False
     lever = joint.after[:3, 3] if symbol == "m" else joint.after[:3, "xyz".index(symbol[1])]
-    across = np.linalg.norm(np.cross(_axis_at_rest(model, link), model.gravity))
+    across = np.linalg.norm(np.cross(_find_axis_at_rest(model, link), model.gravity))
     return bool(np.linalg.norm(lever[:2]) > SMALL and across > SMALL)
 
 
-def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:
+def _explain_gathering(model: RobotModel, link: int, givers: Sequence[int]) -> str:
     turning = all(model.joints[child].is_revolute for child in givers)
     unchanged = "does not change as it turns" if turning else "does not change as it moves"
-    carried = f"link{'s' * (len(givers) > 1)} {_listed([str(child + 1) for child in givers])}"
+    carried = f"link{'s' * (len(givers) > 1)} {_list_words([str(child + 1) for child in givers])}"
     return (
         f"link {link + 1} carries {carried}, of which the part that {unchanged} has the effect of a"
         f" part of link {link + 1}"
     )
 
 
-def _moved_to_parent(
+def _explain_move_to_parent(
     model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, symbol: str
 ) -> str:
     link = column // 10
@@ -434,7 +435,7 @@ def _moved_to_parent(
     return next(reason for holds, reason in reasons if holds)
 
 
-def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
+def _explain_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
     """Return the reason for a term that some joints lack or that shares its columns.
 
     Empty if neither is the case.
@@ -469,7 +470,7 @@ def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status)
     return next((reason for holds, reason in reasons if holds), "")
 
 
-def _of_drive(
+def _explain_drive(
     model: RobotModel, views: Sequence[_LinkView], joint: int, *, symbol: str, status: Status
 ) -> str:
     number, parent = joint + 1, model.joints[joint].parent

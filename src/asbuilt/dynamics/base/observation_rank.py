@@ -13,7 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
-from asbuilt.dynamics.kinematics import random_postures
+from asbuilt.dynamics.kinematics import draw_postures
 
 ABSENT_COLUMN = 1e-12
 """A column smaller than this, relative to the largest, is rounding noise and counts as zero before
@@ -57,20 +57,20 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     n_columns = first + drive.columns_per_joint * n
     samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
     rng = np.random.default_rng(SEED)
-    q = random_postures(model, rng, samples)
+    q = draw_postures(model, rng, samples)
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
     Y = np.zeros((n, samples, n_columns))
     rigid = Y[:, :, :first]
     if (coupling := model.coupling) is None:
-        _rigid_body_columns(model, q, qd, qdd, rigid)
+        _fill_rigid_body_columns(model, q, qd, qdd, rigid)
     else:
         of_tree = np.zeros((model.n_links, samples, first))
         moved = coupling.motion(q, qd, qdd)
-        _rigid_body_columns(model.tree, moved.q, moved.qd, moved.qdd, of_tree)
+        _fill_rigid_body_columns(model.tree, moved.q, moved.qd, moved.qdd, of_tree)
         by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, np.argsort(coupling.order)]
         shares = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
         rigid[...] = np.einsum("sik,isc->ksc", shares, by_link.reshape(of_tree.shape))
-    rigid[:, :, negligible_columns(model)] = 0.0
+    rigid[:, :, find_negligible_columns(model)] = 0.0
     load = (
         np.stack([rows @ rng.uniform(0.5, 1.5, first) for rows in rigid], axis=1)
         if drive.needs_load
@@ -91,12 +91,14 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     return ObservationRank(int(np.sum(singular_values > RANK_TOLERANCE)), singular_values)
 
 
-def negligible_columns(model: RobotModel) -> list[int]:
+def find_negligible_columns(model: RobotModel) -> list[int]:
     """Return the columns of links that are declared to have no inertia worth a parameter."""
     return [10 * i + j for i, link in enumerate(model.links) if link.negligible for j in range(10)]
 
 
-def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out: Array) -> None:
+def _fill_rigid_body_columns(
+    model: RobotModel, q: Array, qd: Array, qdd: Array, out: Array
+) -> None:
     """Fill `out` (n, n_samples, 10 n) by Kane's equations."""
     samples, n = q.shape
     still = np.zeros((samples, 3))
@@ -141,7 +143,9 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
         R = R @ joint.after[:3, :3]
         p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         states[i] = (R, p, w, dw, a)
-        body = _inertia_forces(*(np.einsum("sij,si->sj", R, vector) for vector in (w, dw, a)))
+        body = _evaluate_inertia_forces(
+            *(np.einsum("sij,si->sj", R, vector) for vector in (w, dw, a))
+        )
         chain = np.array(model.ancestors(i))
         turns = revolute[chain, None, None]
         angular = np.where(turns, axes[chain], 0.0)
@@ -152,7 +156,7 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
         out[chain, :, 10 * i : 10 * i + 10] = np.swapaxes(partial @ body, 0, 1)
 
 
-def _inertia_forces(w: Array, dw: Array, a: Array) -> Array:
+def _evaluate_inertia_forces(w: Array, dw: Array, a: Array) -> Array:
     """Return moment about the origin and force of a link, linear in its ten parameters.
 
     Shape (n_samples, 6, 10), in link axes.

@@ -10,8 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import inverted, placement
-from asbuilt.dynamics.base.observation_rank import negligible_columns
+from asbuilt.description.rotation import invert_placement, placement
+from asbuilt.dynamics.base.observation_rank import find_negligible_columns
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
     LinkMotion,
@@ -24,13 +24,18 @@ from asbuilt.dynamics.base.regrouping_relations import (
 from asbuilt.dynamics.base.symbols import (
     Polynomial,
     Row,
-    dependent_columns,
-    nearest_origins,
+    express_dependent_columns,
     null_rows,
-    same_build,
+    replace_lengths,
+    slide_joint_frames,
 )
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.structure import IMITABLE, DriveStructure, drive_structure, realisable
+from asbuilt.dynamics.drives.structure import (
+    IMITABLE,
+    DriveStructure,
+    decompose_drive,
+    find_realisable_sums,
+)
 from asbuilt.dynamics.parameters import parameter_count
 
 AXIAL = np.array(
@@ -58,7 +63,7 @@ class Regrouping:
 
     `columns` (n_base,) count from 0; `matrix` is (n_base, n_standard).
 
-    What it follows from: `model`, the robot with its joint frames at `nearest_origins`;
+    What it follows from: `model`, the robot with its joint frames at `slide_joint_frames`;
     `directions` and `motions` of its links in these frames; `null_blocks`, per link its directions
     over all standard parameters (k, n_standard); `axial_blocks` (3, 10), per link a mass on the
     joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths
@@ -77,26 +82,33 @@ class Regrouping:
     structure: DriveStructure
 
 
-def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
+def regroup_structurally(model: RobotModel, drive: DriveSet) -> Regrouping:
     """Return the regrouping by exact structure.
 
     Columns that depend on earlier ones are the pivots of the null vectors read from the end.
     """
-    model = nearest_origins(model)
+    model = slide_joint_frames(model)
     size = characteristic_length(model)
-    structure = drive_structure(
+    structure = decompose_drive(
         model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints])
     )
     directions, motions = regrouping_relations(model, structure.imitable)
-    to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
-    scales = _scales(model, drive)
-    blocks = _null_blocks(model, drive, directions, to_link, structure, scales)
+    to_link = [
+        shift_matrix(invert_placement(_scale_translation(joint.after, size)))
+        for joint in model.joints
+    ]
+    scales = _choose_scales(model, drive)
+    blocks = _build_null_blocks(model, drive, directions, to_link, structure, scales)
     redundant = (
         np.hstack([np.zeros((len(structure.redundant), 10 * model.n_links)), structure.redundant])
         / scales
     )
-    null = np.vstack([*_realised(model, drive, directions, blocks, structure), redundant])
-    echelon, dependent = reversed_echelon(_leaving_out(negligible_columns(model), null))
+    null = np.vstack(
+        [*_realise_null_vectors(model, drive, directions, blocks, structure), redundant]
+    )
+    echelon, dependent = reversed_echelon(
+        _complete_null_vectors(find_negligible_columns(model), null)
+    )
     columns = np.setdiff1d(np.arange(len(scales)), dependent)
     matrix = np.zeros((len(columns), len(scales)))
     matrix[np.arange(len(columns)), columns] = 1.0
@@ -116,7 +128,7 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     )
 
 
-def symbolic_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
+def regroup_symbolically(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
     """Return the rows of the regrouping with symbols for lengths, as sums over standard parameters.
 
     Each row is checked against numbers, for the robot itself and for one of the same build with
@@ -132,8 +144,8 @@ def symbolic_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
     if bare or not model.lengths or found.structure.motor_columns.any():
         return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
-    combined = dependent_columns(
-        _symbolic_null_rows(model, found), [int(pivot) for pivot in pivots]
+    combined = express_dependent_columns(
+        _derive_symbolic_null_rows(model, found), [int(pivot) for pivot in pivots]
     )
     if combined is None:
         return numbers
@@ -147,7 +159,7 @@ def symbolic_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
         symbol: value * (1.2 + 0.3 * np.sin(k + 1.0))
         for k, (symbol, value) in enumerate(model.lengths.items())
     }
-    elsewhere = structural_regrouping(same_build(found.model, other), drive)
+    elsewhere = regroup_structurally(replace_lengths(found.model, other), drive)
     if not np.array_equal(elsewhere.columns, found.columns):
         return numbers
     checks = ((found.matrix, model.lengths), (elsewhere.matrix, other))
@@ -173,13 +185,13 @@ def without_noise(value: float) -> float:
     return float(f"{value:.14e}")
 
 
-def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
+def _derive_symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
     """Return the null vectors with symbols for lengths, in physical units."""
     first, strength = 10 * model.n_links, float(np.linalg.norm(model.gravity))
     ways = found.structure.ways
     per = ways.shape[2]
     units = np.array(
-        [_function_units(joint.is_revolute, found.size, strength) for joint in model.joints]
+        [_choose_function_units(joint.is_revolute, found.size, strength) for joint in model.joints]
     )
     rows = null_rows(found.model, found.directions)
     changes = [
@@ -200,7 +212,7 @@ def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
     ]
 
 
-def _function_units(
+def _choose_function_units(
     revolute: bool, size: float, strength: float
 ) -> tuple[float, float, float, float]:
     """Return one unit of the changes of armature, offset, sine and cosine.
@@ -211,7 +223,7 @@ def _function_units(
     return (size**2, force, force * size, force * size) if revolute else (1.0, force, 1.0, 1.0)
 
 
-def _scales(model: RobotModel, drive: DriveSet) -> Array:
+def _choose_scales(model: RobotModel, drive: DriveSet) -> Array:
     """Return one unit of the column of each standard parameter.
 
     In lengths divided by the size of the robot and forces divided by gravity.
@@ -219,7 +231,9 @@ def _scales(model: RobotModel, drive: DriveSet) -> Array:
     size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
     scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
     for k, joint in enumerate(model.joints):
-        units = dict(zip(IMITABLE, _function_units(joint.is_revolute, size, strength), strict=True))
+        units = dict(
+            zip(IMITABLE, _choose_function_units(joint.is_revolute, size, strength), strict=True)
+        )
         kinds = [term.key for term in drive.terms for _ in term.symbols]
         for kind, function in zip(kinds, drive.functions(k), strict=True):
             own = next((units[name] for name in IMITABLE if name in function), 1.0)
@@ -227,7 +241,7 @@ def _scales(model: RobotModel, drive: DriveSet) -> Array:
     return np.concatenate(scales)
 
 
-def _null_blocks(
+def _build_null_blocks(
     model: RobotModel,
     drive: DriveSet,
     directions: Sequence[RegroupingRelations],
@@ -247,11 +261,11 @@ def _null_blocks(
         block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift.T
         if joint.parent >= 0:
             block[:, 10 * joint.parent : 10 * joint.parent + 10] = (
-                -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
+                -found.onto_parent @ shift_matrix(_scale_translation(joint.before, size)).T
             )
         own = slice(first + per * found.link, first + per * (found.link + 1))
         units = np.array(
-            _function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity)))
+            _choose_function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity)))
         )
         changes = np.stack([found.armature, found.offset, found.sine, found.cosine], axis=1)
         block[:, own] = (changes * units @ structure.ways[found.link]) / scales[own]
@@ -259,7 +273,7 @@ def _null_blocks(
     return blocks
 
 
-def _realised(
+def _realise_null_vectors(
     model: RobotModel,
     drive: DriveSet,
     directions: list[RegroupingRelations],
@@ -273,7 +287,7 @@ def _realised(
     if not structure.motor_columns.any():
         return list(blocks)
     per, first = drive.columns_per_joint, 10 * model.n_links
-    sums, of_joints, of_motors = realisable(directions, structure)
+    sums, of_joints, of_motors = find_realisable_sums(directions, structure)
     rows = sums @ np.vstack(blocks)
     armature = structure.ways[:, 0, :]
     for found in directions:
@@ -284,7 +298,7 @@ def _realised(
     return [rows]
 
 
-def _leaving_out(columns: Sequence[int], null: Array) -> Array:
+def _complete_null_vectors(columns: Sequence[int], null: Array) -> Array:
     """Return the null vectors of a matrix of which some columns are zero.
 
     They are those of the whole matrix without a part in these columns, and one for each of them.
@@ -296,5 +310,5 @@ def _leaving_out(columns: Sequence[int], null: Array) -> Array:
     return np.vstack([kept, gone])
 
 
-def _sized(transform: Array, size: float) -> Array:
+def _scale_translation(transform: Array, size: float) -> Array:
     return placement(transform[:3, :3], transform[:3, 3] / size)

@@ -46,7 +46,7 @@ def shift_of_rotation(rotation: Array) -> Array:
     return shift
 
 
-def _shift_of_translation(t: Array) -> Array:
+def _build_shift(t: Array) -> Array:
     shift = np.eye(10)
     for k in range(3):
         mixed = np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t)
@@ -58,20 +58,20 @@ def _shift_of_translation(t: Array) -> Array:
     return shift
 
 
-def _translation_tensors() -> tuple[Array, Array]:
-    S, unit = _shift_of_translation, np.eye(3)
+def _build_translation_tensors() -> tuple[Array, Array]:
+    S, unit = _build_shift, np.eye(3)
     linear = np.array([(S(a) - S(-a)) / 2.0 for a in unit])
     square = np.array([[(S(a + b) - S(a) - S(b) + np.eye(10)) / 2.0 for b in unit] for a in unit])
     return linear, square
 
 
-SHIFT_LINEAR, SHIFT_SQUARE = _translation_tensors()
+SHIFT_LINEAR, SHIFT_SQUARE = _build_translation_tensors()
 """Shift by t: `S(t) = 1 + sum_a t_a SHIFT_LINEAR[a] + sum_ab t_a t_b SHIFT_SQUARE[a, b]`, shapes
 (3, 10, 10) and (3, 3, 10, 10).
 """
 
 
-def _turn_harmonics() -> tuple[Array, Array]:
+def _build_turn_harmonics() -> tuple[Array, Array]:
     angles = 2.0 * np.pi * np.arange(5) / 5.0
     turns = [
         np.array([[np.cos(q), -np.sin(q), 0.0], [np.sin(q), np.cos(q), 0.0], [0.0, 0.0, 1.0]])
@@ -94,7 +94,7 @@ def _turn_harmonics() -> tuple[Array, Array]:
     return np.round(8.0 * shifts) / 8.0, np.round(8.0 * rotations) / 8.0
 
 
-TURN_SHIFTS, _TURN_ROTATIONS = _turn_harmonics()
+TURN_SHIFTS, _TURN_ROTATIONS = _build_turn_harmonics()
 """Turning about z by q: `S(q) = sum_k TURN_SHIFTS[k] f_k(q)` with f = 1, cos q, sin q, cos 2q, sin
 2q; shape (5, 10, 10).
 """
@@ -107,7 +107,7 @@ def _cross(t: Array) -> Array:
     return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
 
 
-def _twist_harmonics() -> tuple[Array, Array]:
+def _build_twist_harmonics() -> tuple[Array, Array]:
     turn = np.zeros((3, 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = _TURN_ROTATIONS[:3].transpose(0, 2, 1)
     slide = np.stack([np.eye(6), np.zeros((6, 6))])
@@ -115,7 +115,7 @@ def _twist_harmonics() -> tuple[Array, Array]:
     return turn, slide
 
 
-TURN_TWISTS, SLIDE_TWISTS = _twist_harmonics()
+TURN_TWISTS, SLIDE_TWISTS = _build_twist_harmonics()
 
 
 def kinetic_functional(u: Array, w: Array) -> Array:

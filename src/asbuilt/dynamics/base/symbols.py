@@ -10,7 +10,7 @@ from math import prod
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.lengths import added_symbols, length_values, rotated_symbols
+from asbuilt.description.lengths import add_symbols, evaluate_lengths, rotate_symbols
 from asbuilt.description.model import RobotModel, Symbols
 from asbuilt.description.rotation import placement
 from asbuilt.dynamics.base.regrouping_relations import (
@@ -45,14 +45,14 @@ def symbolic_translation(
     translation = transform[:3, 3]
     if (
         symbols is not None
-        and np.abs(length_values(symbols, {**lengths, NUMBER: 1.0}) - translation).max()
+        and np.abs(evaluate_lengths(symbols, {**lengths, NUMBER: 1.0}) - translation).max()
         < LENGTH_TOLERANCE
     ):
         return symbols
     return tuple(((float(value), NUMBER),) if value else () for value in translation)
 
 
-def nearest_origins(model: RobotModel) -> RobotModel:
+def slide_joint_frames(model: RobotModel) -> RobotModel:
     """Return the same robot with every joint frame slid along its axis.
 
     Each goes to the point nearest the origin of the parent link.
@@ -66,13 +66,13 @@ def nearest_origins(model: RobotModel) -> RobotModel:
         z = joint.before[:3, 2]
         before = symbolic_translation(joint.before, joint.before_symbols, model.lengths)
         after = symbolic_translation(joint.after, joint.after_symbols, model.lengths)
-        before_slid = added_symbols(before, rotated_symbols(-np.outer(z, z), before))
-        after_slid = added_symbols(after, rotated_symbols(np.vstack([np.zeros((2, 3)), z]), before))
+        before_slid = add_symbols(before, rotate_symbols(-np.outer(z, z), before))
+        after_slid = add_symbols(after, rotate_symbols(np.vstack([np.zeros((2, 3)), z]), before))
         joints.append(
             replace(
                 joint,
-                before=placement(joint.before[:3, :3], length_values(before_slid, values)),
-                after=placement(joint.after[:3, :3], length_values(after_slid, values)),
+                before=placement(joint.before[:3, :3], evaluate_lengths(before_slid, values)),
+                after=placement(joint.after[:3, :3], evaluate_lengths(after_slid, values)),
                 before_symbols=before_slid,
                 after_symbols=after_slid,
             )
@@ -80,7 +80,7 @@ def nearest_origins(model: RobotModel) -> RobotModel:
     return replace(model, joints=tuple(joints))
 
 
-def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
+def replace_lengths(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
     """Return the robot with other values for the symbols of its joints."""
     values = {**lengths, NUMBER: 1.0}
     joints = []
@@ -88,7 +88,7 @@ def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
         before, after = (
             placement(
                 transform[:3, :3],
-                length_values(symbolic_translation(transform, symbols, model.lengths), values),
+                evaluate_lengths(symbolic_translation(transform, symbols, model.lengths), values),
             )
             for transform, symbols in (
                 (joint.before, joint.before_symbols),
@@ -159,7 +159,7 @@ class Polynomial:
         )
 
     def __repr__(self) -> str:
-        return written([("", self)]) or "0"
+        return format_sum([("", self)]) or "0"
 
 
 Row = dict[int, Polynomial]
@@ -173,21 +173,21 @@ def null_rows(model: RobotModel, directions: Sequence[RegroupingRelations]) -> l
     for found in directions:
         joint = model.joints[found.link]
         R = joint.after[:3, :3]
-        back = rotated_symbols(
+        back = rotate_symbols(
             -R.T, symbolic_translation(joint.after, joint.after_symbols, model.lengths)
         )
         there = symbolic_translation(joint.before, joint.before_symbols, model.lengths)
         for k in range(len(found.child)):
-            row = _shifted(found.child[k] * physical, R.T, back, 10 * found.link)
+            row = _shift_parameters(found.child[k] * physical, R.T, back, 10 * found.link)
             if joint.parent >= 0:
-                row |= _shifted(
+                row |= _shift_parameters(
                     -found.onto_parent[k] * physical, joint.before[:3, :3], there, 10 * joint.parent
                 )
             rows.append({column: entry for column, entry in row.items() if entry})
     return rows
 
 
-def _shifted(parameters: Array, rotation: Array, symbols: Symbols, first: int) -> Row:
+def _shift_parameters(parameters: Array, rotation: Array, symbols: Symbols, first: int) -> Row:
     """Return the ten parameters after a turn and a shift by symbols, in columns `first` .
 
     `first + 9`.
@@ -212,7 +212,7 @@ def _shifted(parameters: Array, rotation: Array, symbols: Symbols, first: int) -
     return {first + i: entry for i, entry in enumerate(total) if entry}
 
 
-def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, Row] | None:
+def express_dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, Row] | None:
     """Return each dependent column as a sum of base columns.
 
     `column_j = sum_b result[j][b] column_b`, by elimination from the last pivot.
@@ -251,30 +251,30 @@ def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, R
     }
 
 
-def number_text(value: float) -> str:
+def format_coefficient(value: float) -> str:
     """Write a coefficient to ten digits, without the rounding noise of the last ones.
 
-    >>> number_text(0.16000000000000003)
+    >>> format_coefficient(0.16000000000000003)
     '0.16'
     """
     return f"{value:.10g}"
 
 
-def _product(monomial: Monomial) -> str:
+def _format_product(monomial: Monomial) -> str:
     powers = Counter(monomial)
     return "*".join(
         symbol if power == 1 else f"{symbol}**{power}" for symbol, power in powers.items()
     )
 
 
-def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
+def format_sum(terms: Sequence[tuple[str, Polynomial]]) -> str:
     """Write a sum of (name, factor).
 
     Numbers first, then by falling degree in symbols, equal factors gathered.
 
     >>> b3 = Polynomial.of("b3")
     >>> one, square = Polynomial.number(1.0), b3 * b3
-    >>> written([("Ixx2", one), ("my3", b3.times(-2.0)), ("m3", square), ("m4", square)])
+    >>> format_sum([("Ixx2", one), ("my3", b3.times(-2.0)), ("m3", square), ("m4", square)])
     'Ixx2 + b3**2*(m3 + m4) - 2*b3*my3'
     """
     groups: dict[tuple[int, Monomial, str, str], list[tuple[bool, str]]] = {}
@@ -283,7 +283,7 @@ def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
             key = (
                 -len(monomial),
                 monomial,
-                number_text(abs(value)),
+                format_coefficient(abs(value)),
                 "" if monomial and name else name,
             )
             groups.setdefault(key, []).append((value < 0, name))
@@ -293,7 +293,7 @@ def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
     for key in (*constants, *symbolic):
         members = groups[key]
         negative = members[0][0]
-        size, symbols = key[2], _product(key[1])
+        size, symbols = key[2], _format_product(key[1])
         names = members[0][1]
         if len(members) > 1:
             rest = "".join(

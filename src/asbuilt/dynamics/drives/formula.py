@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.operations import STACK, operands
+from asbuilt.dynamics.kernels.operations import STACK, count_operands
 from asbuilt.errors import UsageError
 
 T = TypeVar("T")
@@ -55,16 +55,16 @@ class Formula:
     text: str
 
     def __post_init__(self) -> None:
-        _steps(self.text)
+        _list_steps(self.text)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names used, in order."""
-        return tuple(dict.fromkeys(name for kind, name in _steps(self.text) if kind == "name"))
+        return tuple(dict.fromkeys(name for kind, name in _list_steps(self.text) if kind == "name"))
 
     def write(self, out: Array, values: Mapping[str, Array | float]) -> None:
         """Write the value of the formula into `out` (n_samples,)."""
-        _of_arrays(self.text)(out, values)
+        _make_array_function(self.text)(out, values)
 
     def fold(
         self,
@@ -74,31 +74,33 @@ class Formula:
     ) -> T:
         """Return the formula built from its numbers and names by `apply(operation, *operands)`."""
         stack: list[T] = []
-        for kind, step in _steps(self.text):
+        for kind, step in _list_steps(self.text):
             if kind == "number":
                 stack.append(number(float(step)))
             elif kind == "name":
                 stack.append(name(step))
             else:
-                taken = [stack.pop() for _ in range(operands(step))]
+                taken = [stack.pop() for _ in range(count_operands(step))]
                 stack.append(apply(step, *reversed(taken)))
         return stack.pop()
 
 
 @cache
-def _steps(text: str) -> tuple[tuple[str, str], ...]:
+def _list_steps(text: str) -> tuple[tuple[str, str], ...]:
     """Return a formula in postfix order, as pairs of kind (number, name, apply) and text."""
     try:
-        steps = tuple(_postfix(ast.parse(text, mode="eval").body))
+        steps = tuple(_order_postfix(ast.parse(text, mode="eval").body))
     except (SyntaxError, ValueError) as error:
         raise UsageError(f"{text!r} is no formula of a drive term: {error}", formula=text) from None
-    depth = np.cumsum([1 - (operands(step) if kind == "apply" else 0) for kind, step in steps])
+    depth = np.cumsum(
+        [1 - (count_operands(step) if kind == "apply" else 0) for kind, step in steps]
+    )
     if depth.max() > STACK:
         raise UsageError(f"the formula {text!r} is nested too deeply", formula=text)
     return steps
 
 
-def _postfix(node: ast.AST) -> list[tuple[str, str]]:
+def _order_postfix(node: ast.AST) -> list[tuple[str, str]]:
     match node:
         case ast.Constant(value=int() | float() as number):
             return [("number", repr(float(number)))]
@@ -113,13 +115,13 @@ def _postfix(node: ast.AST) -> list[tuple[str, str]]:
         case _:
             allowed = ", ".join(FUNCTIONS)
             raise ValueError(f"{ast.unparse(node)!r} is not allowed; functions are {allowed}")
-    if len(parts) != operands(operation):
-        raise ValueError(f"{operation} takes {operands(operation)} values, got {len(parts)}")
-    return [*(step for part in parts for step in _postfix(part)), ("apply", operation)]
+    if len(parts) != count_operands(operation):
+        raise ValueError(f"{operation} takes {count_operands(operation)} values, got {len(parts)}")
+    return [*(step for part in parts for step in _order_postfix(part)), ("apply", operation)]
 
 
 @cache
-def _of_arrays(text: str) -> Callable[[Array, Mapping[str, Array | float]], None]:
+def _make_array_function(text: str) -> Callable[[Array, Mapping[str, Array | float]], None]:
     """Return a function that evaluates a formula for arrays, in place where its last step can."""
     body = ast.parse(text, mode="eval").body
     if isinstance(body, ast.Call):

@@ -16,7 +16,7 @@ FINEST = 1e-3
 """Longest step of the path of a goal [s]."""
 
 
-def goal_path(
+def derive_goal_path(
     t: ArrayLike,
     command: ArrayLike,
     acceleration: ArrayLike,
@@ -47,7 +47,7 @@ def goal_path(
     --------
     A step of 1 rad at 4 rad/s^2 takes 1 s, half of it to speed up.
 
-    >>> t, goal = goal_path([0.0, 0.001, 2.0], [[0.0], [1.0], [1.0]], 4.0)
+    >>> t, goal = derive_goal_path([0.0, 0.001, 2.0], [[0.0], [1.0], [1.0]], 4.0)
     >>> [round(float(np.interp(at, t, goal[:, 0])), 2) for at in (0.501, 1.001, 1.5)]
     [0.5, 1.0, 1.0]
     """

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.codec import stored
+from asbuilt.codec import store_as
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 
@@ -20,7 +20,7 @@ PER_JOINT = ("kp", "kd", "deadband", "lead", *LIMITS)
 """Fields with one number per joint."""
 
 
-def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
+def _restore_limits(values: Sequence[float | None]) -> tuple[float, ...]:
     """Return stored limits, infinite where None is stored."""
     return tuple(np.inf if each is None else float(each) for each in values)
 
@@ -79,13 +79,15 @@ class PositionServo:
 
     kp: tuple[float, ...]
     kd: tuple[float, ...]
-    torque_limit: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
+    torque_limit: tuple[float, ...] = field(default=(), metadata=store_as(decode=_restore_limits))
     delay: float | None = None
     deadband: tuple[float, ...] = ()
     lead: tuple[float, ...] = ()
-    no_load_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
-    goal_acceleration: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
-    goal_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
+    no_load_speed: tuple[float, ...] = field(default=(), metadata=store_as(decode=_restore_limits))
+    goal_acceleration: tuple[float, ...] = field(
+        default=(), metadata=store_as(decode=_restore_limits)
+    )
+    goal_speed: tuple[float, ...] = field(default=(), metadata=store_as(decode=_restore_limits))
 
     def __post_init__(self) -> None:
         for name in PER_JOINT:
@@ -137,10 +139,12 @@ class PositionServo:
 
     def goal(self, t: ArrayLike, command: ArrayLike) -> tuple[Array, Array]:
         """Return the goal that follows commands (K, n) at times (K,), as `goal_path` does."""
-        from asbuilt.dynamics.drives.goal_profile import goal_path  # noqa: PLC0415 - light start
+        from asbuilt.dynamics.drives.goal_profile import derive_goal_path  # noqa: PLC0415 - light start
 
         limit = np.asarray(self.goal_acceleration)
-        return goal_path(t, command, np.where(np.isnan(limit), np.inf, limit), self.goal_speed)
+        return derive_goal_path(
+            t, command, np.where(np.isnan(limit), np.inf, limit), self.goal_speed
+        )
 
     @property
     def proportional(self) -> bool:
@@ -200,13 +204,14 @@ class PositionServo:
         return np.asarray(np.clip(free, *self.bounds(qd)), dtype=np.float64)
 
 
-def described_servo(model: RobotModel) -> PositionServo | None:
+def read_described_servo(model: RobotModel) -> PositionServo | None:
     """Return the position servo that a description states, NaN for joints without one.
 
     None if it states none. Such gains are often settings of a simulator.
     """
     kp, kd = (
-        tuple(_known(getattr(joint.drive, name)) for joint in model.joints) for name in ("kp", "kd")
+        tuple(_restore_value(getattr(joint.drive, name)) for joint in model.joints)
+        for name in ("kp", "kd")
     )
     if not np.any(np.isfinite(kp)):
         return None
@@ -214,5 +219,5 @@ def described_servo(model: RobotModel) -> PositionServo | None:
     return PositionServo(kp=kp, kd=kd, torque_limit=limits)
 
 
-def _known(value: float | None) -> float:
+def _restore_value(value: float | None) -> float:
     return np.nan if value is None else value

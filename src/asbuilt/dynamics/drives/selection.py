@@ -52,13 +52,13 @@ def with_sets_expanded(entries: Sequence[Sequence[str]]) -> list[list[str]]:
         by_colon = entry[0] == "bam" and len(entry) > 1
         key, *options = [f"bam-{entry[1]}", *entry[2:]] if by_colon else entry
         if key.startswith("bam") or f"bam-{key}" in NAMED_SETS:
-            expanded += _terms_of(key, options)
+            expanded += _list_term_options(key, options)
         else:
             expanded.append([key, *options])
     return expanded
 
 
-def _terms_of(key: str, options: Sequence[str]) -> list[list[str]]:
+def _list_term_options(key: str, options: Sequence[str]) -> list[list[str]]:
     if key not in NAMED_SETS:
         near = difflib.get_close_matches(key, NAMED_SETS, n=1, cutoff=0.5)
         guess = f"did you mean {near[0]!r}? " if near else ""
@@ -126,7 +126,7 @@ class DriveSet:
             return cls()
         if [NONE] in chosen:
             raise UsageError(f"{NONE!r} excludes other drive terms, got {text!r}")
-        return cls(tuple(_stated(TERMS.find(key), options) for key, *options in chosen))
+        return cls(tuple(_state_parameters(TERMS.find(key), options) for key, *options in chosen))
 
     @classmethod
     def default(cls, source: str) -> DriveSet:
@@ -219,7 +219,7 @@ class DriveSet:
         The set must be taken `at` that joint. None where the description has no value, or other
         nonlinear parameters.
         """
-        return tuple(value for term in self.terms for value in _described(term, drive))
+        return tuple(value for term in self.terms for value in _read_described_values(term, drive))
 
     def evaluate(
         self,
@@ -257,7 +257,7 @@ class DriveSet:
         return columns
 
 
-def _described(term: DriveTerm, drive: DriveValues) -> tuple[float | None, ...]:
+def _read_described_values(term: DriveTerm, drive: DriveValues) -> tuple[float | None, ...]:
     numbers = drive.terms.get(term.key)
     if numbers is None:
         return term.values(drive)
@@ -269,7 +269,7 @@ def _described(term: DriveTerm, drive: DriveValues) -> tuple[float | None, ...]:
     return tuple(numbers.get(symbol) for symbol in term.symbols)
 
 
-def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
+def _state_parameters(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
     parameters: dict[str, NonlinearValue] = {}
     for option in options:
         name, equals, values = (part.strip() for part in option.partition("="))

@@ -49,7 +49,7 @@ class DriveStructure:
         ]
 
 
-def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStructure:
+def decompose_drive(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStructure:
     """Take the columns of a drive apart into elementary functions.
 
     `unit` (n,) is one unit of each joint coordinate in scaled lengths.
@@ -93,7 +93,7 @@ def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
     )
 
 
-def realisable(
+def find_realisable_sums(
     directions: list[RegroupingRelations], structure: DriveStructure
 ) -> tuple[Array, Array, Array]:
     """Return which sums of all directions the armatures at hand can make.

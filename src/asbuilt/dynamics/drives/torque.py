@@ -80,7 +80,7 @@ def drive_torque(
     torque = np.zeros(q.shape)
     of_motor, each = drive.of_motor, theta.reshape(n, -1)
     if not of_motor.any() and not any(term.differs_by_joint for term in drive.terms):
-        return _alike(drive, each, q, qd, qdd, load)
+        return _evaluate_shared_terms(drive, each, q, qd, qdd, load)
     for k, joint_values in enumerate(each):
         columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares)
         torque[:, k] += joint_values[~of_motor] @ columns[~of_motor]
@@ -89,7 +89,7 @@ def drive_torque(
     return torque
 
 
-def _alike(
+def _evaluate_shared_terms(
     drive: DriveSet, values: Array, q: Array, qd: Array, qdd: Array, load: Array | None
 ) -> Array:
     """Return the torque of terms whose columns are one function of each joint's own state."""
@@ -176,24 +176,24 @@ def _check_described(
             )
 
 
-def usual_drive(model: RobotModel, source: str) -> DriveSet:
+def choose_usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    Its description names them (`usual_drive`), or they are the default terms and the terms of
+    Its description names them (`choose_usual_drive`), or they are the default terms and those of
     coupled motors if the source measures motors; besides, the springs and balancers described.
     """
     drive = DriveSet.parse(model.usual_drive) if model.usual_drive else DriveSet.default(source)
     if source in MOTOR_SOURCES and not model.usual_drive:
-        drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))
+        drive = DriveSet((*drive.terms, *list_coupled_motor_terms(model).terms))
     described = tuple(
         term
         for term in described_drive(model)[0].terms
         if term.by_construction and term.key not in drive.keys
     )
-    return on_driven_joints(model, DriveSet((*drive.terms, *described)))
+    return keep_driven_joints(model, DriveSet((*drive.terms, *described)))
 
 
-def on_driven_joints(model: RobotModel, drive: DriveSet) -> DriveSet:
+def keep_driven_joints(model: RobotModel, drive: DriveSet) -> DriveSet:
     """Return drive terms for the joints of a robot except a free base's, which have no drive.
 
     Raises `UsageError` for terms that contact forces, which are unknown, would enter.
@@ -216,7 +216,7 @@ def on_driven_joints(model: RobotModel, drive: DriveSet) -> DriveSet:
     )
 
 
-def coupled_motor_terms(model: RobotModel) -> DriveSet:
+def list_coupled_motor_terms(model: RobotModel) -> DriveSet:
     """Return armature and friction of the motors that turn with several joints."""
     numbers = tuple(k + 1 for k, shares in enumerate(model.motor_shares) if shares.any())
     terms = [

@@ -20,17 +20,17 @@ from asbuilt.dynamics.kernels.recursion import (
     REVOLUTE,
     STATE,
     WRITE,
+    allocate_scratch,
     cross,
     gather,
     move_screws,
-    scratch,
     trigonometry,
     vector,
 )
 
 
 @part
-def _screw(rows, at):
+def _read_screw(rows, at):
     """Return the six rows of a screw: z, then m."""
     zx, zy, zz = vector(rows, at)
     mx, my, mz = vector(rows, at + 3 * BLOCK)
@@ -38,7 +38,7 @@ def _screw(rows, at):
 
 
 @part
-def _inertia_times(chi, zx, zy, zz, mx, my, mz):
+def _multiply_inertia(chi, zx, zy, zz, mx, my, mz):
     """Return moment I z + h x m and force mass m - h x z of a screw."""
     hx, hy, hz, mass = chi[6], chi[7], chi[8], chi[9]
     nx = zx * chi[0] + zy * chi[1] + zz * chi[2] + mz * hy - my * hz
@@ -58,7 +58,7 @@ def _inertia_times(chi, zx, zy, zz, mx, my, mz):
 def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, fy, fz):
     """Add z_k . n + m_k . f to rows k of a column, for the joints at depth 0 ... upto."""
     for k in range(upto + 1):
-        zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * k * BLOCK)
+        zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * k * BLOCK)
         place = matrix + (joints[k] * joints.size + column) * BLOCK
         store(
             rows,
@@ -72,8 +72,8 @@ def _add_mass(depth, rows, screws, chi, joints, matrix):
     """Add a link's share s_k^T I s_j, upper triangle."""
     for at in range(0, BLOCK, LANES):
         for j in range(depth + 1):
-            zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
-            nx, ny, nz, fx, fy, fz = _inertia_times(chi, zx, zy, zz, mx, my, mz)
+            zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * j * BLOCK + at)
+            nx, ny, nz, fx, fy, fz = _multiply_inertia(chi, zx, zy, zz, mx, my, mz)
             _add_to_column(
                 rows, screws + at, joints, j, joints[j], matrix + at, nx, ny, nz, fx, fy, fz
             )
@@ -89,18 +89,18 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
     for at in range(0, BLOCK, LANES):
         wx = wy = wz = vx = vy = vz = splat(0.0)
         for j in range(depth + 1):
-            zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
+            zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * j * BLOCK + at)
             rate = load(rows, rates + joints[j] * BLOCK + at)
             wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
             vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
-        lx, ly, lz, px, py, pz = _inertia_times(chi, wx, wy, wz, vx, vy, vz)
+        lx, ly, lz, px, py, pz = _multiply_inertia(chi, wx, wy, wz, vx, vy, vz)
         wx = wy = wz = vx = vy = vz = splat(0.0)
         for j in range(depth, -1, -1):
-            zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
+            zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * j * BLOCK + at)
             ax, ay, az = cross(zx, zy, zz, wx, wy, wz)
             bx, by, bz = cross(mx, my, mz, wx, wy, wz)
             cx, cy, cz = cross(zx, zy, zz, vx, vy, vz)
-            nx, ny, nz, fx, fy, fz = _inertia_times(chi, ax, ay, az, bx + cx, by + cy, bz + cz)
+            nx, ny, nz, fx, fy, fz = _multiply_inertia(chi, ax, ay, az, bx + cx, by + cy, bz + cz)
             ax, ay, az = cross(zx, zy, zz, lx, ly, lz)
             bx, by, bz = cross(mx, my, mz, px, py, pz)
             cx, cy, cz = cross(zx, zy, zz, px, py, pz)
@@ -133,7 +133,7 @@ def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis
     cosine = rates + n * BLOCK
     sine = cosine + BLOCK
     matrix = sine + BLOCK
-    rows = scratch(matrix // BLOCK + n * n)
+    rows = allocate_scratch(matrix // BLOCK + n * n)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
         gather(q, block, count, n, rows, angles // BLOCK)
@@ -160,7 +160,7 @@ def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis
 
 
 @kernel("F3 f")
-def orthonormal_rows(J, tolerance):
+def orthonormalise_rows(J, tolerance):
     """Make the rows of J (m, n, N) orthonormal, sample by sample, by Gram and Schmidt, twice.
 
     Rows that depend on those before them, to `tolerance` of their length, become zero.

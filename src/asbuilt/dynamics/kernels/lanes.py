@@ -60,7 +60,7 @@ def _broadcast(builder: Any, value: Any) -> Any:
     )
 
 
-def _type_of_pair(_context: Any) -> Any:
+def _infer_pair_type(_context: Any) -> Any:
     def typed(left: Any, right: Any) -> Any:
         pair = (left, right)
         return (
@@ -72,7 +72,7 @@ def _type_of_pair(_context: Any) -> Any:
     return typed
 
 
-def _type_of_negative(_context: Any) -> Any:
+def _infer_negative_type(_context: Any) -> Any:
     def typed(value: Any) -> Any:
         return lanes if value == lanes else None
 
@@ -96,21 +96,21 @@ for _operation, _instruction in (
     (operator.sub, "fsub"),
     (operator.mul, "fmul"),
 ):
-    type_callable(_operation)(_type_of_pair)
+    type_callable(_operation)(_infer_pair_type)
     for _pair in ((lanes, lanes), (lanes, types.float64), (types.float64, lanes)):
         lower_builtin(_operation, *_pair)(_lower_pair(_instruction))
-type_callable(operator.neg)(_type_of_negative)
+type_callable(operator.neg)(_infer_negative_type)
 lower_builtin(operator.neg, lanes)(_lower_negative)
 
 
-def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+def _locate_element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
 
 
 def _load(_typing: Any, array: Any, index: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load(_address(context, builder, signature.args[0], *args), align=8)
+        return builder.load(_locate_element(context, builder, signature.args[0], *args), align=8)
 
     return lanes(array, types.intp), generate
 
@@ -130,7 +130,9 @@ def _load_every(_typing: Any, array: Any, index: Any, step: Any) -> Any:
 
 def _store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.store(args[2], _address(context, builder, signature.args[0], *args[:2]), align=8)
+        builder.store(
+            args[2], _locate_element(context, builder, signature.args[0], *args[:2]), align=8
+        )
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), generate
@@ -157,7 +159,7 @@ def _exceeds(_typing: Any, value: Any, limit: Any) -> Any:
     return types.boolean(lanes, types.float64), generate
 
 
-def _by_quadrant(_typing: Any, quadrant: Any, even: Any, odd: Any, ahead: Any) -> Any:
+def _select_by_quadrant(_typing: Any, quadrant: Any, even: Any, odd: Any, ahead: Any) -> Any:
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         def constant(value: int) -> Any:
             return ir.Constant(_INTEGERS, [value] * LANES)
@@ -181,7 +183,7 @@ splat: Any = intrinsic(_splat)
 """`splat(number)`: the number in every lane."""
 exceeds: Any = intrinsic(_exceeds)
 """`exceeds(value, limit)`: whether any lane lies outside plus or minus `limit`."""
-by_quadrant: Any = intrinsic(_by_quadrant)
+by_quadrant: Any = intrinsic(_select_by_quadrant)
 """`by_quadrant(n, even, odd, ahead)`.
 
 `even` or `odd` by the last bit of n, negated where n + ahead has its second bit set.

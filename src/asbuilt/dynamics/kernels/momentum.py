@@ -14,7 +14,7 @@ from asbuilt.compilation import kernel, part
 
 
 @part
-def _into(placement, w, v, out):
+def _carry_twist_into(placement, w, v, out):
     """Write the twist (w, v) of a frame as the twist of a frame at `placement` in it."""
     x = v[0] + w[1] * placement[2, 3] - w[2] * placement[1, 3]
     y = v[1] + w[2] * placement[0, 3] - w[0] * placement[2, 3]
@@ -25,7 +25,7 @@ def _into(placement, w, v, out):
 
 
 @part
-def _out(placement, n, f, out):
+def _carry_momentum_out(placement, n, f, out):
     """Write the momentum (n, f) of a frame at `placement` as that about the frame it is in."""
     for k in range(3):
         out[k] = placement[k, 0] * n[0] + placement[k, 1] * n[1] + placement[k, 2] * n[2]
@@ -68,7 +68,7 @@ def momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
         for i in range(n):
             above = still if parents[i] < 0 else of_link[parents[i]]
             twist = at_joint[i]
-            _into(before[i], above[:3], above[3:], twist)
+            _carry_twist_into(before[i], above[:3], above[3:], twist)
             if revolute[i]:
                 _turn(np.cos(q[k, i]), -np.sin(q[k, i]), twist)
                 twist[2] += qd[k, i]
@@ -76,10 +76,10 @@ def momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
                 twist[3] += twist[1] * q[k, i]
                 twist[4] -= twist[0] * q[k, i]
                 twist[5] += qd[k, i]
-            _into(after[i], twist[:3], twist[3:], of_link[i])
+            _carry_twist_into(after[i], twist[:3], twist[3:], of_link[i])
             _link_momentum(chi[i], of_link[i], carried[i])
         for i in range(n - 1, -1, -1):
-            _out(after[i], carried[i, :3], carried[i, 3:], moved)
+            _carry_momentum_out(after[i], carried[i, :3], carried[i, 3:], moved)
             twist = at_joint[i]
             along = moved[3] * -twist[1] + moved[4] * twist[0]
             if revolute[i]:
@@ -93,7 +93,7 @@ def momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
                 moved[1] += q[k, i] * moved[3]
             gradient[k, i] = -along
             if parents[i] >= 0:
-                _out(before[i], moved[:3], moved[3:], at_joint[i])
+                _carry_momentum_out(before[i], moved[:3], moved[3:], at_joint[i])
                 for c in range(6):
                     carried[parents[i], c] += at_joint[i, c]
 

@@ -18,7 +18,7 @@ STACK = 16
 """Most values on the stack."""
 
 
-def operands(name: str) -> int:
+def count_operands(name: str) -> int:
     """Return the number of values that an operation takes from the stack."""
     code = OPERATIONS.index(name)
     return 0 if code < ADD else 2 if code < NEGATIVE else 1

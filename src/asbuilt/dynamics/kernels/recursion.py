@@ -92,7 +92,7 @@ class Layout:
                 write,
                 depth,
                 geometry.revolute[i],
-                *(_kind_of_placement(*side) for side in sides),
+                *(_classify_placement(*side) for side in sides),
             )
             if parent != ROOT:
                 chain[i, :depth] = chain[parent, :depth]
@@ -113,7 +113,7 @@ class Layout:
 
 
 @lru_cache(maxsize=16)
-def layout_of(model: RobotModel) -> Layout:
+def build_layout(model: RobotModel) -> Layout:
     """Return the layout of a robot, remembered for the robots used last.
 
     Raises `DescriptionError` for a robot with joints that follow others: its `tree` has a layout.
@@ -127,14 +127,14 @@ def layout_of(model: RobotModel) -> Layout:
     return Layout.of(model.geometry)
 
 
-def _kind_of_placement(rotation: Array, translation: Array) -> int:
+def _classify_placement(rotation: Array, translation: Array) -> int:
     if rotation[0, 0] != 1.0 or np.any(rotation[0, 1:]) or np.any(rotation[1:, 0]):
         return GENERAL
     return ABOUT_X if np.any(translation) or np.any(rotation != np.eye(3)) else NOTHING
 
 
 @part
-def scratch(blocks):
+def allocate_scratch(blocks):
     """Return uninitialised rows of one block each, aligned to a cache line."""
     memory = np.empty(blocks * BLOCK + LANES)
     first = (-(memory.ctypes.data // 8)) % LANES
@@ -210,7 +210,7 @@ def cross(ax, ay, az, bx, by, bz):
 
 
 @part
-def into(kind, p, o, x, y, z):
+def rotate_into(kind, p, o, x, y, z):
     """Return R^T v for the rotation at p[o:o+9]."""
     if kind == ABOUT_X:
         return x, y * p[o + 4] + z * p[o + 7], z * p[o + 8] + y * p[o + 5]
@@ -222,7 +222,7 @@ def into(kind, p, o, x, y, z):
 
 
 @part
-def out_of(kind, p, o, x, y, z):
+def rotate_out_of(kind, p, o, x, y, z):
     """Return R v for the rotation at p[o:o+9]."""
     if kind == ABOUT_X:
         return x, y * p[o + 4] + z * p[o + 5], z * p[o + 8] + y * p[o + 7]
@@ -234,7 +234,7 @@ def out_of(kind, p, o, x, y, z):
 
 
 @part
-def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
+def accelerate_point(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
     """Return a + dw x t + w x (w x t)."""
     cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
     ex, ey, ez = cross(wx, wy, wz, cx, cy, cz)
@@ -263,12 +263,12 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
         v, dv = load(rows, rate + at), load(rows, change + at)
         kind = code[BEFORE]
         if kind != NOTHING:
-            ax, ay, az = accelerated(
+            ax, ay, az = accelerate_point(
                 wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[9]), splat(p[10]), splat(p[11])
             )
-            wx, wy, wz = into(kind, p, 0, wx, wy, wz)
-            dx, dy, dz = into(kind, p, 0, dx, dy, dz)
-            ax, ay, az = into(kind, p, 0, ax, ay, az)
+            wx, wy, wz = rotate_into(kind, p, 0, wx, wy, wz)
+            dx, dy, dz = rotate_into(kind, p, 0, dx, dy, dz)
+            ax, ay, az = rotate_into(kind, p, 0, ax, ay, az)
         if code[REVOLUTE]:
             c, s = load(rows, cosine + at), load(rows, sine + at)
             wx, wy = wx * c + wy * s, wy * c - wx * s
@@ -279,16 +279,18 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
         else:
             q = load(rows, angle + at)
             v2 = v + v
-            ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, splat(0.0), splat(0.0), q)
+            ax, ay, az = accelerate_point(
+                wx, wy, wz, dx, dy, dz, ax, ay, az, splat(0.0), splat(0.0), q
+            )
             ax, ay, az = ax + wy * v2, ay - wx * v2, az + dv
         kind = code[AFTER]
         if kind != NOTHING:
-            ax, ay, az = accelerated(
+            ax, ay, az = accelerate_point(
                 wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[21]), splat(p[22]), splat(p[23])
             )
-            wx, wy, wz = into(kind, p, 12, wx, wy, wz)
-            dx, dy, dz = into(kind, p, 12, dx, dy, dz)
-            ax, ay, az = into(kind, p, 12, ax, ay, az)
+            wx, wy, wz = rotate_into(kind, p, 12, wx, wy, wz)
+            dx, dy, dz = rotate_into(kind, p, 12, dx, dy, dz)
+            ax, ay, az = rotate_into(kind, p, 12, ax, ay, az)
         w = write + at
         put(rows, w, wx, wy, wz)
         put(rows, w + 3 * BLOCK, dx, dy, dz)
@@ -308,8 +310,8 @@ def move_screws(code, p, rows, read, write, angle, cosine, sine):
                 mx, my, mz = vector(rows, r + 3 * BLOCK)
                 if before != NOTHING:
                     cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
-                    mx, my, mz = into(before, p, 0, mx + cx, my + cy, mz + cz)
-                    zx, zy, zz = into(before, p, 0, zx, zy, zz)
+                    mx, my, mz = rotate_into(before, p, 0, mx + cx, my + cy, mz + cz)
+                    zx, zy, zz = rotate_into(before, p, 0, zx, zy, zz)
                 if revolute:
                     c, s = load(rows, cosine + at), load(rows, sine + at)
                     zx, zy = zx * c + zy * s, zy * c - zx * s
@@ -322,8 +324,8 @@ def move_screws(code, p, rows, read, write, angle, cosine, sine):
                 zz, mz = (splat(1.0), splat(0.0)) if revolute else (splat(0.0), splat(1.0))
             if after != NOTHING:
                 cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
-                mx, my, mz = into(after, p, 12, mx + cx, my + cy, mz + cz)
-                zx, zy, zz = into(after, p, 12, zx, zy, zz)
+                mx, my, mz = rotate_into(after, p, 12, mx + cx, my + cy, mz + cz)
+                zx, zy, zz = rotate_into(after, p, 12, zx, zy, zz)
             w = write + o + at
             put(rows, w, zx, zy, zz)
             put(rows, w + 3 * BLOCK, mx, my, mz)

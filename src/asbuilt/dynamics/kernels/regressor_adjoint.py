@@ -16,7 +16,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
-from asbuilt.dynamics.batches import flat, inertial_parameters
+from asbuilt.dynamics.batches import flatten_array, inertial_parameters
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,
@@ -28,16 +28,16 @@ from asbuilt.dynamics.kernels.recursion import (
     REVOLUTE,
     STATE,
     add,
+    allocate_scratch,
+    build_layout,
     cross,
     gather,
     gather_states,
-    layout_of,
     move_link,
     move_screws,
-    out_of,
     put,
     rest,
-    scratch,
+    rotate_out_of,
     trigonometry,
     vector,
 )
@@ -105,7 +105,7 @@ def regressor_adjoint(
             position += np.einsum("si,sij->sj", parts[2], change.position)
             rate += 2.0 * np.einsum("si,sij->sj", parts[2], change.turning)
         return position, rate, acceleration
-    layout = layout_of(plan.model)
+    layout = build_layout(plan.model)
     out = tuple(np.empty((n_samples, n)) for _ in range(3))
     _adjoint(
         layout.codes,
@@ -113,11 +113,11 @@ def regressor_adjoint(
         layout.placements,
         layout.gravity,
         plan.places,
-        flat(weights),
+        flatten_array(weights),
         weights.shape[1],
-        flat(lam),
+        flatten_array(lam),
         chi,
-        *(flat(array) for array in states),
+        *(flatten_array(array) for array in states),
         n_samples,
         *(array.reshape(-1) for array in out),
     )
@@ -132,7 +132,7 @@ def _clear(rows, start, count):
 
 
 @part
-def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
+def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
     """Add the adjoints of `z . moment + m . force` of a link with ten rows of parameters.
 
     They belong to its state and to one screw.
@@ -197,7 +197,7 @@ def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
 
 
 @part
-def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
+def _differentiate_spin(bx, by, bz, wx, wy, wz, tx, ty, tz):
     """Return the derivative of b . (w x (w x t)) with respect to w."""
     wt, bw, bt = (
         wx * tx + wy * ty + wz * tz,
@@ -212,7 +212,7 @@ def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
 
 
 @part
-def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine, sine, bars):
+def _carry_state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine, sine, bars):
     """Carry the adjoint of w, dw, a of a link to its parent.
 
     The adjoints of its joint start in three rows: q, qd, qdd.
@@ -229,19 +229,19 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
         fx, fy, fz = vector(rows, b + 6 * BLOCK)
         if after != NOTHING:
             tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
-            wx, wy, wz = out_of(after, p, 12, wx, wy, wz)
-            dx, dy, dz = out_of(after, p, 12, dx, dy, dz)
-            ax, ay, az = out_of(after, p, 12, ax, ay, az)
+            wx, wy, wz = rotate_out_of(after, p, 12, wx, wy, wz)
+            dx, dy, dz = rotate_out_of(after, p, 12, dx, dy, dz)
+            ax, ay, az = rotate_out_of(after, p, 12, ax, ay, az)
             gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
             cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
             cx, cy, cz = cross(wx, wy, wz, cx, cy, cz)
             ax, ay, az = ax - gx - cx, ay - gy - cy, az - gz - cz
-            ox, oy, oz = out_of(after, p, 12, ox, oy, oz)
-            ex, ey, ez = out_of(after, p, 12, ex, ey, ez)
-            fx, fy, fz = out_of(after, p, 12, fx, fy, fz)
+            ox, oy, oz = rotate_out_of(after, p, 12, ox, oy, oz)
+            ex, ey, ez = rotate_out_of(after, p, 12, ex, ey, ez)
+            fx, fy, fz = rotate_out_of(after, p, 12, fx, fy, fz)
             cx, cy, cz = cross(tx, ty, tz, fx, fy, fz)
             ex, ey, ez = ex + cx, ey + cy, ez + cz
-            cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, tx, ty, tz)
+            cx, cy, cz = _differentiate_spin(fx, fy, fz, wx, wy, wz, tx, ty, tz)
             ox, oy, oz = ox + cx, oy + cy, oz + cz
         v = load(rows, angle + bars[3] + at)
         if code[REVOLUTE]:
@@ -263,18 +263,18 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
             store(rows, bars[0] + at, fx * dy - fy * dx + fw * wz - fz * ww)
             ex, ey = ex - q * fy, ey + q * fx
             v2 = v + v
-            cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, splat(0.0), splat(0.0), q)
+            cx, cy, cz = _differentiate_spin(fx, fy, fz, wx, wy, wz, splat(0.0), splat(0.0), q)
             ox, oy, oz = ox - v2 * fy + cx, oy + v2 * fx + cy, oz + cz
         if code[PARENT] >= 0:
             if before != NOTHING:
                 tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
-                ox, oy, oz = out_of(before, p, 0, ox, oy, oz)
-                ex, ey, ez = out_of(before, p, 0, ex, ey, ez)
-                fx, fy, fz = out_of(before, p, 0, fx, fy, fz)
+                ox, oy, oz = rotate_out_of(before, p, 0, ox, oy, oz)
+                ex, ey, ez = rotate_out_of(before, p, 0, ex, ey, ez)
+                fx, fy, fz = rotate_out_of(before, p, 0, fx, fy, fz)
                 cx, cy, cz = cross(tx, ty, tz, fx, fy, fz)
                 ex, ey, ez = ex + cx, ey + cy, ez + cz
                 wx, wy, wz = vector(rows, above + at)
-                cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, tx, ty, tz)
+                cx, cy, cz = _differentiate_spin(fx, fy, fz, wx, wy, wz, tx, ty, tz)
                 ox, oy, oz = ox + cx, oy + cy, oz + cz
             b = above_bar + at
             add(rows, b, ox, oy, oz)
@@ -283,7 +283,7 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
 
 
 @part
-def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine, bar):
+def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine, bar):
     """Carry the adjoints of the screws of the joints above to the parent link.
 
     Adds to the adjoint of q of the link's joint.
@@ -299,12 +299,12 @@ def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine
             nx, ny, nz = vector(rows, b + 3 * BLOCK)
             if after != NOTHING:
                 tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
-                zx, zy, zz = out_of(after, p, 12, zx, zy, zz)
-                mx, my, mz = out_of(after, p, 12, mx, my, mz)
+                zx, zy, zz = rotate_out_of(after, p, 12, zx, zy, zz)
+                mx, my, mz = rotate_out_of(after, p, 12, mx, my, mz)
                 cx, cy, cz = cross(zx, zy, zz, tx, ty, tz)
                 mx, my, mz = mx - cx, my - cy, mz - cz
-                ux, uy, uz = out_of(after, p, 12, ux, uy, uz)
-                nx, ny, nz = out_of(after, p, 12, nx, ny, nz)
+                ux, uy, uz = rotate_out_of(after, p, 12, ux, uy, uz)
+                nx, ny, nz = rotate_out_of(after, p, 12, nx, ny, nz)
                 cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
                 ux, uy, uz = ux + cx, uy + cy, uz + cz
             if code[REVOLUTE]:
@@ -318,8 +318,8 @@ def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine
                 ux, uy = ux - q * ny, uy + q * nx
             if before != NOTHING:
                 tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
-                ux, uy, uz = out_of(before, p, 0, ux, uy, uz)
-                nx, ny, nz = out_of(before, p, 0, nx, ny, nz)
+                ux, uy, uz = rotate_out_of(before, p, 0, ux, uy, uz)
+                nx, ny, nz = rotate_out_of(before, p, 0, nx, ny, nz)
                 cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
                 ux, uy, uz = ux + cx, uy + cy, uz + cz
             b = above_bar + o + at
@@ -354,7 +354,7 @@ def _adjoint(
     given = turns + 2 * n * BLOCK
     lam = given + 10 * BLOCK
     found = lam + n * BLOCK
-    rows = scratch(found // BLOCK + 3 * n)
+    rows = allocate_scratch(found // BLOCK + 3 * n)
     rest(rows, gravity)
     loaded = loads.size > 0
     place = np.empty(4, np.int64)
@@ -412,13 +412,13 @@ def _adjoint(
                                 row * stride + block + sample
                             ]
                 o = (STATE + 6 * d) * BLOCK
-                _own_terms(rows, state, state + o, state_bar, state_bar + o, given)
+                _add_own_terms(rows, state, state + o, state_bar, state_bar + o, given)
             above = codes[i, PARENT] + 1
             place[0] = found + i * BLOCK
             place[1] = found + (n + i) * BLOCK
             place[2] = found + (2 * n + i) * BLOCK
             place[3] = n * BLOCK
-            _state_back(
+            _carry_state_back(
                 codes[i],
                 placements[i],
                 rows,
@@ -431,7 +431,7 @@ def _adjoint(
                 turn + BLOCK,
                 place,
             )
-            _screws_back(
+            _carry_screws_back(
                 codes[i],
                 placements[i],
                 rows,

@@ -23,24 +23,24 @@ from asbuilt.dynamics.kernels.recursion import (
     REVOLUTE,
     STATE,
     WRITE,
-    accelerated,
+    accelerate_point,
     add,
+    allocate_scratch,
     cross,
     gather,
     gather_states,
-    into,
     move_link,
     move_screws,
-    out_of,
     put,
     rest,
-    scratch,
+    rotate_into,
+    rotate_out_of,
     trigonometry,
     vector,
 )
 
 TERMS = 21
-"""Rows that `_link_terms` writes."""
+"""Rows that `_write_link_terms` writes."""
 FORCE = 6
 """Rows of a force and a moment."""
 SCREW = 6
@@ -48,7 +48,7 @@ SCREW = 6
 
 
 @part
-def _link_terms(rows, state, terms):
+def _write_link_terms(rows, state, terms):
     """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
     for at in range(0, BLOCK, LANES):
         r, t = state + at, terms + at
@@ -66,12 +66,12 @@ def _link_terms(rows, state, terms):
 
 
 @part
-def _position(row, stride, start):
+def _locate_row(row, stride, start):
     return row * stride + start if row >= 0 else row
 
 
 @part
-def _columns_of_link(rows, screw, terms, places, out, stride, start):
+def _write_link_columns(rows, screw, terms, places, out, stride, start):
     """Write z . (moment) + m .
 
     (force) per unit of each parameter, for one joint and one link, where `places` names a row of
@@ -81,21 +81,21 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
     (Atkeson, An and Hollerbach, 1986).
     """
     o0, o1, o2 = (
-        _position(places[0], stride, start),
-        _position(places[1], stride, start),
-        _position(places[2], stride, start),
+        _locate_row(places[0], stride, start),
+        _locate_row(places[1], stride, start),
+        _locate_row(places[2], stride, start),
     )
     o3, o4, o5 = (
-        _position(places[3], stride, start),
-        _position(places[4], stride, start),
-        _position(places[5], stride, start),
+        _locate_row(places[3], stride, start),
+        _locate_row(places[4], stride, start),
+        _locate_row(places[5], stride, start),
     )
     o6, o7, o8 = (
-        _position(places[6], stride, start),
-        _position(places[7], stride, start),
-        _position(places[8], stride, start),
+        _locate_row(places[6], stride, start),
+        _locate_row(places[7], stride, start),
+        _locate_row(places[8], stride, start),
     )
-    o9 = _position(places[9], stride, start)
+    o9 = _locate_row(places[9], stride, start)
     for at in range(0, BLOCK, LANES):
         r, t = screw + at, terms + at
         zx, zy, zz = vector(rows, r)
@@ -167,7 +167,7 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
 
 
 @part
-def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
+def _write_regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
     """Run down the tree with the block in `rows` and write the chosen columns.
 
     They go into rows of `out` from position `start`.
@@ -187,9 +187,9 @@ def _regressor_block(codes, chain, placements, n_slots, places, rows, out, strid
             trigonometry(rows, angle, cosine, sine)
         move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
         move_screws(code, p, rows, read, write, angle, cosine, sine)
-        _link_terms(rows, write, terms)
+        _write_link_terms(rows, write, terms)
         for d in range(code[DEPTH] + 1):
-            _columns_of_link(
+            _write_link_columns(
                 rows,
                 write + (STATE + 6 * d) * BLOCK,
                 terms,
@@ -227,9 +227,9 @@ def regressor(
     neighbours can be moved by the vector.
     """
     n, by_sample = codes.shape[0], columns.size > 0
-    rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
+    rows = allocate_scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
     angles = n_slots * (STATE + 6 * n) + TERMS
-    tile = scratch(bounds[n - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
+    tile = allocate_scratch(bounds[n - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
     tile[:] = 0.0  # rows that the structure makes zero are not written
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
@@ -238,7 +238,9 @@ def regressor(
         at_once = count == BLOCK and not by_sample
         # one call, which is inlined and compiled once
         target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
-        _regressor_block(codes, chain, placements, n_slots, places, rows, target, stride, first)
+        _write_regressor_block(
+            codes, chain, placements, n_slots, places, rows, target, stride, first
+        )
         if not at_once:
             _write_tile(tile, bounds, columns, block, count, out, width)
 
@@ -306,8 +308,8 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
                 mx, my, mz = vector(rows, r + 3 * BLOCK)
                 if before != NOTHING:
                     cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
-                    mx, my, mz = into(before, p, 0, mx + cx, my + cy, mz + cz)
-                    zx, zy, zz = into(before, p, 0, zx, zy, zz)
+                    mx, my, mz = rotate_into(before, p, 0, mx + cx, my + cy, mz + cz)
+                    zx, zy, zz = rotate_into(before, p, 0, zx, zy, zz)
                 if revolute:
                     c, s = load(rows, cosine + at), load(rows, sine + at)
                     zx, zy = zx * c + zy * s, zy * c - zx * s
@@ -321,15 +323,15 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
                 mz = mz + load(rows, (shares + k) * BLOCK + at)
             if after != NOTHING:
                 cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
-                mx, my, mz = into(after, p, 12, mx + cx, my + cy, mz + cz)
-                zx, zy, zz = into(after, p, 12, zx, zy, zz)
+                mx, my, mz = rotate_into(after, p, 12, mx + cx, my + cy, mz + cz)
+                zx, zy, zz = rotate_into(after, p, 12, zx, zy, zz)
             w = write + o + at
             put(rows, w, zx, zy, zz)
             put(rows, w + 3 * BLOCK, mx, my, mz)
 
 
 @part
-def _coupled_block(codes, placements, n_slots, moves, places, rows, out, stride, start):
+def _write_coupled_block(codes, placements, n_slots, moves, places, rows, out, stride, start):
     """Run down the tree with the block of motion in `rows` and write the chosen columns."""
     n, m = codes.shape[0], moves.shape[1]
     slot = (STATE + SCREW * m) * BLOCK
@@ -348,11 +350,11 @@ def _coupled_block(codes, placements, n_slots, moves, places, rows, out, stride,
         move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
         above, own = moves[code[PARENT] + 1], moves[i + 1]
         _move_screws(code, p, rows, read, write, above, own, shares + i * m, angle, cosine, sine)
-        _link_terms(rows, write, terms)
+        _write_link_terms(rows, write, terms)
         for k in range(m):
             if own[k]:
                 screw = write + (STATE + SCREW * k) * BLOCK
-                _columns_of_link(rows, screw, terms, places[k, i], out, stride, start)
+                _write_link_columns(rows, screw, terms, places[k, i], out, stride, start)
 
 
 @kernel("i2 i2 f2 f1 i f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
@@ -388,8 +390,8 @@ def coupled_rows(
     by_sample = columns.size > 0
     angles = n_slots * (STATE + SCREW * m) + TERMS
     known = angles + 3 * n + 2
-    rows = scratch(known + n * m)
-    tile = scratch(bounds[m - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
+    rows = allocate_scratch(known + n * m)
+    tile = allocate_scratch(bounds[m - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
     tile[:] = 0.0  # rows that the structure makes zero are not written
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
@@ -400,7 +402,7 @@ def coupled_rows(
         at_once = count == BLOCK and not by_sample
         # one call, which is inlined and compiled once
         target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
-        _coupled_block(
+        _write_coupled_block(
             codes,
             placements,
             n_slots,
@@ -427,7 +429,7 @@ def _wrench(rows, state, force, chi):
         dx, dy, dz = vector(rows, r + 3 * BLOCK)
         ax, ay, az = vector(rows, r + 6 * BLOCK)
         hx, hy, hz, m = splat(chi[6]), splat(chi[7]), splat(chi[8]), chi[9]
-        fx, fy, fz = accelerated(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+        fx, fy, fz = accelerate_point(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
         lx = wx * chi[0] + wy * chi[1] + wz * chi[2]
         ly = wx * chi[1] + wy * chi[3] + wz * chi[4]
         lz = wx * chi[2] + wy * chi[4] + wz * chi[5]
@@ -448,8 +450,8 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
         fx, fy, fz = vector(rows, f)
         nx, ny, nz = vector(rows, f + 3 * BLOCK)
         if code[AFTER] != NOTHING:
-            fx, fy, fz = out_of(code[AFTER], p, 12, fx, fy, fz)
-            nx, ny, nz = out_of(code[AFTER], p, 12, nx, ny, nz)
+            fx, fy, fz = rotate_out_of(code[AFTER], p, 12, fx, fy, fz)
+            nx, ny, nz = rotate_out_of(code[AFTER], p, 12, nx, ny, nz)
             cx, cy, cz = cross(splat(p[21]), splat(p[22]), splat(p[23]), fx, fy, fz)
             nx, ny, nz = nx + cx, ny + cy, nz + cz
         store(rows, torque + at, nz if code[REVOLUTE] else fz)
@@ -462,8 +464,8 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
                 q = load(rows, angle + at)
                 nx, ny = nx - fy * q, ny + fx * q
             if code[BEFORE] != NOTHING:
-                fx, fy, fz = out_of(code[BEFORE], p, 0, fx, fy, fz)
-                nx, ny, nz = out_of(code[BEFORE], p, 0, nx, ny, nz)
+                fx, fy, fz = rotate_out_of(code[BEFORE], p, 0, fx, fy, fz)
+                nx, ny, nz = rotate_out_of(code[BEFORE], p, 0, nx, ny, nz)
                 cx, cy, cz = cross(splat(p[9]), splat(p[10]), splat(p[11]), fx, fy, fz)
                 nx, ny, nz = nx + cx, ny + cy, nz + cz
             f = parent_force + at
@@ -483,7 +485,7 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
     angles = forces + n * FORCE * BLOCK
     turns = angles + 3 * n * BLOCK
     torques = turns + 2 * n * BLOCK
-    rows = scratch(torques // BLOCK + n)
+    rows = allocate_scratch(torques // BLOCK + n)
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)

@@ -24,10 +24,10 @@ from asbuilt.dynamics.kernels.recursion import (
     NOTHING,
     PARENT,
     REVOLUTE,
-    accelerated,
+    accelerate_point,
     cross,
-    into,
-    out_of,
+    rotate_into,
+    rotate_out_of,
 )
 from asbuilt.dynamics.kernels.stack_machine import run
 
@@ -54,10 +54,12 @@ def _move(codes, i, p, o, q, c, s, v, dv, x):
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
     kind = codes[i + BEFORE]
     if kind != NOTHING:
-        ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 9], p[o + 10], p[o + 11])
-        wx, wy, wz = into(kind, p, o, wx, wy, wz)
-        dx, dy, dz = into(kind, p, o, dx, dy, dz)
-        ax, ay, az = into(kind, p, o, ax, ay, az)
+        ax, ay, az = accelerate_point(
+            wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 9], p[o + 10], p[o + 11]
+        )
+        wx, wy, wz = rotate_into(kind, p, o, wx, wy, wz)
+        dx, dy, dz = rotate_into(kind, p, o, dx, dy, dz)
+        ax, ay, az = rotate_into(kind, p, o, ax, ay, az)
     if codes[i + REVOLUTE]:
         wx, wy = wx * c + wy * s, wy * c - wx * s
         dx, dy = dx * c + dy * s, dy * c - dx * s
@@ -65,16 +67,16 @@ def _move(codes, i, p, o, q, c, s, v, dv, x):
         dx, dy, dz = dx + wy * v, dy - wx * v, dz + dv
         wz = wz + v
     else:
-        ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, 0.0, 0.0, q)
+        ax, ay, az = accelerate_point(wx, wy, wz, dx, dy, dz, ax, ay, az, 0.0, 0.0, q)
         ax, ay, az = ax + 2.0 * wy * v, ay - 2.0 * wx * v, az + dv
     kind = codes[i + AFTER]
     if kind != NOTHING:
-        ax, ay, az = accelerated(
+        ax, ay, az = accelerate_point(
             wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 21], p[o + 22], p[o + 23]
         )
-        wx, wy, wz = into(kind, p, o + 12, wx, wy, wz)
-        dx, dy, dz = into(kind, p, o + 12, dx, dy, dz)
-        ax, ay, az = into(kind, p, o + 12, ax, ay, az)
+        wx, wy, wz = rotate_into(kind, p, o + 12, wx, wy, wz)
+        dx, dy, dz = rotate_into(kind, p, o + 12, dx, dy, dz)
+        ax, ay, az = rotate_into(kind, p, o + 12, ax, ay, az)
     return wx, wy, wz, dx, dy, dz, ax, ay, az
 
 
@@ -83,7 +85,7 @@ def _wrench_of(p, o, x):
     """Return force and moment about the link origin that the motion `x` of a link requires."""
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
     hx, hy, hz, m = p[o + 6], p[o + 7], p[o + 8], p[o + 9]
-    fx, fy, fz = accelerated(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+    fx, fy, fz = accelerate_point(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
     lx = wx * p[o] + wy * p[o + 1] + wz * p[o + 2]
     ly = wx * p[o + 1] + wy * p[o + 3] + wz * p[o + 4]
     lz = wx * p[o + 2] + wy * p[o + 4] + wz * p[o + 5]
@@ -104,8 +106,8 @@ def _to_joint(codes, i, p, o, f):
     """Return a wrench in link axes about the link origin as one in the axes of the joint."""
     fx, fy, fz, nx, ny, nz = f
     if codes[i + AFTER] != NOTHING:
-        fx, fy, fz = out_of(codes[i + AFTER], p, o + 12, fx, fy, fz)
-        nx, ny, nz = out_of(codes[i + AFTER], p, o + 12, nx, ny, nz)
+        fx, fy, fz = rotate_out_of(codes[i + AFTER], p, o + 12, fx, fy, fz)
+        nx, ny, nz = rotate_out_of(codes[i + AFTER], p, o + 12, nx, ny, nz)
         cx, cy, cz = cross(p[o + 21], p[o + 22], p[o + 23], fx, fy, fz)
         nx, ny, nz = nx + cx, ny + cy, nz + cz
     return fx, fy, fz, nx, ny, nz
@@ -121,15 +123,15 @@ def _to_parent(codes, i, p, o, q, c, s, f):
     else:
         nx, ny = nx - fy * q, ny + fx * q
     if codes[i + BEFORE] != NOTHING:
-        fx, fy, fz = out_of(codes[i + BEFORE], p, o, fx, fy, fz)
-        nx, ny, nz = out_of(codes[i + BEFORE], p, o, nx, ny, nz)
+        fx, fy, fz = rotate_out_of(codes[i + BEFORE], p, o, fx, fy, fz)
+        nx, ny, nz = rotate_out_of(codes[i + BEFORE], p, o, nx, ny, nz)
         cx, cy, cz = cross(p[o + 9], p[o + 10], p[o + 11], fx, fy, fz)
         nx, ny, nz = nx + cx, ny + cy, nz + cz
     return fx, fy, fz, nx, ny, nz
 
 
 @part
-def _finite(n, q, qd, qdd):
+def _is_finite(n, q, qd, qdd):
     if q.size != n or qd.size != n or qdd.size != n:
         return False
     total = 0.0
@@ -139,7 +141,7 @@ def _finite(n, q, qd, qdd):
 
 
 @part
-def _trigonometry(n, q, cosines, sines):
+def _write_cosines_and_sines(n, q, cosines, sines):
     """Write cosines and sines of all positions.
 
     Not by `sine_cosine`: after a single 512-bit instruction some processors run slower for a while.
@@ -152,12 +154,12 @@ def _trigonometry(n, q, cosines, sines):
 def torque(codes, numbers, q, qd, qdd, out):
     """Write the joint torques of rigid bodies and drives (Luh, Walker and Paul, 1980)."""
     n = out.size
-    if not _finite(n, q, qd, qdd):
+    if not _is_finite(n, q, qd, qdd):
         return False
     work = numbers[numbers.size - WORK_PER_LINK * n - MORE_WORK :]
     cosines, sines, states = work, work[n:], work[2 * n :]
     wrenches = states[STATE * n :]
-    _trigonometry(n, q, cosines, sines)
+    _write_cosines_and_sines(n, q, cosines, sines)
     g = PER_LINK * n
     root = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -numbers[g], -numbers[g + 1], -numbers[g + 2])
     for i in range(n):
@@ -208,21 +210,21 @@ def torque(codes, numbers, q, qd, qdd, out):
 
 
 @part
-def _turned(p, o, b, at):
+def _turn_parameters(p, o, b, at):
     """Return parameters b[at:at+10] in axes turned by R = p[o:o+9]: `R I R^T`, `R h`, m."""
     general = np.int64(GENERAL)
-    ax, ay, az = out_of(general, p, o, b[at], b[at + 1], b[at + 2])
-    bx, by, bz = out_of(general, p, o, b[at + 1], b[at + 3], b[at + 4])
-    cx, cy, cz = out_of(general, p, o, b[at + 2], b[at + 4], b[at + 5])
-    xx, xy, xz = out_of(general, p, o, ax, bx, cx)
-    _, yy, yz = out_of(general, p, o, ay, by, cy)
-    _, _, zz = out_of(general, p, o, az, bz, cz)
-    hx, hy, hz = out_of(general, p, o, b[at + 6], b[at + 7], b[at + 8])
+    ax, ay, az = rotate_out_of(general, p, o, b[at], b[at + 1], b[at + 2])
+    bx, by, bz = rotate_out_of(general, p, o, b[at + 1], b[at + 3], b[at + 4])
+    cx, cy, cz = rotate_out_of(general, p, o, b[at + 2], b[at + 4], b[at + 5])
+    xx, xy, xz = rotate_out_of(general, p, o, ax, bx, cx)
+    _, yy, yz = rotate_out_of(general, p, o, ay, by, cy)
+    _, _, zz = rotate_out_of(general, p, o, az, bz, cz)
+    hx, hy, hz = rotate_out_of(general, p, o, b[at + 6], b[at + 7], b[at + 8])
     return xx, xy, xz, yy, yz, zz, hx, hy, hz, b[at + 9]
 
 
 @part
-def _shifted(x, y, z, b):
+def _shift_parameters(x, y, z, b):
     """Return inertial parameters about an origin from which the old one lies at t = (x, y, z).
 
     `I + 2 (h . t) 1 - h t^T - t h^T + m (|t|^2 1 - t t^T)` and `h + m t`.
@@ -250,7 +252,7 @@ def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
         x, y, z, at = frames[r], frames[r + 1], frames[r + 2], frames[parent + 9 + k]
         if code[i + BEFORE] != NOTHING:
             at += x * p[o + 9] + y * p[o + 10] + z * p[o + 11]
-            x, y, z = into(code[i + BEFORE], p, o, x, y, z)
+            x, y, z = rotate_into(code[i + BEFORE], p, o, x, y, z)
         screw[k], screw[3 + k] = z, at
         if code[i + REVOLUTE]:
             x, y = x * c + y * s, y * c - x * s
@@ -258,7 +260,7 @@ def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
             at += z * q
         if code[i + AFTER] != NOTHING:
             at += x * p[o + 21] + y * p[o + 22] + z * p[o + 23]
-            x, y, z = into(code[i + AFTER], p, o + 12, x, y, z)
+            x, y, z = rotate_into(code[i + AFTER], p, o + 12, x, y, z)
         frames[f + 3 * k], frames[f + 3 * k + 1], frames[f + 3 * k + 2] = x, y, z
         frames[f + 9 + k] = at
     zx, zy, zz = screw[0], screw[1], screw[2]
@@ -276,20 +278,20 @@ def mass_matrix(codes, numbers, q, out):
     Screws and composite inertias are those about the root origin (Walker and Orin, 1982).
     """
     n = out.shape[0]
-    if not _finite(n, q, q, q):
+    if not _is_finite(n, q, q, q):
         return False
     work = numbers[numbers.size - WORK_PER_LINK * n - MORE_WORK :]
     cosines, sines, frames = work, work[n:], work[2 * n :]
     bodies, screws = frames[12 * n + 12 :], frames[22 * n + 12 :]
-    _trigonometry(n, q, cosines, sines)
+    _write_cosines_and_sines(n, q, cosines, sines)
     for k in range(12):
         frames[k] = 1.0 if k % 4 == 0 and k < 9 else 0.0
     for i in range(n):
         o, f = PER_LINK * i, 12 * i + 12
         above, c, s = 12 * codes[CODES * i + PARENT] + 12, cosines[i], sines[i]
         _place(codes, CODES * i, numbers, o, q[i], c, s, above, frames, f, screws[6 * i :])
-        b = _turned(frames, f, numbers, o + CHI)
-        b = _shifted(frames[f + 9], frames[f + 10], frames[f + 11], b)
+        b = _turn_parameters(frames, f, numbers, o + CHI)
+        b = _shift_parameters(frames[f + 9], frames[f + 10], frames[f + 11], b)
         for k in range(10):
             bodies[10 * i + k] = b[k]
     for i in range(n - 1, -1, -1):

@@ -65,13 +65,13 @@ def run(program, first, numbers, constants, q, qd, qdd, load, stack, out):
             stack[top] = load[joint]
         elif operation < NEGATIVE:
             top -= 1
-            stack[top] = _binary(operation, stack[top], stack[top + 1])
+            stack[top] = _apply_binary(operation, stack[top], stack[top + 1])
         else:
-            stack[top] = _unary(operation, stack[top])
+            stack[top] = _apply_unary(operation, stack[top])
 
 
 @part
-def _binary(operation, a, b):
+def _apply_binary(operation, a, b):
     if operation == ADD:
         return a + b
     if operation == SUBTRACT:
@@ -90,7 +90,7 @@ def _binary(operation, a, b):
 
 
 @part
-def _unary(operation, x):
+def _apply_unary(operation, x):
     if operation == NEGATIVE:
         return -x
     if operation == ABS:

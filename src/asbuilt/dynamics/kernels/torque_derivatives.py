@@ -15,18 +15,18 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.batches import flat, joint_samples
+from asbuilt.dynamics.batches import flatten_array, shape_joint_samples
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     BLOCK,
     DEPTH,
     PARENT,
     REVOLUTE,
+    allocate_scratch,
+    build_layout,
     cross,
     gather_states,
-    layout_of,
     put,
-    scratch,
     trigonometry,
     vector,
 )
@@ -62,7 +62,7 @@ def torque_derivatives(
     Russell and Wensing (2022), the Coriolis sums written with the first moment of the momentum, so
     that a body takes 28 numbers.
     """
-    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
+    qs, qds, qdds = shape_joint_samples(model, q=q, qd=qd, qdd=qdd)
     samples, n = qs.shape
     sets = np.asarray(
         model.parameters[None] if parameters is None else parameters, dtype=np.float64
@@ -90,10 +90,10 @@ def torque_derivatives(
                 tau = inverse_dynamics(model.tree, *state, parameters=chi)
                 found[:, b, ..., 0] += np.einsum("ai,aikl->akl", tau, change.second)
         return np.asarray(found)
-    layout = layout_of(model)
+    layout = build_layout(model)
     out = np.zeros((samples, len(sets), n, n, 3))
     chi = np.ascontiguousarray(sets).reshape(len(sets), n, 10)
-    inputs = flat(qs), flat(qds), flat(qdds)
+    inputs = flatten_array(qs), flatten_array(qds), flatten_array(qdds)
     _derivatives(
         layout.codes,
         layout.chain,
@@ -113,7 +113,7 @@ def _dot(ax, ay, az, bx, by, bz):
 
 
 @part
-def _turned(rows, at, p, o, to):
+def _turn_rotation(rows, at, p, o, to):
     """Write R P for the rotation R in nine rows and the rotation P at p[o:o+9]."""
     for row in range(3):
         x, y, z = vector(rows, at + 3 * row * BLOCK)
@@ -126,7 +126,7 @@ def _turned(rows, at, p, o, to):
 
 
 @part
-def _moved(rows, at, x, y, z):
+def _rotate_vector(rows, at, x, y, z):
     """Return R (x, y, z) for the rotation in nine rows."""
     return (
         load(rows, at) * x + load(rows, at + BLOCK) * y + load(rows, at + 2 * BLOCK) * z,
@@ -140,7 +140,7 @@ def _moved(rows, at, x, y, z):
 
 
 @part
-def _rest(rows, gravity):
+def _hold_root_still(rows, gravity):
     """Let the root stand still at the origin and accelerate against free fall."""
     for at in range(0, BLOCK, LANES):
         for row in range(MOTION):
@@ -155,10 +155,10 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
     """Write the motion of a link from its parent's motion."""
     for at in range(0, BLOCK, LANES):
         u, r = above + at, own + at
-        x, y, z = _moved(rows, u + POSE * BLOCK, splat(p[9]), splat(p[10]), splat(p[11]))
+        x, y, z = _rotate_vector(rows, u + POSE * BLOCK, splat(p[9]), splat(p[10]), splat(p[11]))
         px, py, pz = vector(rows, u + PLACE * BLOCK)
         px, py, pz = px + x, py + y, pz + z
-        _turned(rows, u + POSE * BLOCK, p, np.int64(0), r + POSE * BLOCK)
+        _turn_rotation(rows, u + POSE * BLOCK, p, np.int64(0), r + POSE * BLOCK)
         zx, zy, zz = load(rows, r + 2 * BLOCK), load(rows, r + 5 * BLOCK), load(rows, r + 8 * BLOCK)
         if code[REVOLUTE]:
             sx, sy, sz = zx, zy, zz
@@ -174,9 +174,9 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
             tx, ty, tz = zx, zy, zz
             d = load(rows, angle + at)
             px, py, pz = px + zx * d, py + zy * d, pz + zz * d
-        x, y, z = _moved(rows, r + POSE * BLOCK, splat(p[21]), splat(p[22]), splat(p[23]))
+        x, y, z = _rotate_vector(rows, r + POSE * BLOCK, splat(p[21]), splat(p[22]), splat(p[23]))
         put(rows, r + PLACE * BLOCK, px + x, py + y, pz + z)
-        _turned(rows, r + POSE * BLOCK, p, np.int64(12), r + POSE * BLOCK)
+        _turn_rotation(rows, r + POSE * BLOCK, p, np.int64(12), r + POSE * BLOCK)
         put(rows, r + SCREW * BLOCK, sx, sy, sz)
         put(rows, r + (SCREW + 3) * BLOCK, tx, ty, tz)
 
@@ -226,7 +226,9 @@ def _embody(rows, motion, body, chi):
         r, b = motion + at, body + at
         m = chi[9]
         px, py, pz = vector(rows, r + PLACE * BLOCK)
-        cx, cy, cz = _moved(rows, r + POSE * BLOCK, splat(chi[6]), splat(chi[7]), splat(chi[8]))
+        cx, cy, cz = _rotate_vector(
+            rows, r + POSE * BLOCK, splat(chi[6]), splat(chi[7]), splat(chi[8])
+        )
         xx, xy, xz = vector(rows, r + POSE * BLOCK)
         yx, yy, yz = vector(rows, r + (POSE + 3) * BLOCK)
         zx, zy, zz = vector(rows, r + (POSE + 6) * BLOCK)
@@ -298,7 +300,7 @@ def _add(rows, source, target):
 
 
 @part
-def _pairs(code, chain, rows, motions, body, i, n, tile):
+def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
     """Write the derivatives between a joint and those above it.
 
     Three rows for each pair (k, j), of d tau_k with respect to joint j.
@@ -397,8 +399,8 @@ def _derivatives(codes, chain, placements, gravity, chi, q, qd, qdd, n_samples, 
     tile = bodies + n * BODY * BLOCK
     angles = tile + 3 * n * n * BLOCK
     turns = angles + 3 * n * BLOCK
-    rows = scratch(turns // BLOCK + 2)
-    _rest(rows, gravity)
+    rows = allocate_scratch(turns // BLOCK + 2)
+    _hold_root_still(rows, gravity)
     rows[tile:angles] = 0.0
     for block in range(0, n_samples, BLOCK):
         count = min(BLOCK, n_samples - block)
@@ -428,7 +430,7 @@ def _derivatives(codes, chain, placements, gravity, chi, q, qd, qdd, n_samples, 
                 _embody(rows, motions + i * MOTION * BLOCK, bodies + i * BODY * BLOCK, chi[one, i])
             for i in range(n - 1, -1, -1):
                 body = bodies + i * BODY * BLOCK
-                _pairs(codes[i], chain[i], rows, motions, body, i, n, tile)
+                _differentiate_pairs(codes[i], chain[i], rows, motions, body, i, n, tile)
                 if codes[i, PARENT] >= 0:
                     _add(rows, body, bodies + codes[i, PARENT] * BODY * BLOCK)
             for sample in range(count):

@@ -14,11 +14,11 @@ from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, Val
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.appearance import link_solids
-from asbuilt.description.formats.xml import described_text, extents, numbers, parsed_xml
+from asbuilt.description.formats.xml import described_text, parse_xml, read_extents, read_numbers
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.errors import DescriptionError, MissingExtraError
-from asbuilt.untrusted import parsed_toml, read_text, reason
+from asbuilt.untrusted import describe_problem, parse_toml, read_text
 
 CLEARANCE = 0.02
 """Default distance between bodies [m]."""
@@ -120,7 +120,7 @@ class _SurroundingsFile(_Table):
     allowed: list[tuple[str, str]] = []
 
 
-def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
+def build_surroundings(model: RobotModel, source: str | Path) -> Surroundings:
     """Return the bodies that a design must keep apart.
 
     `skeleton` or `skeleton:RADIUS`, the geometry of a URDF file, or a TOML file.
@@ -137,12 +137,12 @@ def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
             raise DescriptionError(
                 f"skeleton:RADIUS takes a radius in metres, got {text!r}"
             ) from None
-        return Surroundings(skeleton_capsules(model, radius))
+        return Surroundings(build_skeleton_capsules(model, radius))
     path = Path(text)
     if path.suffix.lower() in (".urdf", ".xml"):
-        return Surroundings(urdf_capsules(model, path))
+        return Surroundings(read_urdf_capsules(model, path))
     try:
-        content = parsed_toml(read_text(path, "collision file", DescriptionError))
+        content = parse_toml(read_text(path, "collision file", DescriptionError))
         file = _SurroundingsFile.model_validate(content)
     except ValidationError as problem:
         first = problem.errors()[0]
@@ -151,16 +151,19 @@ def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
         ) from None
     except (ValueError, DescriptionError) as problem:
         raise DescriptionError(
-            f"{path} cannot be read: {reason(problem)}; give skeleton, skeleton:RADIUS, a .urdf or"
+            f"{path} cannot be read: {describe_problem(problem)}; give skeleton, skeleton:RADIUS,"
+            " a .urdf or"
             " a .toml file"
         ) from None
     return _from_file(model, file, path)
 
 
 def _from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surroundings:
-    capsules = list(skeleton_capsules(model, file.skeleton)) if file.skeleton is not None else []
+    capsules = (
+        list(build_skeleton_capsules(model, file.skeleton)) if file.skeleton is not None else []
+    )
     for table in file.capsules:
-        link, pose = _carrier(model, table.link, path)
+        link, pose = _find_carrier(model, table.link, path)
         ends = [pose[:3, :3] @ np.array(end) + pose[:3, 3] for end in (table.start, table.stop)]
         if not table.radius > 0:
             raise DescriptionError(
@@ -187,12 +190,12 @@ def _from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surrou
             Obstacle("floor", size, placement(np.eye(3), [0.0, 0.0, file.floor - FLOOR_DEPTH / 2]))
         )
     allowed = frozenset(
-        frozenset(_carrier(model, name, path)[0] for name in pair) for pair in file.allowed
+        frozenset(_find_carrier(model, name, path)[0] for name in pair) for pair in file.allowed
     )
     return Surroundings(tuple(capsules), tuple(obstacles), allowed, file.clearance)
 
 
-def skeleton_capsules(model: RobotModel, radius: float | None = None) -> tuple[Capsule, ...]:
+def build_skeleton_capsules(model: RobotModel, radius: float | None = None) -> tuple[Capsule, ...]:
     """Return a capsule along each rod of the robot's stick figure.
 
     With a `radius` [m], all are that thick.
@@ -206,7 +209,7 @@ def skeleton_capsules(model: RobotModel, radius: float | None = None) -> tuple[C
     )
 
 
-def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
+def read_urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
     """Return a capsule around each `<collision>` geometry of a URDF file.
 
     Boxes, cylinders, spheres, and meshes that can be found.
@@ -216,8 +219,8 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
     content, source = described_text(path)
     found: list[Capsule] = []
     missing: list[str] = []
-    for element in parsed_xml(content, source).findall("link"):
-        link, pose = _carrier(model, element.get("name", ""), Path(source))
+    for element in parse_xml(content, source).findall("link"):
+        link, pose = _find_carrier(model, element.get("name", ""), Path(source))
         for collision in element.findall("collision"):
             origin, geometry = collision.find("origin"), collision.find("geometry")
             if geometry is None or not len(geometry):
@@ -225,12 +228,14 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
             place = f"{source}, link {element.get('name')!r}, collision"
             own = np.eye(4)
             if origin is not None:
-                rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") else [0.0, 0.0, 0.0]
+                rpy = (
+                    read_numbers(origin, "rpy", 3, place) if origin.get("rpy") else [0.0, 0.0, 0.0]
+                )
                 own = placement(
                     rotation_from_rpy(rpy),
-                    numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0],
+                    read_numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0],
                 )
-            points = _points(geometry[0], place, Path(source).parent)
+            points = _find_points(geometry[0], place, Path(source).parent)
             if points is None:
                 missing.append(geometry[0].get("filename", f"<{geometry[0].tag}>"))
             else:
@@ -249,23 +254,23 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
     return tuple(found)
 
 
-def _points(shape: Any, place: str, folder: Path) -> Array | None:
+def _find_points(shape: Any, place: str, folder: Path) -> Array | None:
     """Return points whose capsule holds the shape, in its own frame."""
     around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     if shape.tag == "box":
-        half = np.array(extents(shape, "size", 3, place)) / 2
+        half = np.array(read_extents(shape, "size", 3, place)) / 2
         return np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
     if shape.tag == "cylinder":
         (radius,), (length,) = (
-            extents(shape, "radius", 1, place),
-            extents(shape, "length", 1, place),
+            read_extents(shape, "radius", 1, place),
+            read_extents(shape, "length", 1, place),
         )
         ring = radius * np.column_stack([np.cos(around), np.sin(around)])
         return np.vstack(
             [np.column_stack([ring, np.full(24, z)]) for z in (-length / 2, length / 2)]
         )
     if shape.tag == "sphere":
-        return extents(shape, "radius", 1, place)[0] * np.vstack([np.eye(3), -np.eye(3)])
+        return read_extents(shape, "radius", 1, place)[0] * np.vstack([np.eye(3), -np.eye(3)])
     if shape.tag != "mesh":
         return None
     name = shape.get("filename", "")
@@ -291,11 +296,11 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
             f"{place}: the mesh {file} has no vertices; give skeleton:RADIUS or a TOML file with"
             " capsules"
         )
-    scale = np.array(numbers(shape, "scale", 3, place)) if shape.get("scale") else np.ones(3)
+    scale = np.array(read_numbers(shape, "scale", 3, place)) if shape.get("scale") else np.ones(3)
     return vertices * scale
 
 
-def _carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
+def _find_carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
     """Return the moving link (or `ROOT`) that carries a link or frame, and its pose in it."""
     if name in model.link_names:
         return model.link_names.index(name), np.eye(4)
@@ -309,6 +314,6 @@ def _carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
     )
 
 
-def neighbours(model: RobotModel) -> frozenset[frozenset[int]]:
+def list_neighbours(model: RobotModel) -> frozenset[frozenset[int]]:
     """Return the pairs of links joined by a joint."""
     return frozenset(frozenset((i, parent)) for i, parent in enumerate(model.parents))

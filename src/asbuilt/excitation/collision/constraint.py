@@ -12,9 +12,9 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.collision.capsules import Surroundings, neighbours, surroundings
-from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_to_box
-from asbuilt.excitation.information.information import random_states
+from asbuilt.excitation.collision.capsules import Surroundings, build_surroundings, list_neighbours
+from asbuilt.excitation.collision.distances import find_nearest_on_segments, find_nearest_to_box
+from asbuilt.excitation.information.information import draw_states
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.point_to_point import CHECK_RATE
@@ -43,7 +43,7 @@ class CollisionGuard(StateConstraint):
 
     def __init__(self, model: RobotModel, bodies: Surroundings) -> None:
         self._model, self._bodies = model, bodies
-        joined = neighbours(model) | bodies.allowed
+        joined = list_neighbours(model) | bodies.allowed
         links = [capsule.link for capsule in bodies.capsules]
         self.pairs = [
             (a, b)
@@ -57,7 +57,7 @@ class CollisionGuard(StateConstraint):
             if links[a] != ROOT
         ]
         # Random poses in which it is found which bodies always touch.
-        poses = random_states(MotionBounds.assumed(model), 200, np.random.default_rng(0))[0]
+        poses = draw_states(MotionBounds.assumed(model), 200, np.random.default_rng(0))[0]
         # Share of random poses above which a pair closer than the clearance touches by
         # construction.
         close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > 0.9
@@ -85,7 +85,7 @@ class CollisionGuard(StateConstraint):
         distances, points, normals = self._distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
-        axes, origins = _joint_axes(self._model, q)
+        axes, origins = _place_joint_axes(self._model, q)
         joints = self._model.moving_joints
         shares = self._model.link_shares
         for number, (a, b) in enumerate(self.pairs):
@@ -148,7 +148,7 @@ class CollisionGuard(StateConstraint):
                 for bodies in (first, second)
                 for part in (0, 1)
             ]
-            near = [point.reshape(samples, -1, 3) for point in nearest_on_segments(*stacks)]
+            near = [point.reshape(samples, -1, 3) for point in find_nearest_on_segments(*stacks)]
             apart = near[1] - near[0]
             size = np.sqrt((apart**2).sum(axis=2))
             radii = [
@@ -162,7 +162,7 @@ class CollisionGuard(StateConstraint):
             if b >= n_capsules:
                 obstacle = self._bodies.obstacles[b - n_capsules]
                 rotation, middle = obstacle.pose[:3, :3], obstacle.pose[:3, 3]
-                point, distance, normal = nearest_to_box(
+                point, distance, normal = find_nearest_to_box(
                     (ends[a][0] - middle) @ rotation, ends[a][1] @ rotation, obstacle.size / 2
                 )
                 distances[:, number] = distance - self._bodies.capsules[a].radius
@@ -217,7 +217,7 @@ class ToolBox(StateConstraint):
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the place by q, (N, 3, n, 1)."""
         place = self._places(q)
-        axes, origins = _joint_axes(self._model, q)
+        axes, origins = _place_joint_axes(self._model, q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
         shares = self._model.link_shares
         for k in self._model.ancestors(self._link):
@@ -243,7 +243,7 @@ class ToolBox(StateConstraint):
         return place
 
 
-def constraints_of(
+def build_constraints(
     model: RobotModel,
     *,
     collision: str | None = None,
@@ -253,7 +253,7 @@ def constraints_of(
     """Return the constraints for bodies and for a box of the tool; arguments of `DesignOptions`."""
     found: list[StateConstraint] = []
     if collision is not None:
-        found.append(CollisionGuard(model, surroundings(model, collision)))
+        found.append(CollisionGuard(model, build_surroundings(model, collision)))
     if tool_box:
         if len(tool_box) != 6:
             raise UsageError(
@@ -270,12 +270,12 @@ def skeleton_distance(model: RobotModel, q: Array) -> float | None:
     None if it has no capsules that could meet.
     """
     try:
-        return CollisionGuard(model, surroundings(model, "skeleton")).smallest_distance(q)
+        return CollisionGuard(model, build_surroundings(model, "skeleton")).smallest_distance(q)
     except MotionError:
         return None
 
 
-def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
+def _place_joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return the direction of each link's joint axis and a point on it, both (N, n_links, 3).
 
     In the root frame.
@@ -305,7 +305,7 @@ class Clearance:
     left_out: tuple[str, ...] = ()
 
 
-def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance:
+def measure_clearance(model: RobotModel, motion: Motion, source: str) -> Clearance:
     """Return the smallest distance on a 1 kHz grid between the bodies of `source`.
 
     Raises
@@ -313,7 +313,7 @@ def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance
     MotionError
         If bodies of pairs that are checked touch.
     """
-    bodies = surroundings(model, source)
+    bodies = build_surroundings(model, source)
     guard = CollisionGuard(model, bodies)
     t = np.linspace(0.0, motion.duration, int(np.ceil(motion.duration * CHECK_RATE)) + 1)
     nearest = [

@@ -19,7 +19,7 @@ GOLDEN = 0.6180339887498949
 """The golden section."""
 
 
-def nearest_on_segments(
+def find_nearest_on_segments(
     start: Array, along: Array, other_start: Array, other_along: Array
 ) -> tuple[Array, Array]:
     """Return the nearest points (N, 3) of pairs of segments, all arguments (N, 3).
@@ -45,7 +45,7 @@ def nearest_on_segments(
     return start + s[:, None] * along, other_start + t[:, None] * other_along
 
 
-def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Array, Array]:
+def find_nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Array, Array]:
     """Return the nearest points, signed distances and outward normals of segments and a box.
 
     Segments (N, 3) are in the axes of the box of half extent `half` (3,).
@@ -58,7 +58,7 @@ def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Arra
         np.empty(len(start)),
         np.zeros((len(start), 3)),
     )
-    _sections(
+    _search_closest_points(
         np.ascontiguousarray(start),
         np.ascontiguousarray(along),
         np.array(half),
@@ -70,7 +70,7 @@ def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Arra
 
 
 @part
-def _signed(x, y, z, half):
+def _measure_signed_distance(x, y, z, half):
     a, b, c = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
     deepest = max(a, b, c)
     if deepest <= 0.0:
@@ -80,28 +80,32 @@ def _signed(x, y, z, half):
 
 
 @kernel("f2 f2 f1 F2 F1 F2")
-def _sections(start, along, half, points, distances, normals):
+def _search_closest_points(start, along, half, points, distances, normals):
     for i in range(start.shape[0]):
         x, y, z = start[i, 0], start[i, 1], start[i, 2]
         dx, dy, dz = along[i, 0], along[i, 1], along[i, 2]
         low, high = 0.0, 1.0
         inner, outer = 1.0 - GOLDEN, GOLDEN
-        at_inner = _signed(x + inner * dx, y + inner * dy, z + inner * dz, half)
-        at_outer = _signed(x + outer * dx, y + outer * dy, z + outer * dz, half)
+        at_inner = _measure_signed_distance(x + inner * dx, y + inner * dy, z + inner * dz, half)
+        at_outer = _measure_signed_distance(x + outer * dx, y + outer * dy, z + outer * dz, half)
         # Golden sections, after which the place on a segment is known to 1e-9 of its length.
         for _ in range(44):
             if at_inner <= at_outer:
                 high, outer, at_outer = outer, inner, at_inner
                 inner = high - GOLDEN * (high - low)
-                at_inner = _signed(x + inner * dx, y + inner * dy, z + inner * dz, half)
+                at_inner = _measure_signed_distance(
+                    x + inner * dx, y + inner * dy, z + inner * dz, half
+                )
             else:
                 low, inner, at_inner = inner, outer, at_outer
                 outer = low + GOLDEN * (high - low)
-                at_outer = _signed(x + outer * dx, y + outer * dy, z + outer * dz, half)
+                at_outer = _measure_signed_distance(
+                    x + outer * dx, y + outer * dy, z + outer * dz, half
+                )
         s = (low + high) / 2
         for k in range(3):
             points[i, k] = start[i, k] + s * along[i, k]
-        distances[i] = _signed(points[i, 0], points[i, 1], points[i, 2], half)
+        distances[i] = _measure_signed_distance(points[i, 0], points[i, 1], points[i, 2], half)
         for k in range(3):
             excess = abs(points[i, k]) - half[k]
             side = 1.0 if points[i, k] > 0 else -1.0

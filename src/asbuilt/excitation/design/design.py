@@ -16,7 +16,7 @@ from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import MotionError
-from asbuilt.excitation.collision.constraint import constraints_of
+from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.design.designed_motion import Design, DurationTrial
 from asbuilt.excitation.design.fixed_duration import design_fixed
 from asbuilt.excitation.design.multistart import SearchProgress
@@ -72,13 +72,13 @@ def design_for_precision(
     trials: list[DurationTrial] = []
     duration, wanted_precision = SEARCH.first, options.precision
     for _ in range(SEARCH.trials):
-        wanted = _of_duration(options, duration)
+        wanted = _set_duration(options, duration)
         quick = replace(
             wanted,
             starts=min(SEARCH.starts, options.starts),
             time_limit=min(SEARCH.time_limit, options.time_limit),
         )
-        report = None if progress is None else partial(_trying, progress, duration)
+        report = None if progress is None else partial(_report_trial, progress, duration)
         design = design_fixed(model, base, quick, progress=report, **{**given, "with_bound": False})
         reached = design.precision
         trials.append(DurationTrial(duration, design.size, design.options.periods or 1, reached))
@@ -93,10 +93,10 @@ def design_for_precision(
         duration = max(duration + step, step * math.ceil(min(needed, 4 * duration) / step))
         if duration > SEARCH.longest:
             break
-    raise _failure(model, wanted_precision, trials, duration, design.size_name)
+    raise _make_failure_error(model, wanted_precision, trials, duration, design.size_name)
 
 
-def _failure(
+def _make_failure_error(
     model: RobotModel, precision: float, trials: list[DurationTrial], duration: float, points: str
 ) -> MotionError:
     best, last = min(trials, key=lambda trial: trial.precision), trials[-1]
@@ -118,13 +118,13 @@ def _failure(
     )
 
 
-def _trying(
+def _report_trial(
     progress: Callable[[SearchProgress], None], duration: float, state: SearchProgress
 ) -> None:
     progress(replace(state, phase=f"try {duration:g} s"))
 
 
-def _of_duration(options: DesignOptions, duration: float) -> DesignOptions:
+def _set_duration(options: DesignOptions, duration: float) -> DesignOptions:
     longest = SEARCH.longest_period
     repeats = options.parametrisation == "fourier" and duration > longest
     periods = math.ceil(duration / longest) if repeats else None
@@ -198,7 +198,7 @@ def design_motion(
         " single legs",
     )
     asked = options or DesignOptions()
-    kept = constraints_of(
+    kept = build_constraints(
         model, collision=asked.collision, tool_box=asked.tool_box, tool_frame=asked.tool_frame
     )
     design = design_for_precision if asked.duration == "auto" else design_fixed

@@ -17,10 +17,14 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.criteria import Criterion
-from asbuilt.excitation.information.information import Information, limited_model, mean_information
+from asbuilt.excitation.information.information import (
+    Information,
+    complete_limits,
+    mean_information,
+)
 from asbuilt.excitation.information.information_bound import InformationBound
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motions.motion import Motion, limit_array
+from asbuilt.excitation.motions.motion import Motion, check_limit_array
 from asbuilt.excitation.motions.parametrisation import Parametrisation
 from asbuilt.excitation.motions.point_to_point import CHECK_RATE
 from asbuilt.excitation.state_constraint import PowerLimit, StateConstraint, smallest_distance
@@ -241,7 +245,9 @@ class Design:
                 f"the description of {self.model.name} gives no masses, so a precision relative to"
                 " its torque is not defined"
             )
-        chosen = [position_of(self.base, name) for name in self.options.focus] or slice(None)
+        chosen = [locate_base_parameter(self.base, name) for name in self.options.focus] or slice(
+            None
+        )
         return float(effects[chosen].max())
 
 
@@ -263,13 +269,15 @@ def describe_design(
     notes: tuple[str, ...] = (),
 ) -> Design:
     """Return the design of this motion, evaluated at 1 kHz with exact drive columns."""
-    limited, assumed = limited_model(model)
+    limited, assumed = complete_limits(model)
     count = max(1, int(motion.duration * CHECK_RATE))
     states = motion.at((np.arange(count) + 0.5) * motion.duration / count)
     mean = mean_information(objective.information, *states)
     checked = [*constraints]
     if options.power:
-        checked.insert(0, PowerLimit(model, limit_array(options.power, model.n_joints, "power")))
+        checked.insert(
+            0, PowerLimit(model, check_limit_array(options.power, model.n_joints, "power"))
+        )
     return Design(
         model=model,
         base=base,
@@ -293,7 +301,7 @@ def describe_design(
     )
 
 
-def position_of(base: BaseParameters, name: str) -> int:
+def locate_base_parameter(base: BaseParameters, name: str) -> int:
     """Return the position of a base parameter by name or id; raises `UsageError` if unknown."""
     text = name.strip()
     if text in base.names:

@@ -11,8 +11,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.batches import available_cores
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.batches import count_cores
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
@@ -20,12 +20,12 @@ from asbuilt.excitation.design.designed_motion import (
     Design,
     Objective,
     describe_design,
-    position_of,
+    locate_base_parameter,
 )
 from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.search import DesignSearch, Task
-from asbuilt.excitation.information.criteria import criterion_of
+from asbuilt.excitation.information.criteria import select_criterion
 from asbuilt.excitation.information.information import Information, parameter_scale
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds
@@ -75,24 +75,24 @@ def design_fixed(
 ) -> Design:
     """Return the best motion that several local searches find; parameters of `design_motion`."""
     bounds = MotionBounds.assumed(model, options.fraction)
-    options, family = sized(options, bounds)
+    options, family = choose_size(options, bounds)
     noise = options.noise if isinstance(options.noise, float) else np.array(options.noise)
     information = Information.of(model, base, noise)
-    focus = [position_of(base, name) for name in options.focus] or None
+    focus = [locate_base_parameter(base, name) for name in options.focus] or None
     objective = Objective(
         information,
-        criterion_of(options.criterion, focus),
+        select_criterion(options.criterion, focus),
         parameter_scale(information, bounds),
         options.seconds * options.information_rate,
-        _checked_prior(prior, base),
+        _check_prior(prior, base),
     )
     _compile(information)
     whole, reserve = Deadline(options.time_limit), BUDGET.refinement * options.time_limit
     deadline = Deadline(options.time_limit - reserve)
     search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
-    others = (cores or available_cores()) - 1 if options.starts >= BUDGET.pool_from else 0
+    others = (cores or count_cores()) - 1 if options.starts >= BUDGET.pool_from else 0
     bound = family_bound = None
-    with one_blas_thread(), open_pool(search.search, others, scheduler) as pool:
+    with use_one_blas_thread(), open_pool(search.search, others, scheduler) as pool:
         if with_bound:
             bound, family_bound = design_bounds(model, information, options, family, progress)
         candidates = search.run(pool, progress)
@@ -100,7 +100,9 @@ def design_fixed(
             raise search.failure()
         left = max(options.time_limit - whole.elapsed, reserve)
         final = Deadline(BUDGET.after_interrupt if deadline.interrupted else left)
-        report = None if progress is None else partial(_refining, progress, candidates[0].value)
+        report = (
+            None if progress is None else partial(_report_refinement, progress, candidates[0].value)
+        )
         tasks = [Task(found.number, found, final) for found in candidates[: BUDGET.refined]]
         refined = search_all(tasks, search.search, final, pool=pool, progress=report)
     if not refined:
@@ -123,11 +125,13 @@ def design_fixed(
         candidates=tuple(candidate.value for candidate in candidates),
         seconds=whole.elapsed,
         interrupted=deadline.interrupted or final.interrupted,
-        notes=_other_duration(family, options, motion),
+        notes=_report_other_duration(family, options, motion),
     )
 
 
-def sized(options: DesignOptions, bounds: MotionBounds) -> tuple[DesignOptions, Parametrisation]:
+def choose_size(
+    options: DesignOptions, bounds: MotionBounds
+) -> tuple[DesignOptions, Parametrisation]:
     """Return the options with size and periods that suit the limits, and the family of motions."""
     kind = PARAMETRISATIONS.find(options.parametrisation)
     size, periods = options.size, options.periods
@@ -182,7 +186,7 @@ def _compile(information: Information) -> None:
     torque_derivatives(model, rest, rest, rest)
 
 
-def _other_duration(
+def _report_other_duration(
     family: Parametrisation, options: DesignOptions, motion: Motion
 ) -> tuple[str, ...]:
     """Report a duration other than the wanted one, which only poses have."""
@@ -195,11 +199,11 @@ def _other_duration(
     )
 
 
-def _refining(progress: Progress, best: float, state: SearchProgress) -> None:
+def _report_refinement(progress: Progress, best: float, state: SearchProgress) -> None:
     progress(replace(state, best=max(best, state.best), phase="refinement"))
 
 
-def _checked_prior(prior: Array | None, base: BaseParameters) -> Array | None:
+def _check_prior(prior: Array | None, base: BaseParameters) -> Array | None:
     if prior is None:
         return None
     given, shape = np.asarray(prior, dtype=np.float64), (base.n_base, base.n_base)

@@ -129,8 +129,8 @@ def solve(
     slacks, evaluation = program.margins(x), program.evaluate(*program.states(x))
     if min(float(s.min()) for s in slacks) <= 0 or not np.isfinite(evaluation.value):
         return None
-    point = _point(program, x, slacks, evaluation)
-    metric = _metric(program)
+    point = _make_point(program, x, slacks, evaluation)
+    metric = _build_metric(program)
     scale = max(1.0, float(np.sqrt(point.gradient @ np.linalg.solve(metric, point.gradient))))
     curvature = scale * metric
     fresh = True
@@ -142,8 +142,8 @@ def solve(
     for spent in range(1, most_iterations + 1):  # noqa: B007
         if cancelled():
             break
-        pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)]
-        residual = -point.gradient + _through(program, point, pull)
+        pull = [z_up - z_low for z_up, z_low in _pair_sides(program, duals)]
+        residual = -point.gradient + _sum_all_slopes(program, point, pull)
         mismatch = max(
             float(np.abs(z * s - mu).max()) for z, s in zip(duals, point.slacks, strict=True)
         )
@@ -158,21 +158,23 @@ def solve(
                 mu = max(mu_end, CONSTANTS.shrinkage * mu)
                 since = 0
                 last_value = point.value
-        steep = [mu / s_up - mu / s_low for s_up, s_low in _pairs(program, point.slacks, np.inf)]
-        slope = -point.gradient + _through(program, point, steep)
+        steep = [
+            mu / s_up - mu / s_low for s_up, s_low in _pair_sides(program, point.slacks, np.inf)
+        ]
+        slope = -point.gradient + _sum_all_slopes(program, point, steep)
         stiffness = [
             z_up / s_up + z_low / s_low
             for (z_up, z_low), (s_up, s_low) in zip(
-                _pairs(program, duals), _pairs(program, point.slacks, np.inf), strict=True
+                _pair_sides(program, duals), _pair_sides(program, point.slacks, np.inf), strict=True
             )
         ]
-        hessian = curvature + _stiffened(program, point, stiffness)
+        hessian = curvature + _build_stiffness(program, point, stiffness)
         try:
             step = -cho_solve(cho_factor(hessian), slope)
         except np.linalg.LinAlgError:
             curvature, fresh = scale * metric, True
             continue
-        moved, length = _line_search(program, point, step, slope, mu)
+        moved, length = _search_line(program, point, step, slope, mu)
         if moved is None:
             if fresh:
                 if mu <= mu_end * 1.0001:
@@ -182,9 +184,11 @@ def solve(
             duals = [mu / s for s in point.slacks]
             continue
         shift = length * step
-        duals = _next_duals(program, point, moved, duals, step, mu)
-        curved_pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)][len(program.bases) :]
-        change = _curved_gradient(program, moved, curved_pull) - _curved_gradient(
+        duals = _step_duals(program, point, moved, duals, step, mu)
+        curved_pull = [z_up - z_low for z_up, z_low in _pair_sides(program, duals)][
+            len(program.bases) :
+        ]
+        change = _evaluate_curved_gradient(program, moved, curved_pull) - _evaluate_curved_gradient(
             program, point, curved_pull
         )
         if fresh:
@@ -192,19 +196,19 @@ def solve(
             if sharp > 0:
                 curvature = metric * max(1e-3 * scale, sharp / float(shift @ metric @ shift))
             fresh = False
-        curvature = _bfgs(curvature, shift, change)
+        curvature = _update_curvature(curvature, shift, change)
         point = moved
         if improved is not None:
             improved(point.coefficients, point.value)
     return Optimum(point.coefficients, point.value, spent, converged)
 
 
-def _flat(by_coefficient: Array) -> Array:
+def _flatten(by_coefficient: Array) -> Array:
     """Return (n_basis, n) joint by joint."""
     return by_coefficient.T.reshape(-1)
 
 
-def _metric(program: MotionProgram) -> Array:
+def _build_metric(program: MotionProgram) -> Array:
     """Return the quadratic form of the mean squared normalised q, qd and qdd."""
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
@@ -217,7 +221,7 @@ def _metric(program: MotionProgram) -> Array:
     return whole
 
 
-def _point(
+def _make_point(
     program: MotionProgram, coefficients: Array, slacks: list[Array], evaluation: Evaluation
 ) -> _Point:
     state = program.states(coefficients)
@@ -225,17 +229,17 @@ def _point(
         basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False)
     )
     curved = [constraint.slopes(*state) for constraint in program.constraints]
-    return _Point(coefficients, evaluation.value, _flat(np.asarray(gradient)), curved, slacks)
+    return _Point(coefficients, evaluation.value, _flatten(np.asarray(gradient)), curved, slacks)
 
 
-def _pulled(program: MotionProgram, slopes: Array, weights: Array) -> Array:
+def _sum_slopes(program: MotionProgram, slopes: Array, weights: Array) -> Array:
     """Return `sum weights dv/dx` over the values v (N, m) of one constraint, joint by joint."""
     samples, m, n, orders = slopes.shape
     by_state = (weights[:, None, :] @ slopes.reshape(samples, m, -1)).reshape(samples, n, orders)
-    return _flat(np.asarray(sum(program.bases[k].T @ by_state[:, :, k] for k in range(orders))))
+    return _flatten(np.asarray(sum(program.bases[k].T @ by_state[:, :, k] for k in range(orders))))
 
 
-def _rates(program: MotionProgram, slopes: Array, direction: Array) -> Array:
+def _differentiate_along(program: MotionProgram, slopes: Array, direction: Array) -> Array:
     """Return dv/dx along a direction (n_basis, n), (N, m)."""
     samples, m, _, orders = slopes.shape
     motion = np.stack([program.bases[k] @ direction for k in range(orders)], axis=2)
@@ -243,7 +247,7 @@ def _rates(program: MotionProgram, slopes: Array, direction: Array) -> Array:
     return rates
 
 
-def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
+def _build_curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
     """Return `sum weights dv/dx (dv/dx)^T`, by way of the states of each sample."""
     samples, m, n, orders = slopes.shape
     rows = slopes.reshape(samples, m, -1)
@@ -255,7 +259,7 @@ def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> 
     return np.vstack([flat @ half[:, j].reshape(samples * orders, -1) for j in range(n)])
 
 
-def _pairs(
+def _pair_sides(
     program: MotionProgram, each: list[Array], absent: float = 0.0
 ) -> list[tuple[Array, Array]]:
     """Return the upper and lower side of each group of constraints, `absent` if one-sided."""
@@ -273,18 +277,18 @@ def _pairs(
     return found
 
 
-def _through(program: MotionProgram, point: _Point, weights: list[Array]) -> Array:
+def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array]) -> Array:
     """Return `sum weights dv/dx` over all normalised values v."""
     total = np.zeros((program.bases[0].shape[1], program.half.shape[1]))
     for basis, half, w in zip(program.bases, program.half, weights, strict=False):
         total += basis.T @ (w / half)
-    flat = _flat(total)
+    flat = _flatten(total)
     for slopes, w in zip(point.curved, weights[len(program.bases) :], strict=True):
-        flat = flat + _pulled(program, slopes, w)
+        flat = flat + _sum_slopes(program, slopes, w)
     return flat
 
 
-def _stiffened(program: MotionProgram, point: _Point, stiffness: list[Array]) -> Array:
+def _build_stiffness(program: MotionProgram, point: _Point, stiffness: list[Array]) -> Array:
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half, w in zip(program.bases, program.half, stiffness, strict=False):
@@ -292,15 +296,15 @@ def _stiffened(program: MotionProgram, point: _Point, stiffness: list[Array]) ->
             block = slice(j * n_basis, (j + 1) * n_basis)
             whole[block, block] += (basis.T * (w[:, j] / half[j] ** 2)) @ basis
     for slopes, w in zip(point.curved, stiffness[len(program.bases) :], strict=True):
-        whole += _curved_stiffness(program, slopes, w)
+        whole += _build_curved_stiffness(program, slopes, w)
     return whole
 
 
-def _barrier(slacks: list[Array]) -> float:
+def _evaluate_barrier(slacks: list[Array]) -> float:
     return sum(float(np.log(s).sum()) for s in slacks)
 
 
-def _line_search(
+def _search_line(
     program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float
 ) -> tuple[_Point | None, float]:
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
@@ -314,7 +318,7 @@ def _line_search(
                 length = min(
                     length, CONSTANTS.to_boundary * float((-s[falling] / ds[falling]).min())
                 )
-    reference = -point.value - mu * _barrier(point.slacks)
+    reference = -point.value - mu * _evaluate_barrier(point.slacks)
     fall = float(slope @ step)
     for _ in range(CONSTANTS.backtracks):
         trial = point.coefficients + length * direction
@@ -322,15 +326,15 @@ def _line_search(
         worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
         if worst > 1 - CONSTANTS.to_boundary:
             evaluation = program.evaluate(*program.states(trial))
-            if -evaluation.value - mu * _barrier(
+            if -evaluation.value - mu * _evaluate_barrier(
                 slacks
             ) <= reference + CONSTANTS.armijo * length * fall + 1e-12 * abs(reference):
-                return _point(program, trial, slacks, evaluation), length
+                return _make_point(program, trial, slacks, evaluation), length
         length *= 0.5
     return None, 0.0
 
 
-def _next_duals(
+def _step_duals(
     program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
 ) -> list[Array]:
     """Take the Newton step of the positive multipliers and keep them near the central path."""
@@ -341,7 +345,7 @@ def _next_duals(
         speed = basis @ direction / half
         rates += [-speed, speed]
     for constraint, slopes in zip(program.constraints, old.curved, strict=True):
-        speed = _rates(program, slopes, direction)
+        speed = _differentiate_along(program, slopes, direction)
         rates += [-speed, speed] if constraint.two_sided else [-speed]
     moves = [mu / s - z - z / s * ds for z, s, ds in zip(duals, old.slacks, rates, strict=True)]
     length = 1.0
@@ -356,15 +360,15 @@ def _next_duals(
     ]
 
 
-def _curved_gradient(program: MotionProgram, point: _Point, pull: list[Array]) -> Array:
+def _evaluate_curved_gradient(program: MotionProgram, point: _Point, pull: list[Array]) -> Array:
     """Return the part of the Lagrangian's gradient that is not linear in the coefficients."""
     total = -point.gradient
     for slopes, w in zip(point.curved, pull, strict=True):
-        total = total + _pulled(program, slopes, w)
+        total = total + _sum_slopes(program, slopes, w)
     return total
 
 
-def _bfgs(curvature: Array, shift: Array, change: Array) -> Array:
+def _update_curvature(curvature: Array, shift: Array, change: Array) -> Array:
     """Update with Powell's damping, so that the matrix stays positive definite."""
     forward = curvature @ shift
     along, sharp = float(shift @ forward), float(shift @ change)

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.design.interior_point import Optimum
 from asbuilt.executor import Workers, open_workers
 
@@ -82,7 +82,7 @@ def _load(work: object) -> None:
 
 
 def _run(work: Callable[[object], object], task: object) -> object:
-    with one_blas_thread():
+    with use_one_blas_thread():
         return work(task)
 
 
@@ -174,7 +174,7 @@ def search_all(
     planned = len(waiting)
     pending: dict[Future[Candidate], Task] = {}
     own: Future[Candidate] | None = None
-    with one_blas_thread(), ThreadPoolExecutor(max_workers=1) as here:
+    with use_one_blas_thread(), ThreadPoolExecutor(max_workers=1) as here:
         try:
             while True:
                 while waiting and not (deadline() and (found or pending)):
@@ -211,10 +211,10 @@ def search_all(
                 pool.close()
             if own is not None:
                 found.append(own.result())
-    return best_first(found)
+    return rank_candidates(found)
 
 
-def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
+def rank_candidates(candidates: Iterable[Candidate]) -> list[Candidate]:
     """Return the successful candidates, best first, equal ones by number."""
     return sorted(
         (candidate for candidate in candidates if np.isfinite(candidate.value)),

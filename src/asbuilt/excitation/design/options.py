@@ -24,7 +24,7 @@ def option(
     return field(default=default, metadata=metadata | ({"parse": parse} if parse else {}))
 
 
-def _numbers(text: str) -> tuple[float, ...]:
+def _parse_numbers(text: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -34,19 +34,19 @@ def _numbers(text: str) -> tuple[float, ...]:
     return values
 
 
-def _noise(text: str) -> float | tuple[float, ...]:
-    values = _numbers(text)
+def _parse_noise(text: str) -> float | tuple[float, ...]:
+    values = _parse_numbers(text)
     return values[0] if len(values) == 1 else values
 
 
-def _duration(text: str) -> float | str:
+def _parse_duration(text: str) -> float | str:
     try:
         return "auto" if text == "auto" else float(text)
     except ValueError:
         raise UsageError(f"expected a positive number of seconds or auto, got {text!r}") from None
 
 
-def _names(text: str) -> tuple[str, ...]:
+def _parse_names(text: str) -> tuple[str, ...]:
     return tuple(name for name in text.split(",") if name.strip())
 
 
@@ -117,7 +117,7 @@ class DesignOptions:
         20.0,
         "S",
         "duration, or auto: as short as the precision allows",
-        parse=_duration,
+        parse=_parse_duration,
         range=Range(0.01, 3600.0, "s"),
     )
     precision: float = option(
@@ -135,13 +135,13 @@ class DesignOptions:
     drive: str = option("viscous,coulomb,offset", "LIST", "drive terms to identify, or none")
     criterion: str = option("d", "NAME", "d, a, e or condition")
     focus: tuple[str, ...] = option(
-        (), "LIST", "names or ids of the base parameters that matter", parse=_names
+        (), "LIST", "names or ids of the base parameters that matter", parse=_parse_names
     )
     noise: float | tuple[float, ...] = option(
         1.0,
         "S1,S2,...",
         "standard deviation of the torque, one or one per joint [N m]",
-        parse=_noise,
+        parse=_parse_noise,
         range=Range(1e-9, 1e9, "N m"),
     )
     information_rate: float = field(default=100.0, metadata={"range": Range(1e-6, 1e6, "1/s")})
@@ -155,7 +155,7 @@ class DesignOptions:
         (),
         "P1,P2,...",
         "mechanical power allowed, one or one per joint [W]",
-        parse=_numbers,
+        parse=_parse_numbers,
         range=Range(0, 1e9, "W", above=True),
     )
     perturbed: int = option(
@@ -171,7 +171,7 @@ class DesignOptions:
         (),
         "X0,X1,Y0,Y1,Z0,Z1",
         "keep the tool in this box of the root frame [m]",
-        parse=_numbers,
+        parse=_parse_numbers,
         range=Range(-1e6, 1e6, "m"),
     )
     tool_frame: str | None = option(None, "NAME", "frame that stays in the box (default: the last)")

@@ -14,7 +14,11 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion, paced_moves, violated
+from asbuilt.excitation.motions.point_to_point import (
+    PointToPointMotion,
+    find_violations,
+    pace_moves,
+)
 from asbuilt.excitation.state_constraint import StateConstraint
 
 NODES, NEIGHBOURS = 1000, 12
@@ -40,18 +44,18 @@ class Roadmap:
     ) -> Roadmap:
         """Return the largest connected component of the poses."""
         nodes = poses[:NODES]
-        near = np.argsort(_distances(nodes, nodes, bounds), axis=1)[:, 1 : NEIGHBOURS + 1]
+        near = np.argsort(_measure_distances(nodes, nodes, bounds), axis=1)[:, 1 : NEIGHBOURS + 1]
         pairs = sorted({(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row})
-        edges = _free(nodes, pairs, obstacles)
+        edges = _select_free_segments(nodes, pairs, obstacles)
         parts = connected_components(
-            _graph(edges, np.ones(len(edges)), len(nodes)), directed=False
+            _build_graph(edges, np.ones(len(edges)), len(nodes)), directed=False
         )[1]
         kept = parts == np.argmax(np.bincount(parts))
         number = np.cumsum(kept) - 1
         return cls(nodes[kept], number[edges[kept[edges].all(axis=1)]])
 
 
-def route_through(
+def plan_route(
     poses: Array,
     roadmap: Roadmap | None,
     bounds: MotionBounds,
@@ -70,17 +74,19 @@ def route_through(
     MotionError
         If no route is found, or the torque is too high at any speed.
     """
-    nodes, apart = poses, _distances(poses, poses, bounds)
-    route = short_tour(apart)
+    nodes, apart = poses, _measure_distances(poses, poses, bounds)
+    route = find_short_tour(apart)
     if roadmap is not None:
         pairs = [(i, j) for i in range(len(poses)) for j in range(i)]
         blocked = np.zeros(apart.shape, dtype=bool)
         blocked[tuple(np.transpose(pairs))] = ~segments_free(poses, pairs, obstacles)
         blocked |= blocked.T
-        route = short_tour(np.where(blocked, apart + 1e3 * (1 + apart.max()), apart))
+        route = find_short_tour(np.where(blocked, apart + 1e3 * (1 + apart.max()), apart))
         if any(blocked[i, j] for i, j in pairwise(route)):
             nodes = np.vstack([poses, roadmap.nodes])
-            lengths, before = _lengths(nodes, poses, roadmap, blocked, bounds, obstacles)
+            lengths, before = _find_shortest_routes(
+                nodes, poses, roadmap, blocked, bounds, obstacles
+            )
             if not np.all(np.isfinite(lengths)):
                 i, j = np.argwhere(~np.isfinite(lengths))[0]
                 raise MotionError(
@@ -88,9 +94,9 @@ def route_through(
                     f" to {np.round(poses[j], 2).tolist()}; use fewer poses, another seed, or a"
                     " smaller clearance"
                 )
-            route = _with_turns(short_tour(lengths), before)
+            route = _with_turns(find_short_tour(lengths), before)
     first = [node < len(poses) and node not in route[:place] for place, node in enumerate(route)]
-    motion = paced_moves(
+    motion = pace_moves(
         nodes[route], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
     )
     if motion is None:
@@ -101,7 +107,7 @@ def route_through(
     return nodes[route][first], motion, len(route) - len(poses)
 
 
-def short_tour(apart: Array) -> list[int]:
+def find_short_tour(apart: Array) -> list[int]:
     """Return an order in which the sum of the distances (K, K) is short; any end may come first.
 
     Nearest neighbour from every start, improved by reversing segments (2-opt; Croes 1958).
@@ -113,11 +119,11 @@ def short_tour(apart: Array) -> list[int]:
             nearest = min(left, key=lambda k: float(apart[order[-1], k]))
             order.append(nearest)
             left.remove(nearest)
-        tours.append(_untangled(order, apart))
+        tours.append(_untangle(order, apart))
     return min(tours, key=lambda order: float(apart[order[:-1], order[1:]].sum()))
 
 
-def _untangled(order: list[int], apart: Array) -> list[int]:
+def _untangle(order: list[int], apart: Array) -> list[int]:
     improved = True
     while improved:
         improved = False
@@ -135,7 +141,7 @@ def _untangled(order: list[int], apart: Array) -> list[int]:
     return order
 
 
-def _distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
+def _measure_distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
     """Return the time that the slowest joint takes at its velocity limit (K, M) [s]."""
     apart: Array = np.abs((first[:, None] - second[None]) / bounds.velocity).max(axis=2)
     return apart
@@ -156,11 +162,11 @@ def segments_free(
     over = []
     for start in range(0, len(places), AT_ONCE):
         part = places[start : start + AT_ONCE]
-        over.append(violated(obstacles, part, np.zeros_like(part), np.zeros_like(part)))
+        over.append(find_violations(obstacles, part, np.zeros_like(part), np.zeros_like(part)))
     return ~np.logical_or.reduceat(np.concatenate(over), np.cumsum([0, *counts[:-1]]))
 
 
-def _free(
+def _select_free_segments(
     nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.int64]:
     """Return the pairs of nodes (E, 2) whose segment is free."""
@@ -168,7 +174,7 @@ def _free(
     return all_pairs[segments_free(nodes, pairs, obstacles)]
 
 
-def _lengths(
+def _find_shortest_routes(
     nodes: Array,
     poses: Array,
     roadmap: Roadmap,
@@ -178,19 +184,21 @@ def _lengths(
 ) -> tuple[Array, NDArray[np.int32]]:
     """Return the lengths of the shortest routes between the poses, and predecessors on them."""
     count = len(poses)
-    near = np.argsort(_distances(poses, roadmap.nodes, bounds), axis=1)[:, :NEIGHBOURS] + count
+    near = (
+        np.argsort(_measure_distances(poses, roadmap.nodes, bounds), axis=1)[:, :NEIGHBOURS] + count
+    )
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]
     direct = [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
     ends = np.vstack(
         [
-            _free(nodes, pairs, obstacles),
+            _select_free_segments(nodes, pairs, obstacles),
             np.array(direct, dtype=np.int64).reshape(-1, 2),
             roadmap.edges + count,
         ]
     )
     weights = np.abs((nodes[ends[:, 0]] - nodes[ends[:, 1]]) / bounds.velocity).max(axis=1)
     lengths, before = dijkstra(
-        _graph(ends, weights, len(nodes)),
+        _build_graph(ends, weights, len(nodes)),
         directed=False,
         indices=np.arange(count),
         return_predecessors=True,
@@ -198,7 +206,7 @@ def _lengths(
     return np.asarray(lengths[:, :count]), np.asarray(before)
 
 
-def _graph(edges: NDArray[np.int64], weights: Array, count: int) -> csr_array[np.float64]:
+def _build_graph(edges: NDArray[np.int64], weights: Array, count: int) -> csr_array[np.float64]:
     return csr_array((weights, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 

@@ -19,22 +19,22 @@ from asbuilt.excitation.design.multistart import (
     Deadline,
     SearchPool,
     SearchProgress,
-    best_first,
+    rank_candidates,
     search_all,
 )
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.information.information import mean_information, random_states
+from asbuilt.excitation.information.information import draw_states, mean_information
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion, limit_array
+from asbuilt.excitation.motions.motion import Motion, check_limit_array
 from asbuilt.excitation.motions.parametrisation import Parametrisation
-from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPoint, paced_moves
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPoint, pace_moves
 from asbuilt.excitation.state_constraint import (
     STANDING,
     PowerLimit,
     StateConstraint,
     TorqueLimit,
     WeightLimit,
-    perturbed_models,
+    perturb_models,
 )
 
 
@@ -114,7 +114,7 @@ class DesignSearch:
         self._options, self._deadline = options, deadline
         self._bounds = MotionBounds.assumed(model, options.fraction)
         torque = options.torque_fraction * MotionBounds.of(model).torque
-        models = perturbed_models(
+        models = perturb_models(
             model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20])
         )
         limits: tuple[StateConstraint, ...] = (
@@ -122,10 +122,12 @@ class DesignSearch:
         )
         if limits and isinstance(self.family, PointToPoint):
             weight = WeightLimit(models, STANDING * torque)
-            poses = random_states(self._bounds, SETTINGS.poses, np.random.default_rng(0))[0]
+            poses = draw_states(self._bounds, SETTINGS.poses, np.random.default_rng(0))[0]
             limits += (weight,) if weight.binds(poses) else ()
         if options.power:
-            limits += (PowerLimit(model, limit_array(options.power, model.n_joints, "power")),)
+            limits += (
+                PowerLimit(model, check_limit_array(options.power, model.n_joints, "power")),
+            )
         self._constraints = limits + constraints
         waves = SETTINGS.nodes_per_wave * family.span / family.shortest_wave
         self._n_nodes = max(SETTINGS.least_nodes, round(waves))
@@ -157,7 +159,7 @@ class DesignSearch:
                 break
             best = found[0].value if found else -np.inf
             report = partial(self._report, progress, best, sum(lengths))
-            found = best_first([*found, *self._round(first, size, length, pool, report)])
+            found = rank_candidates([*found, *self._round(first, size, length, pool, report)])
             first += length
         return found
 
@@ -184,7 +186,7 @@ class DesignSearch:
             tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
             progress = partial(report, first + done, best)
             more = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
-            found = best_first([*found, *more])
+            found = rank_candidates([*found, *more])
             idle = idle + 1 if found[0].value < best + SETTINGS.least_gain else 0
             done += batch
         return found
@@ -262,7 +264,7 @@ class DesignSearch:
 
     def _paced(self, poses: Array) -> tuple[Array, Array, Array] | None:
         """Return the states at 1 kHz of a controller's motion through the poses, if it has one."""
-        motion = paced_moves(poses, self._bounds, self._constraints)
+        motion = pace_moves(poses, self._bounds, self._constraints)
         return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
 
     def motion(self, candidate: Candidate) -> Motion:
@@ -272,7 +274,7 @@ class DesignSearch:
         """
         if not isinstance(self.family, PointToPoint):
             return self.family.motion(candidate.coefficients)
-        motion = paced_moves(candidate.coefficients, self._bounds, self._constraints)
+        motion = pace_moves(candidate.coefficients, self._bounds, self._constraints)
         if motion is None:
             raise MotionError(
                 f"{self._model.name}: the designed poses exceed the torque limits at any speed;"

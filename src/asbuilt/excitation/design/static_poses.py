@@ -16,13 +16,17 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.collision.constraint import constraints_of
+from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.route import Roadmap, route_through, segments_free
+from asbuilt.excitation.design.route import Roadmap, plan_route, segments_free
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information, limited_model
+from asbuilt.excitation.information.information import Information, complete_limits
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPointMotion, violated
+from asbuilt.excitation.motions.point_to_point import (
+    CHECK_RATE,
+    PointToPointMotion,
+    find_violations,
+)
 from asbuilt.excitation.state_constraint import (
     STANDING,
     StateConstraint,
@@ -140,7 +144,7 @@ def design_static_poses(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     asked = options or DesignOptions()
     constraints = (
-        *constraints_of(
+        *build_constraints(
             model, collision=asked.collision, tool_box=asked.tool_box, tool_frame=asked.tool_frame
         ),
         *constraints,
@@ -157,16 +161,16 @@ def design_static_poses(
     weight = [WeightLimit((model,), STANDING * torque)] if loads else []
     everywhere = rng.uniform(bounds.lower, bounds.upper, size=(SEARCH.candidates, model.n_joints))
     barriers = [*constraints, *(limit for limit in weight if limit.binds(everywhere))]
-    pool = _within(barriers, everywhere)
+    pool = _select_within_constraints(barriers, everywhere)
     if len(pool) < 2:
         raise MotionError(
             f"{model.name}: none of {SEARCH.candidates} random poses keeps the torque limits and is"
             " free of collisions"
         )
-    pool = _unwound(model, bounds, pool)
+    pool = _unwind_turns(model, bounds, pool)
     roadmap = Roadmap.of(pool, bounds, barriers) if barriers else None
     pool = pool if roadmap is None else roadmap.nodes
-    kept = _determined(information, pool)
+    kept = _find_determined(information, pool)
     p = kept.shape[1]
     if p == 0:
         raise UsageError(
@@ -181,12 +185,12 @@ def design_static_poses(
             f"got {count} poses; gravity determines {p} parameters of {model.name}, which takes at"
             f" least {max(2, least)}"
         )
-    poses = pool[_exchanged(_pose_rows(information, pool, kept), count)]
-    poses = _refined(information, kept, bounds, [*constraints, *weight], barriers, poses)
-    poses, motion, turns = route_through(poses, roadmap, bounds, barriers, loads, dwell)
-    total = _information(information, kept, poses)
+    poses = pool[_select_optimal_subset(_weight_pose_rows(information, pool, kept), count)]
+    poses = _refine_poses(information, kept, bounds, [*constraints, *weight], barriers, poses)
+    poses, motion, turns = plan_route(poses, roadmap, bounds, barriers, loads, dwell)
+    total = _sum_information(information, kept, poses)
     size = 1.0 / np.sqrt(np.diag(total))
-    limited, _ = limited_model(model)
+    limited, _ = complete_limits(model)
     states = motion.at(motion.sample_times(CHECK_RATE))
     return StaticDesign(
         model=model,
@@ -205,13 +209,13 @@ def design_static_poses(
     )
 
 
-def _within(constraints: Sequence[StateConstraint], poses: Array) -> Array:
+def _select_within_constraints(constraints: Sequence[StateConstraint], poses: Array) -> Array:
     """Return the poses that keep the constraints."""
     rest = np.zeros_like(poses)
-    return poses[~violated(constraints, poses, rest, rest)]
+    return poses[~find_violations(constraints, poses, rest, rest)]
 
 
-def _pose_rows(information: Information, poses: Array, kept: Array) -> Array:
+def _weight_pose_rows(information: Information, poses: Array, kept: Array) -> Array:
     """Return the weighted rows of each pose in the coordinates `kept`, (N, n, p)."""
     rest = np.zeros_like(poses)
     rows = information.rows(poses, rest, rest, smooth=False)
@@ -224,20 +228,20 @@ def _pose_rows(information: Information, poses: Array, kept: Array) -> Array:
     return np.asarray(whole @ kept)
 
 
-def _determined(information: Information, poses: Array) -> Array:
+def _find_determined(information: Information, poses: Array) -> Array:
     """Return an orthonormal basis (p_base, p) of the combinations that gravity determines."""
-    rows = _pose_rows(information, poses, np.eye(information.n_parameters))
+    rows = _weight_pose_rows(information, poses, np.eye(information.n_parameters))
     eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
     largest = max(float(eigenvalues[-1]), np.finfo(float).tiny)
     return np.asarray(vectors[:, eigenvalues > SEARCH.smallest_eigenvalue * largest])
 
 
-def _information(information: Information, kept: Array, poses: Array) -> Array:
-    rows = _pose_rows(information, poses, kept)
+def _sum_information(information: Information, kept: Array, poses: Array) -> Array:
+    rows = _weight_pose_rows(information, poses, kept)
     return np.asarray(np.einsum("ski,skj->ij", rows, rows))
 
 
-def _exchanged(rows: Array, count: int) -> list[int]:
+def _select_optimal_subset(rows: Array, count: int) -> list[int]:
     """Return the indices of a D-optimal subset: greedy, then improved one by one."""
     p = rows.shape[2]
     small = 1e-6 * float(np.einsum("ski,ski->", rows, rows)) / len(rows) / p * np.eye(p)
@@ -267,7 +271,7 @@ def _exchanged(rows: Array, count: int) -> list[int]:
     return chosen
 
 
-def _refined(
+def _refine_poses(
     information: Information,
     kept: Array,
     bounds: MotionBounds,
@@ -281,7 +285,7 @@ def _refined(
     def negative(x: Array) -> tuple[float, Array]:
         q = middle + half * x.reshape(poses.shape)
         rest = np.zeros_like(q)
-        value, gradient = DOptimality().value_and_gradient(_information(information, kept, q))
+        value, gradient = DOptimality().value_and_gradient(_sum_information(information, kept, q))
         if not np.isfinite(value):
             return 1e12, np.zeros_like(x)
         rows = information.rows(q, rest, rest)
@@ -304,15 +308,15 @@ def _refined(
             if obstacles
             else True
         )
-        if not straight or not len(_within(constraints, moved[k : k + 1])):
+        if not straight or not len(_select_within_constraints(constraints, moved[k : k + 1])):
             moved[k] = poses[k]
-    better = DOptimality().value(_information(information, kept, moved)) >= DOptimality().value(
-        _information(information, kept, poses)
+    better = DOptimality().value(_sum_information(information, kept, moved)) >= DOptimality().value(
+        _sum_information(information, kept, poses)
     )
     return moved if better else poses
 
 
-def _unwound(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array:
+def _unwind_turns(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array:
     """Return poses with whole turns added, so that joints stay near the middle of their range.
 
     The middle is opposite to angles at which there is no pose, else the centre of the range.

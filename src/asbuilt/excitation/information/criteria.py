@@ -42,10 +42,10 @@ class DOptimality(Criterion):
 
     def value_and_gradient(self, information: Array) -> tuple[float, Array]:
         """Return `log det M` and `M^-1`."""
-        factor = _cholesky(information)
+        factor = _try_cholesky(information)
         if factor is None:
             return -np.inf, np.zeros_like(information)
-        return 2.0 * float(np.log(np.diag(factor)).sum()), _inverse(factor)
+        return 2.0 * float(np.log(np.diag(factor)).sum()), _invert_factored(factor)
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class AOptimality(Criterion):
 
     def value_and_gradient(self, information: Array) -> tuple[float, Array]:
         """Return the value and `p M^-2 / tr M^-1`."""
-        factor = _cholesky(information)
+        factor = _try_cholesky(information)
         if factor is None:
             return -np.inf, np.zeros_like(information)
-        inverse, p = _inverse(factor), len(information)
+        inverse, p = _invert_factored(factor), len(information)
         trace = float(np.trace(inverse))
         return -p * np.log(trace / p), p * (inverse @ inverse) / trace
 
@@ -135,7 +135,7 @@ CRITERIA: dict[str, type[Criterion]] = {
 """The criteria by key; `FocusedDOptimality` is d with a focus."""
 
 
-def criterion_of(key: str, focus: ArrayLike | None = None) -> Criterion:
+def select_criterion(key: str, focus: ArrayLike | None = None) -> Criterion:
     """Return the criterion of this name, d with a focus as D_s.
 
     Raises UsageError for unknown names and for a focus with another criterion.
@@ -149,7 +149,7 @@ def criterion_of(key: str, focus: ArrayLike | None = None) -> Criterion:
     return FocusedDOptimality(tuple(int(position) for position in np.asarray(focus)))
 
 
-def _cholesky(matrix: Array) -> Array | None:
+def _try_cholesky(matrix: Array) -> Array | None:
     try:
         factor = np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -157,7 +157,7 @@ def _cholesky(matrix: Array) -> Array | None:
     return factor if np.all(np.isfinite(factor)) else None
 
 
-def _inverse(factor: Array) -> Array:
+def _invert_factored(factor: Array) -> Array:
     inverse: Array = cho_solve((factor, True), np.eye(len(factor)))
     return inverse
 

@@ -13,7 +13,7 @@ from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
@@ -109,8 +109,8 @@ def information_efficiency(
     )
     if not len(q):
         raise UsageError("the recording has no samples")
-    widened, beyond = _widened(model, q, qd, qdd)
-    base, bound = _bound(model, drive, widened)
+    widened, beyond = _widen_limits(model, q, qd, qdd)
+    base, bound = _find_bound(model, drive, widened)
     mean = mean_information(Information.of(model, base), q, qd, qdd)
     best = np.diag(np.linalg.inv(bound.information))
     size = np.sqrt(np.maximum(np.diag(bound.information), np.finfo(float).tiny))
@@ -127,7 +127,7 @@ def information_efficiency(
     )
 
 
-def _widened(model: RobotModel, q: Array, qd: Array, qdd: Array) -> tuple[Limits, Array]:
+def _widen_limits(model: RobotModel, q: Array, qd: Array, qdd: Array) -> tuple[Limits, Array]:
     """Return limits that hold all states, and by what factor each joint exceeds its own (n,).
 
     The factor is rounded up to a digit, so that like recordings share a bound.
@@ -148,7 +148,7 @@ def _widened(model: RobotModel, q: Array, qd: Array, qdd: Array) -> tuple[Limits
 
 
 @lru_cache(maxsize=8)
-def _bound(
+def _find_bound(
     model: RobotModel, drive: DriveSet, widened: Limits
 ) -> tuple[BaseParameters, InformationBound]:
     base = find_base_parameters(model, drive)
@@ -160,7 +160,7 @@ def _bound(
         velocity=velocity,
         acceleration=acceleration,
     )
-    with one_blas_thread():
+    with use_one_blas_thread():
         # Rounds of the bound for a recording, accurate to a few per cent.
         return base, information_bound(
             model, Information.of(model, base), limits, torque=torque, rounds=3

@@ -259,7 +259,7 @@ def mean_information(
     return total / len(q)
 
 
-def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
+def complete_limits(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
     """Return the robot with complete limits, and the names of those that were assumed."""
     bounds = MotionBounds.assumed(model)
     assumed: list[str] = []
@@ -285,7 +285,7 @@ def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
     return model.with_limits(limits), tuple(assumed)
 
 
-def random_states(
+def draw_states(
     bounds: MotionBounds, count: int, rng: np.random.Generator, *, extreme: float = 0.0
 ) -> tuple[Array, Array, Array]:
     """Return states (count, n), uniform within the bounds.
@@ -309,7 +309,7 @@ def parameter_scale(information: Information, bounds: MotionBounds) -> Array:
 
     The change of torque is an RMS over the state bounds.
     """
-    states = random_states(bounds, SCALING_STATES, np.random.default_rng(0))
+    states = draw_states(bounds, SCALING_STATES, np.random.default_rng(0))
     rows = information.rows(*states, smooth=False)
     size = np.diag(information.matrix(rows, SCALING_STATES)) / SCALING_STATES
     scale: Array = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))

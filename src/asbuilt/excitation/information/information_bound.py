@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information, random_states
+from asbuilt.excitation.information.information import Information, draw_states
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_constraint import TorqueLimit
 
@@ -100,21 +100,21 @@ def information_bound(
     limit = (
         None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
     )
-    pool = _within(limit, random_states(bounds, SEARCH.pool, rng, extreme=0.7))
+    pool = _shrink_to_limit(limit, draw_states(bounds, SEARCH.pool, rng, extreme=0.7))
     weights = np.full(len(pool[0]), 1.0 / len(pool[0]))
     p, seen = information.n_parameters, len(pool[0])
     best_upper, mean = np.inf, np.eye(p)
     for _ in range(rounds):
-        weights, mean = _weighted(information, pool, weights)
+        weights, mean = _optimise_weights(information, pool, weights)
         keep = weights > SEARCH.kept_weight / len(weights)
-        pool, weights = _chosen(pool, keep), weights[keep] / weights[keep].sum()
+        pool, weights = _select_states(pool, keep), weights[keep] / weights[keep].sum()
         log_det, inverse = DOptimality().value_and_gradient(mean)
-        trials = _within(limit, random_states(bounds, SEARCH.trials, rng, extreme=0.8))
+        trials = _shrink_to_limit(limit, draw_states(bounds, SEARCH.trials, rng, extreme=0.8))
         seen += len(trials[0])
         worth = variance(information, inverse, trials)
-        top = _chosen(trials, np.argsort(-worth)[: SEARCH.refined])
-        heavy = _chosen(pool, np.argsort(-weights)[: SEARCH.refined])
-        climbed = _climbed(information, inverse, bounds, limit, _joined(top, heavy))
+        top = _select_states(trials, np.argsort(-worth)[: SEARCH.refined])
+        heavy = _select_states(pool, np.argsort(-weights)[: SEARCH.refined])
+        climbed = _climb_states(information, inverse, bounds, limit, _join_states(top, heavy))
         worth_climbed = variance(information, inverse, climbed)
         highest = max(
             float(worth.max(initial=0.0)),
@@ -125,8 +125,8 @@ def information_bound(
         best_upper = min(best_upper, upper)
         if np.log(highest / p) < SEARCH.gap or cancelled():
             break
-        new = _chosen(climbed, np.argsort(-worth_climbed)[: SEARCH.refined // 2])
-        pool = _joined(pool, new)
+        new = _select_states(climbed, np.argsort(-worth_climbed)[: SEARCH.refined // 2])
+        pool = _join_states(pool, new)
         weights = np.concatenate([0.9 * weights, np.full(len(new[0]), 0.1 / len(new[0]))])
     log_det = DOptimality().value(mean)
     return InformationBound(
@@ -147,7 +147,9 @@ def variance(information: Information, inverse: Array, states: States) -> Array:
     return total
 
 
-def _weighted(information: Information, pool: States, weights: Array) -> tuple[Array, Array]:
+def _optimise_weights(
+    information: Information, pool: States, weights: Array
+) -> tuple[Array, Array]:
     """Return weights that maximise log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i / p, and it."""
     count, p = len(pool[0]), information.n_parameters
     rows = information.rows(*pool, smooth=False)
@@ -178,7 +180,7 @@ def _weighted(information: Information, pool: States, weights: Array) -> tuple[A
     return weights, mean
 
 
-def _climbed(
+def _climb_states(
     information: Information,
     inverse: Array,
     bounds: MotionBounds,
@@ -216,7 +218,7 @@ def _climbed(
     return current
 
 
-def _within(limit: TorqueLimit | None, states: States) -> States:
+def _shrink_to_limit(limit: TorqueLimit | None, states: States) -> States:
     if limit is None:
         return states
     q, qd, qdd = states
@@ -225,13 +227,13 @@ def _within(limit: TorqueLimit | None, states: States) -> States:
         if not np.any(over):
             break
         qd, qdd = np.where(over[:, None], 0.8 * qd, qd), np.where(over[:, None], 0.6 * qdd, qdd)
-    return _chosen((q, qd, qdd), np.abs(limit.values(q, qd, qdd)).max(axis=1) <= 1)
+    return _select_states((q, qd, qdd), np.abs(limit.values(q, qd, qdd)).max(axis=1) <= 1)
 
 
-def _chosen(states: States, which: NDArray[np.bool_] | NDArray[np.intp]) -> States:
+def _select_states(states: States, which: NDArray[np.bool_] | NDArray[np.intp]) -> States:
     return states[0][which], states[1][which], states[2][which]
 
 
-def _joined(first: States, second: States) -> States:
+def _join_states(first: States, second: States) -> States:
     q, qd, qdd = (np.vstack(pair) for pair in zip(first, second, strict=True))
     return q, qd, qdd

@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline as SciPySpline
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import BasisMotion, Motion, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, Motion, check_way_points
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
@@ -46,7 +46,7 @@ class BSplineMotion(BasisMotion):
     def __init__(self, coefficients: ArrayLike, duration: float) -> None:
         if not (np.isfinite(duration) and duration > 0):
             raise MotionError(f"the duration must be a positive number of seconds, got {duration}")
-        self.coefficients = read_only(way_point_array(coefficients, "control points"))
+        self.coefficients = read_only(check_way_points(coefficients, "control points"))
         self._duration = float(duration)
         m = self.coefficients.shape[0]
         knots = np.linspace(0.0, self._duration, m + 4 - DEGREE + 1)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import BasisMotion, Motion, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, Motion, check_way_points
 from asbuilt.excitation.motions.parametrisation import (
     PARAMETRISATIONS,
     RICHNESS,
@@ -53,7 +53,7 @@ class FourierMotion(BasisMotion):
     parametrisation = "fourier"
 
     def __init__(self, coefficients: ArrayLike, period: float, periods: int = 1) -> None:
-        rows = way_point_array(coefficients, "Fourier coefficients", least=3)
+        rows = check_way_points(coefficients, "Fourier coefficients", least=3)
         if rows.shape[0] % 2 == 0:
             raise MotionError(
                 "L harmonics have 2 L - 1 rows of coefficients (pose, L - 1 sines, L - 1 cosines),"

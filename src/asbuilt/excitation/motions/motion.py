@@ -258,7 +258,7 @@ class TimeScaled(Motion):
         return low / self.factor**order, high / self.factor**order
 
 
-def way_point_array(points: ArrayLike, what: str = "way points", least: int = 2) -> Array:
+def check_way_points(points: ArrayLike, what: str = "way points", least: int = 2) -> Array:
     """Return `points` as a finite (m, n) array of at least `least` rows, or raise MotionError."""
     array = np.array(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[0] < least or array.shape[1] == 0:
@@ -275,7 +275,7 @@ def way_point_array(points: ArrayLike, what: str = "way points", least: int = 2)
     return array
 
 
-def limit_array(limit: ArrayLike, n_joints: int, quantity: str) -> Array:
+def check_limit_array(limit: ArrayLike, n_joints: int, quantity: str) -> Array:
     """Return a limit as (n_joints,) positive numbers (infinite allowed), or raise MotionError."""
     array = np.asarray(limit, dtype=np.float64)
     if array.ndim > 1 or (array.ndim == 1 and array.size not in (1, n_joints)):

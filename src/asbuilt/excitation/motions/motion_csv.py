@@ -20,7 +20,7 @@ from asbuilt.errors import MotionError, RecordingError
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.spline import SplineMotion
-from asbuilt.untrusted import TABLE_LIMIT, file_named, read_bytes, reason
+from asbuilt.untrusted import TABLE_LIMIT, describe_problem, name_file_in_errors, read_bytes
 
 PREFIXES = ("q_", "qd_", "qdd_")
 """Column names are a prefix and a joint name."""
@@ -72,7 +72,7 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
     try:
         table = pl.read_csv(content, infer_schema_length=None)
     except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise MotionError(f"motion {source} cannot be read: {reason(error)}") from None
+        raise MotionError(f"motion {source} cannot be read: {describe_problem(error)}") from None
     names = tuple(column.removeprefix("q_") for column in table.columns if column.startswith("q_"))
     if "t" not in table.columns or not names:
         raise MotionError(
@@ -83,31 +83,33 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         raise MotionError(f"{source} is not a motion: it has a header but no data")
     labels = names
     if model is not None:
-        names, labels = model.joint_names, _labels_of_joints(names, model, source)
+        names, labels = model.joint_names, _match_labels(names, model, source)
     given = [
         prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)
     ]
-    t = _numbers(table, ["t"], source)[:, 0]
+    t = _read_numbers(table, ["t"], source)[:, 0]
     if t.size < 2 or not np.all(np.diff(t) > 0):
         row = int(np.argmin(np.diff(t) > 0)) + 3 if t.size > 1 else 2
         raise MotionError(
             f"{source}: times must rise from line to line and there must be two; they do not at"
             f" line {row}"
         )
-    q, *rates = (_numbers(table, [prefix + label for label in labels], source) for prefix in given)
+    q, *rates = (
+        _read_numbers(table, [prefix + label for label in labels], source) for prefix in given
+    )
     if len(rates) < 2 and t.size < 6:
         raise MotionError(
             f"{source} has {t.size} positions without qd_ and qdd_ columns; give these or at"
             " least 6 positions"
         )
-    with file_named(source):
+    with name_file_in_errors(source):
         if len(rates) < 2:
             spline = SplineMotion.through(q, t, ends="natural")
             rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
         return SampledMotion.of(t, q, rates[0], rates[1], names)
 
 
-def _labels_of_joints(labels: Sequence[str], model: RobotModel, source: Path) -> tuple[str, ...]:
+def _match_labels(labels: Sequence[str], model: RobotModel, source: Path) -> tuple[str, ...]:
     """Return the label of each joint of the robot, matched as the columns of logs are."""
     try:
         order, _ = match_joints(labels, model.joint_names, source=str(source), robot=model.name)
@@ -136,7 +138,7 @@ def times_to_end(motion: Motion, rate: float) -> Array:
     return np.append(t, motion.duration) if motion.duration - t[-1] > max(0.01 / rate, 1e-6) else t
 
 
-def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:
+def _read_numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:
     for column in columns:
         if column not in table.columns:
             raise MotionError(f"{source} has no column {column}; it has {', '.join(table.columns)}")

@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import STANDSTILL, Motion, limit_array, way_point_array
+from asbuilt.excitation.motions.motion import (
+    STANDSTILL,
+    Motion,
+    check_limit_array,
+    check_way_points,
+)
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 from asbuilt.excitation.state_constraint import StateConstraint
@@ -65,11 +70,11 @@ class PointToPointMotion(PiecewisePolynomial):
         >>> motion.duration, motion.peaks(1).tolist(), motion.peaks(2).tolist()
         (2.5, [0.5], [1.0])
         """
-        q = way_point_array(poses, "poses")
+        q = check_way_points(poses, "poses")
         n = q.shape[1]
         v_max, a_max = (
-            limit_array(velocity, n, "velocity"),
-            limit_array(acceleration, n, "acceleration"),
+            check_limit_array(velocity, n, "velocity"),
+            check_limit_array(acceleration, n, "acceleration"),
         )
         if not np.all(np.isfinite(a_max)):
             raise MotionError(
@@ -187,7 +192,7 @@ class PointToPoint(Parametrisation):
 PARAMETRISATIONS.register(PointToPoint.key, PointToPoint)
 
 
-def paced_moves(
+def pace_moves(
     poses: Array,
     bounds: MotionBounds,
     constraints: Sequence[StateConstraint],
@@ -204,24 +209,24 @@ def paced_moves(
     for k in range(len(pace)):
         if np.abs(poses[k + 1] - poses[k]).max() <= STANDSTILL:
             continue
-        while not _holds(_motion(poses[k : k + 2], bounds, pace=pace[k]), constraints):
+        while not _holds(_make_motion(poses[k : k + 2], bounds, pace=pace[k]), constraints):
             if pace[k] == 1.0 and not _holds(
-                _motion(poses[k : k + 2], bounds), constraints, at_rest=True
+                _make_motion(poses[k : k + 2], bounds), constraints, at_rest=True
             ):
                 return None
             pace[k] *= SLOWING
             if pace[k] < SLOWEST:
                 return None
-    whole = _motion(poses, bounds, dwell, pace)
+    whole = _make_motion(poses, bounds, dwell, pace)
     while not _holds(whole, constraints):
         pace *= SLOWING
         if pace.min() < SLOWEST * SLOWING:
             return None
-        whole = _motion(poses, bounds, dwell, pace)
+        whole = _make_motion(poses, bounds, dwell, pace)
     return whole
 
 
-def violated(
+def find_violations(
     constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array
 ) -> NDArray[np.bool_]:
     """Return at which states (N,) a constraint does not hold."""
@@ -232,7 +237,7 @@ def violated(
     return over
 
 
-def _motion(
+def _make_motion(
     poses: Array, bounds: MotionBounds, dwell: ArrayLike = 0.0, pace: ArrayLike = 1.0
 ) -> PointToPointMotion:
     return PointToPointMotion.within(
@@ -246,5 +251,7 @@ def _holds(
     q, qd, qdd = motion.at(motion.sample_times(CHECK_RATE))
     rest = np.zeros_like(q)
     return not np.any(
-        violated(constraints, q, rest, rest) if at_rest else violated(constraints, q, qd, qdd)
+        find_violations(constraints, q, rest, rest)
+        if at_rest
+        else find_violations(constraints, q, qd, qdd)
     )

@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import STANDSTILL, Motion, limit_array, way_point_array
+from asbuilt.excitation.motions.motion import (
+    STANDSTILL,
+    Motion,
+    check_limit_array,
+    check_way_points,
+)
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
@@ -53,7 +58,7 @@ class QuinticMotion(PiecewisePolynomial):
         >>> q.round(6).tolist(), qd.round(6).tolist()
         ([0.5, 0.0], [0.9375, -1.875])
         """
-        poses = way_point_array([np.atleast_1d(start), np.atleast_1d(end)], "start and end")
+        poses = check_way_points([np.atleast_1d(start), np.atleast_1d(end)], "start and end")
         n = poses.shape[1]
         velocities = np.stack(
             [np.broadcast_to(start_velocity, (n,)), np.broadcast_to(end_velocity, (n,))]
@@ -80,25 +85,25 @@ class QuinticMotion(PiecewisePolynomial):
         MotionError
             If the times do not rise or shapes do not agree.
         """
-        q = way_point_array(poses, "poses")
+        q = check_way_points(poses, "poses")
         t = np.asarray(times, dtype=np.float64)
         if t.shape != (q.shape[0],) or not np.all(np.diff(t) > 0):
             raise MotionError(
                 f"{q.shape[0]} poses need as many rising times, got"
                 f" {np.array2string(t, threshold=8)}"
             )
-        v = np.zeros_like(q) if velocities is None else way_point_array(velocities, "velocities")
+        v = np.zeros_like(q) if velocities is None else check_way_points(velocities, "velocities")
         a = (
             np.zeros_like(q)
             if accelerations is None
-            else way_point_array(accelerations, "accelerations")
+            else check_way_points(accelerations, "accelerations")
         )
         if v.shape != q.shape or a.shape != q.shape:
             raise MotionError(
                 f"velocities and accelerations must have the shape of the poses, {q.shape}; got"
                 f" {v.shape} and {a.shape}"
             )
-        return cls(t - t[0], _hermite(np.diff(t)[:, None], q, v, a))
+        return cls(t - t[0], _solve_hermite(np.diff(t)[:, None], q, v, a))
 
     @classmethod
     def within(
@@ -118,10 +123,10 @@ class QuinticMotion(PiecewisePolynomial):
         `sqrt(10/sqrt(3) d / acceleration)` and `cbrt(60 d / jerk)`, d the distance; the slowest
         joint attains its limit exactly and the others arrive together with it.
         """
-        q = way_point_array(poses, "poses")
+        q = check_way_points(poses, "poses")
         n = q.shape[1]
         v, a, j = (
-            limit_array(x, n, name)
+            check_limit_array(x, n, name)
             for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
         )
         if not (np.isfinite(dwell) and dwell >= 0):
@@ -155,7 +160,7 @@ class QuinticMotion(PiecewisePolynomial):
         return cls.through(np.array(stops), times)
 
 
-def _hermite(h: Array, q: Array, v: Array, a: Array) -> Array:
+def _solve_hermite(h: Array, q: Array, v: Array, a: Array) -> Array:
     """Return the coefficients (6, m, n), highest power first, that match q, v, a (m + 1, n).
 
     Pieces are h (m, 1) long.

@@ -74,7 +74,7 @@ def random_fourier(
         if _holds_torque(model, candidate, fraction):
             return candidate
         size *= SHRINKAGE
-    raise _too_heavy(model)
+    raise _make_torque_error(model)
 
 
 def random_point_to_point(
@@ -111,7 +111,7 @@ def random_point_to_point(
         size *= SHRINKAGE
         if size < SHRINKAGE ** (ATTEMPTS // 2):
             poses = generator.uniform(bounds.lower, bounds.upper, size=poses.shape)
-    raise _too_heavy(model)
+    raise _make_torque_error(model)
 
 
 def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
@@ -122,7 +122,7 @@ def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
     return worst is None or worst.margin >= 1 - fraction
 
 
-def _too_heavy(model: RobotModel) -> MotionError:
+def _make_torque_error(model: RobotModel) -> MotionError:
     limits = ", ".join(f"{limit:g}" for limit in MotionBounds.of(model).torque)
     return MotionError(
         f"{model.name}: no random motion within the torque limits ({limits}) was found, however"

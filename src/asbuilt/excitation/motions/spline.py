@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import limit_array, way_point_array
+from asbuilt.excitation.motions.motion import check_limit_array, check_way_points
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 Ends = Literal["rest", "clamped", "natural"]
@@ -61,7 +61,7 @@ class SplineMotion(PiecewisePolynomial):
         >>> [abs(x).max().round(9).item() for x in motion.at([0.0, 2.0])[1:]]
         [0.0, 0.0]
         """
-        q = way_point_array(way_points)
+        q = check_way_points(way_points)
         t = np.asarray(times, dtype=np.float64)
         if t.shape != (q.shape[0],) or not np.all(np.diff(t) > 0) or not np.all(np.isfinite(t)):
             raise MotionError(
@@ -110,10 +110,10 @@ class SplineMotion(PiecewisePolynomial):
         acceleration with its square and jerk with its cube. The shorter of the two is returned; it
         is not proven optimal.
         """
-        q = way_point_array(way_points)
+        q = check_way_points(way_points)
         n = q.shape[1]
         limits = [
-            limit_array(x, n, name)
+            check_limit_array(x, n, name)
             for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
         ]
         if not np.all(np.isfinite(np.min(limits, axis=0))):
@@ -133,7 +133,7 @@ class SplineMotion(PiecewisePolynomial):
             return np.concatenate([[0.0], np.cumsum(np.exp(logs))])
 
         def factors(logs: Array) -> Array:
-            return _time_factors(cls.through(q, times(logs), degree=degree, ends=ends), limits)
+            return _find_time_factors(cls.through(q, times(logs), degree=degree, ends=ends), limits)
 
         def smooth_duration(logs: Array) -> float:
             return float(
@@ -154,7 +154,7 @@ class SplineMotion(PiecewisePolynomial):
         return cls.through(q, min(scaled, key=lambda t: float(t[-1])), degree=degree, ends=ends)
 
 
-def _time_factors(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
+def _find_time_factors(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
     """Return the factor of time that each limit needs in each piece and joint, flat.
 
     The `limits` bound velocity, acceleration and jerk.

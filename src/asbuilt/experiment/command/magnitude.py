@@ -10,9 +10,13 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.servo_torque import LOGGED, held_command, logged_velocity
+from asbuilt.experiment.command.servo_torque import (
+    LOGGED,
+    differentiate_logged_positions,
+    hold_command,
+)
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 
 Kind = Literal["motor", "supply"]
 KINDS: tuple[Kind, ...] = ("motor", "supply")
@@ -87,7 +91,7 @@ def is_magnitude(values: Array) -> bool:
     return bool(finite.size and finite.min() >= 0.0 and finite.max() > 0.0)
 
 
-def magnitude_laws(
+def fit_magnitude_laws(
     recordings: Recording | Sequence[Recording], magnitudes: Sequence[Array] | None = None
 ) -> tuple[MagnitudeLaw | None, ...]:
     """Return the law of each joint's magnitude; None where the command explains nothing.
@@ -108,8 +112,8 @@ def magnitude_laws(
     >>> q = np.sin(t)[:, None]
     >>> u = q + 0.2 * np.cos(2.3 * t)[:, None]
     >>> recording = Recording(t=t, q=q, tau=q, command=u)
-    >>> e, w = held_command(recording) - q, logged_velocity(recording)
-    >>> law = magnitude_laws(recording, [3.0 * np.abs(e - 0.05 * w)])[0]
+    >>> e, w = hold_command(recording) - q, differentiate_logged_positions(recording)
+    >>> law = fit_magnitude_laws(recording, [3.0 * np.abs(e - 0.05 * w)])[0]
     >>> law.kind, round(law.scale, 3), round(law.lag, 4)
     ('motor', 3.0, 0.05)
     """
@@ -122,10 +126,14 @@ def magnitude_laws(
     ]
     if not parts:
         return (None,) * several[0].n_joints
-    errors = [held_command(each) - each.q for each, _ in parts]
+    errors = [hold_command(each) - each.q for each, _ in parts]
     m, e, w = (
         np.concatenate(columns)
-        for columns in ([each for _, each in parts], errors, [_velocity(each) for each, _ in parts])
+        for columns in (
+            [each for _, each in parts],
+            errors,
+            [_choose_velocity(each) for each, _ in parts],
+        )
     )
     blocks, first = list[Array](), 0
     for each, _ in parts:
@@ -134,18 +142,20 @@ def magnitude_laws(
         first += int(np.nanmax(own)) + 1
     block = np.concatenate(blocks)
     laws = {
-        kind: tuple(_law(kind, block, m[:, k], e[:, k], w[:, k]) for k in range(m.shape[1]))
+        kind: tuple(
+            _fit_joint_law(kind, block, m[:, k], e[:, k], w[:, k]) for k in range(m.shape[1])
+        )
         for kind in KINDS
     }
-    return max(laws.values(), key=_explained)
+    return max(laws.values(), key=_sum_explained)
 
 
-def _explained(laws: Sequence[MagnitudeLaw | None]) -> float:
+def _sum_explained(laws: Sequence[MagnitudeLaw | None]) -> float:
     """Return the sum over joints of what laws explain."""
     return sum(max(law.explained, 0.0) for law in laws if law is not None)
 
 
-def logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
+def fit_logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
     """Return the laws of magnitudes that were logged with the commands; empty if none were."""
     logged = [
         (each, each.extra[LOGGED])
@@ -154,10 +164,10 @@ def logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw
     ]
     if not logged:
         return ()
-    return magnitude_laws([each for each, _ in logged], [values for _, values in logged])
+    return fit_magnitude_laws([each for each, _ in logged], [values for _, values in logged])
 
 
-def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Recording:
+def sign_by_command(recording: Recording, unused: Collection[str] = ()) -> Recording:
     """Return a recording whose magnitudes have the sign of the servo's torque, `e - lag w`.
 
     Joints that are `unused` need no law and keep their torque.
@@ -184,7 +194,7 @@ def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Rec
             file=recording.source,
             value=float(np.nanmin(recording.tau)),
         )
-    laws = magnitude_laws(recording)
+    laws = fit_magnitude_laws(recording)
     for kind, what in (
         (None, "do not follow the command"),
         ("supply", "are supply currents, which grow with the square of the torque"),
@@ -196,7 +206,7 @@ def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Rec
         ]
         if bad:
             raise RecordingError(
-                f"{recording.source}: the magnitudes of {joined(bad)} {what}; the command gives"
+                f"{recording.source}: the magnitudes of {join_names(bad)} {what}; the command gives"
                 " them no sign that could be used",
                 cure=Cure(
                     "use the commanded positions instead", settings={"torque_source": "command"}
@@ -205,7 +215,7 @@ def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Rec
                 joint=bad[0],
             )
     lag = np.array([0.0 if law is None else law.lag for law in laws])
-    driving = held_command(recording) - recording.q - lag * _velocity(recording)
+    driving = hold_command(recording) - recording.q - lag * _choose_velocity(recording)
     driving[:, [name in unused for name in recording.joint_names]] = 1.0
     side = np.where(driving < 0.0, -1.0, 1.0)
     listed = ", ".join(f"{1e3 * each:.3g}" for each in lag)
@@ -213,11 +223,11 @@ def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Rec
     return replace(recording, tau=side * recording.tau, notes=(*recording.notes, note))
 
 
-def _velocity(recording: Recording) -> Array:
-    return logged_velocity(recording) if recording.qd is None else recording.qd
+def _choose_velocity(recording: Recording) -> Array:
+    return differentiate_logged_positions(recording) if recording.qd is None else recording.qd
 
 
-def _law(
+def _fit_joint_law(
     kind: Kind, blocks: Array, magnitude: Array, error: Array, velocity: Array
 ) -> MagnitudeLaw | None:
     """Return the law of one joint, each input (N,); None if it has too few rows."""
@@ -226,31 +236,33 @@ def _law(
     block = blocks[rows].astype(np.intp)
     if np.unique(block).size < RULES.fewest or not np.ptp(m) > 0.0 or not np.ptp(e) > 0.0:
         return None
-    return _fitted(kind, m, e, w, block)
+    return _fit_kind(kind, m, e, w, block)
 
 
-def _fitted(kind: Kind, m: Array, e: Array, w: Array, block: Indices) -> MagnitudeLaw:
+def _fit_kind(kind: Kind, m: Array, e: Array, w: Array, block: Indices) -> MagnitudeLaw:
     """Fit one kind of law, and validate it on the blocks of the other parity."""
     odd = block % 2 == 1
     left = 0.0
     for here in (odd, ~odd):
-        lag = _lag(kind, m[here], e[here], w[here])
-        scale, rest = _line(_shape(kind, e[here], w[here], lag), m[here])
-        left += float(np.sum((m[~here] - scale * _shape(kind, e, w, lag)[~here] - rest) ** 2))
-    lag = _lag(kind, m, e, w)
-    scale, rest = _line(_shape(kind, e, w, lag), m)
+        lag = _fit_lag(kind, m[here], e[here], w[here])
+        scale, rest = _fit_line(_evaluate_shape(kind, e[here], w[here], lag), m[here])
+        left += float(
+            np.sum((m[~here] - scale * _evaluate_shape(kind, e, w, lag)[~here] - rest) ** 2)
+        )
+    lag = _fit_lag(kind, m, e, w)
+    scale, rest = _fit_line(_evaluate_shape(kind, e, w, lag), m)
     total = float(np.sum((m - m.mean()) ** 2))
     return MagnitudeLaw(
-        kind, scale, lag, _lag_error(kind, m, e, w, lag, block), rest, 1.0 - left / total
+        kind, scale, lag, _estimate_lag_error(kind, m, e, w, lag, block), rest, 1.0 - left / total
     )
 
 
-def _shape(kind: Kind, e: Array, w: Array, lag: float) -> Array:
+def _evaluate_shape(kind: Kind, e: Array, w: Array, lag: float) -> Array:
     driving = e - lag * w
     return np.abs(driving) if kind == "motor" else np.maximum(e * driving, 0.0)
 
 
-def _line(x: Array, y: Array) -> tuple[float, float]:
+def _fit_line(x: Array, y: Array) -> tuple[float, float]:
     """Return slope and intercept of the line through points."""
     centred = x - x.mean()
     energy = float(centred @ centred)
@@ -258,18 +270,18 @@ def _line(x: Array, y: Array) -> tuple[float, float]:
     return slope, float(y.mean() - slope * x.mean())
 
 
-def _lag(kind: Kind, m: Array, e: Array, w: Array) -> float:
+def _fit_lag(kind: Kind, m: Array, e: Array, w: Array) -> float:
     """Return the lag with which the law fits best, by the profile over it."""
 
     def cost(lag: float) -> float:
-        x = _shape(kind, e, w, lag)
-        scale, rest = _line(x, m)
+        x = _evaluate_shape(kind, e, w, lag)
+        scale, rest = _fit_line(x, m)
         return float(np.sum((m - scale * x - rest) ** 2))
 
-    return _lowest(cost)
+    return _find_lowest(cost)
 
 
-def _lowest(cost: Callable[[float], float]) -> float:
+def _find_lowest(cost: Callable[[float], float]) -> float:
     from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
 
     tried = np.linspace(RULES.shortest, RULES.longest, RULES.tried)
@@ -278,12 +290,14 @@ def _lowest(cost: Callable[[float], float]) -> float:
     return float(minimize_scalar(cost, bounds=(best - step, best + step), method="bounded").x)
 
 
-def _lag_error(kind: Kind, m: Array, e: Array, w: Array, lag: float, block: Indices) -> float:
+def _estimate_lag_error(
+    kind: Kind, m: Array, e: Array, w: Array, lag: float, block: Indices
+) -> float:
     """Return the standard error of the lag from the scores of time blocks."""
     step = 1e-3
-    scale, rest = _line(_shape(kind, e, w, lag), m)
-    ahead, behind = _shape(kind, e, w, lag + step), _shape(kind, e, w, lag - step)
-    x = _shape(kind, e, w, lag)
+    scale, rest = _fit_line(_evaluate_shape(kind, e, w, lag), m)
+    ahead, behind = _evaluate_shape(kind, e, w, lag + step), _evaluate_shape(kind, e, w, lag - step)
+    x = _evaluate_shape(kind, e, w, lag)
     J = np.stack([scale * (ahead - behind) / (2.0 * step), x, np.ones_like(x)], axis=1)
     residual = m - scale * x - rest
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)[0]

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.recording import Recording, advancing
+from asbuilt.experiment.recording import Recording, find_advancing_rows
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -23,7 +23,7 @@ DROOP = 1.0 / 24.0
 `sinc(f T)`, to the fourth order in the frequency f."""
 
 
-def held_command(
+def hold_command(
     recording: Recording, delay: float = 0.0, curve: CommandCurve | None = None
 ) -> Array:
     """Return the command that acts at the times of the samples, shape (N, n).
@@ -37,18 +37,18 @@ def held_command(
     --------
     >>> t = np.arange(0.0, 1.0, 0.01)
     >>> x = t[:, None]
-    >>> late = held_command(Recording(t=t, q=x, tau=x, command=x), delay=0.02)
+    >>> late = hold_command(Recording(t=t, q=x, tau=x, command=x), delay=0.02)
     >>> round(float(t[50] - late[50, 0]), 6)
     0.025
     """
-    return _led(recording, delay, 0, curve)
+    return _lead_goal(recording, delay, 0, curve)
 
 
 def command_rate(
     recording: Recording, delay: float = 0.0, curve: CommandCurve | None = None
 ) -> Array:
-    """Return the time derivative of `held_command`, shape (N, n)."""
-    return _led(recording, delay, 1, curve)
+    """Return the time derivative of `hold_command`, shape (N, n)."""
+    return _lead_goal(recording, delay, 1, curve)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,13 +66,13 @@ class CommandCurve:
     @classmethod
     def of(cls, recording: Recording) -> CommandCurve:
         """Return the curve of the command of a recording."""
-        rows = _counting(recording)
-        t, x = recording.t[rows], _command(recording)[rows]
+        rows = _select_samples(recording)
+        t, x = recording.t[rows], _require_command(recording)[rows]
         if t.size < FEWEST:
             return cls(rows, t, None)
         padded = np.concatenate([x[:1], x, x[-1:]])
         return cls(
-            rows, t, _spline(t, DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x)
+            rows, t, _fit_spline(t, DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x)
         )
 
     def held(self, delay: float, derivative: int) -> Array:
@@ -87,7 +87,9 @@ class CommandCurve:
         return values
 
 
-def _led(recording: Recording, delay: float, derivative: int, curve: CommandCurve | None) -> Array:
+def _lead_goal(
+    recording: Recording, delay: float, derivative: int, curve: CommandCurve | None
+) -> Array:
     """Return a derivative of the goal and of its rate times the lead, shape (N, n).
 
     A step of the command is a pulse of `TICK` in the rate, whose torque the limit cuts, so larger
@@ -95,16 +97,16 @@ def _led(recording: Recording, delay: float, derivative: int, curve: CommandCurv
     """
     servo = recording.servo
     if servo is None or not np.any(servo.leads):
-        return _acting(recording, delay, derivative, curve)
-    goal = _acting(recording, delay, derivative, curve)
+        return _sample_goal(recording, delay, derivative, curve)
+    goal = _sample_goal(recording, delay, derivative, curve)
     if not servo.limits_goal:
         recording, curve = replace(recording, command=_with_small_steps(recording, servo)), None
-    return goal + servo.leads * _acting(recording, delay, derivative + 1, curve)
+    return goal + servo.leads * _sample_goal(recording, delay, derivative + 1, curve)
 
 
 def _with_small_steps(recording: Recording, servo: PositionServo) -> Array:
     """Return the command (N, n) with steps up to those whose rate, times the lead, is the limit."""
-    command = _command(recording)
+    command = _require_command(recording)
     with np.errstate(invalid="ignore", divide="ignore"):
         largest = np.array(servo.torque_limit) * TICK / (np.array(servo.kp) * servo.leads)
     most = np.nan_to_num(largest, nan=np.inf, posinf=np.inf)
@@ -115,17 +117,17 @@ def _with_small_steps(recording: Recording, servo: PositionServo) -> Array:
     return np.where(np.isfinite(command), np.vstack([0.0 * small[:1], small]), np.nan)
 
 
-def _acting(
+def _sample_goal(
     recording: Recording, delay: float, derivative: int, curve: CommandCurve | None
 ) -> Array:
-    command = _command(recording)
+    command = _require_command(recording)
     out = np.full(command.shape, np.nan)
     if recording.servo is not None and recording.servo.limits_goal:
-        rows = _counting(recording)
+        rows = _select_samples(recording)
         t = recording.t[rows]
         if t.size >= FEWEST:
             goal = recording.servo.goal(t, command[rows])
-            out[rows] = _of_goal(*goal, t, delay, derivative)
+            out[rows] = _filter_goal(*goal, t, delay, derivative)
         return out
     curve = curve or CommandCurve.of(recording)
     if curve.spline is not None:
@@ -133,26 +135,28 @@ def _acting(
     return out
 
 
-def _command(recording: Recording) -> Array:
+def _require_command(recording: Recording) -> Array:
     if recording.command is None:
         raise ValueError("the recording has no command")
     return recording.command
 
 
-def _counting(recording: Recording) -> Mask:
+def _select_samples(recording: Recording) -> Mask:
     """Return the samples with a command, at times that increase (N,)."""
     t = recording.t
-    return advancing(t, np.isfinite(t) & np.all(np.isfinite(_command(recording)), axis=1))
+    return find_advancing_rows(
+        t, np.isfinite(t) & np.all(np.isfinite(_require_command(recording)), axis=1)
+    )
 
 
-def _spline(t: Array, x: Array) -> CubicSpline:
+def _fit_spline(t: Array, x: Array) -> CubicSpline:
     """Return the cubic spline through x (N, n)."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
 
     return CubicSpline(t, x, axis=0)
 
 
-def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) -> Array:
+def _filter_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) -> Array:
     """Return the goal, or its derivative, below half the sampling rate, shape (K, n).
 
     The mean over a period T has the response `sinc(f T)` and nothing at the sampling rate; the
@@ -172,7 +176,7 @@ def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) 
     padded = np.concatenate([values[:1], values, values[-1:]])
     values = (1.0 + 2.0 * DROOP) * values - DROOP * (padded[:-2] + padded[2:])
     if derivative:
-        values = np.asarray(_spline(t, values)(t, derivative))
+        values = np.asarray(_fit_spline(t, values)(t, derivative))
         values[(late < t[0]) | (late > t[-1])] = 0.0
     return np.asarray(values)
 
@@ -181,7 +185,7 @@ LOGGED = "tau_logged"
 """Extra quantity of a recording whose torque comes from its command: the torque that was logged."""
 
 
-def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:
+def drive_by_command(recording: Recording, servo: PositionServo) -> Recording:
     """Return the recording with the torque of a servo that follows its command.
 
     An unknown stiffness counts as 1 N m/rad, an unknown damping as 0, an unknown delay as 0: then
@@ -193,15 +197,15 @@ def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:
         kp=tuple(np.where(np.isfinite(servo.kp), servo.kp, 1.0)),
         kd=tuple(np.where(np.isfinite(servo.kd), servo.kd, 0.0)),
     )
-    held = held_command(replace(recording, servo=servo), servo.delay or 0.0)
-    tau = known.torque(held, recording.q, logged_velocity(recording))
+    held = hold_command(replace(recording, servo=servo), servo.delay or 0.0)
+    tau = known.torque(held, recording.q, differentiate_logged_positions(recording))
     extra = dict(recording.extra)
     if recording.servo is None and np.any(recording.tau):
         extra[LOGGED] = recording.tau
     return replace(recording, tau=tau, torque_source="command", servo=servo, extra=extra)
 
 
-def logged_velocity(recording: Recording) -> Array:
+def differentiate_logged_positions(recording: Recording) -> Array:
     """Return velocities by central differences of the positions as logged, shape (N, n)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.gradient(recording.q, recording.t, axis=0))

@@ -16,10 +16,10 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
-from asbuilt.experiment.free_base.force_checks import force_findings
-from asbuilt.experiment.free_base.rolling_feet import rolling_radii
+from asbuilt.experiment.free_base.force_checks import check_forces
+from asbuilt.experiment.free_base.rolling_feet import estimate_rolling_radii
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,37 +48,39 @@ class FreeBaseLimits:
 LIMITS = FreeBaseLimits()
 
 
-def free_base_findings(model: RobotModel, recording: Recording) -> tuple[Finding, ...]:
+def check_free_base(model: RobotModel, recording: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with base and contacts of a recording."""
     part = recording.taken(slice(0, LIMITS.samples))
     if part.n_samples < 10 or not np.all(np.isfinite(part.q)):
         return ()
     rates = np.gradient(part.q, part.t, axis=0)
-    found = [*_velocity_findings(model, part, rates), *_acceleration_findings(model, part)]
-    found += force_findings(model, part, rates)
+    found = [*_check_velocities(model, part, rates), *_check_accelerations(model, part)]
+    found += check_forces(model, part, rates)
     if model.contacts and part.contact is not None:
-        found += _contact_findings(model, part, rates)
+        found += _check_contacts(model, part, rates)
     return tuple(found)
 
 
-def _velocity_findings(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
+def _check_velocities(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
     """Find velocities in other axes, and quaternions in another order."""
     q, qd = recording.q, recording.qd
     if qd is None or model.n_floating != 6:
         return
     R = base_rotations(q)
     linear = np.einsum("sji,sj->si", R, qd[:, :3])  # as logged
-    if _size(linear - rates[:, :3]) < LIMITS.share * _size(qd[:, :3] - rates[:, :3]):
-        yield _wrong_axes("base_vx .. base_vz")
-    angular, derived = (_in_base_axes(q, each) for each in (qd, rates))
-    off = _size(angular - derived)
-    if _size(angular - np.einsum("sij,sj->si", R, derived)) < LIMITS.share * off:
-        yield _wrong_axes("base_wx .. base_wz")
+    if _measure_mean_square(linear - rates[:, :3]) < LIMITS.share * _measure_mean_square(
+        qd[:, :3] - rates[:, :3]
+    ):
+        yield _report_wrong_axes("base_vx .. base_vz")
+    angular, derived = (_turn_into_base_axes(q, each) for each in (qd, rates))
+    off = _measure_mean_square(angular - derived)
+    if _measure_mean_square(angular - np.einsum("sij,sj->si", R, derived)) < LIMITS.share * off:
+        yield _report_wrong_axes("base_wx .. base_wz")
         return
-    for order, other in _other_readings(R):
+    for order, other in _list_other_readings(R):
         turned = np.gradient(np.unwrap(other, axis=0), recording.t, axis=0)
         again = np.hstack([q[:, :3], other]), np.hstack([rates[:, :3], turned])
-        if _size(angular - _in_base_axes(*again)) < LIMITS.share * off:
+        if _measure_mean_square(angular - _turn_into_base_axes(*again)) < LIMITS.share * off:
             yield Finding(
                 "quaternion_order",
                 "error",
@@ -89,7 +91,7 @@ def _velocity_findings(model: RobotModel, recording: Recording, rates: Array) ->
             return
 
 
-def _wrong_axes(columns: str) -> Finding:
+def _report_wrong_axes(columns: str) -> Finding:
     return Finding(
         "base_velocity_axes",
         "error",
@@ -99,14 +101,14 @@ def _wrong_axes(columns: str) -> Finding:
     )
 
 
-def _other_readings(R: Array) -> Iterator[tuple[str, Array]]:
+def _list_other_readings(R: Array) -> Iterator[tuple[str, Array]]:
     """Yield other readings of quaternions that were read as x y z w, and their angles."""
-    x, y, z, w = _quaternions(R)
+    x, y, z, w = _extract_quaternions(R)
     yield "w x y z", yaw_pitch_roll(np.stack([y, z, w, x], axis=1))
     yield "the inverse (world axes to base axes)", yaw_pitch_roll(np.stack([-x, -y, -z, w], axis=1))
 
 
-def _quaternions(R: Array) -> tuple[Array, Array, Array, Array]:
+def _extract_quaternions(R: Array) -> tuple[Array, Array, Array, Array]:
     """Return x, y, z, w of rotations (N, 3, 3), as eigenvectors, so that none is singular."""
     (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
     K = np.array(
@@ -125,7 +127,7 @@ def _quaternions(R: Array) -> tuple[Array, Array, Array, Array]:
     return x, y, z, w
 
 
-def _in_base_axes(q: Array, rates: Array) -> Array:
+def _turn_into_base_axes(q: Array, rates: Array) -> Array:
     """Return the angular velocity (N, 3) in base axes of the rates of yaw, pitch and roll."""
     unit = [
         coordinate_rates(q, np.zeros((len(q), 3)), np.tile(axis, (len(q), 1)))[:, 3:]
@@ -134,7 +136,7 @@ def _in_base_axes(q: Array, rates: Array) -> Array:
     return np.asarray(np.linalg.solve(np.stack(unit, axis=2), rates[:, 3:6, None])[:, :, 0])
 
 
-def _acceleration_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def _check_accelerations(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Find accelerations that hold gravity, as those of an inertial sensor do."""
     if recording.qdd is None or recording.qd is None or model.n_floating != 6:
         return
@@ -150,10 +152,10 @@ def _acceleration_findings(model: RobotModel, recording: Recording) -> Iterator[
         )
 
 
-def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
+def _check_contacts(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
     """Find contacts that never close, that slip, and flags that come early or late."""
     assert recording.contact is not None
-    yield from _radius_findings(model, recording)
+    yield from _report_radii(model, recording)
     closed = recording.contact > 0.5
     names = [contact.frame for contact in model.contacts]
     never = [
@@ -166,7 +168,7 @@ def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> 
         yield Finding(
             "contact_never_closes",
             "error" if all_open else "warning",
-            f"{joined([f'contact_{name}' for name in never])} never close"
+            f"{join_names([f'contact_{name}' for name in never])} never close"
             + (", and the base does not fall" if all_open else ""),
             Cure("check the flags: 1 where the contact is closed"),
         )
@@ -177,7 +179,7 @@ def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> 
         ],
         axis=1,
     )
-    late = _late(speed, closed, recording.rate)
+    late = _measure_flag_delay(speed, closed, recording.rate)
     if late:
         yield Finding(
             "contact_timing",
@@ -188,7 +190,7 @@ def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> 
         )
         return
     for k, name in enumerate(names):
-        inner = _inside(closed[:, k], round(0.03 * recording.rate))
+        inner = _mark_inside(closed[:, k], round(0.03 * recording.rate))
         slips = float(np.mean(speed[inner, k] > LIMITS.slip)) if inner.any() else 0.0
         if slips > LIMITS.often:
             yield Finding(
@@ -201,10 +203,12 @@ def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> 
             )
 
 
-def _radius_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def _report_radii(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Report on which radius feet roll, and radii that were stated otherwise."""
     rolling, other = [], []
-    for contact, radius in zip(model.contacts, rolling_radii(model, [recording]), strict=True):
+    for contact, radius in zip(
+        model.contacts, estimate_rolling_radii(model, [recording]), strict=True
+    ):
         if radius is None:
             continue
         stated = contact.radius or 0.0
@@ -218,7 +222,8 @@ def _radius_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
         yield Finding(
             "feet_roll",
             "info",
-            f"in stance feet move as balls roll, on radii of {joined(rolling)}: the ground is taken"
+            f"in stance feet move as balls roll, on radii of {join_names(rolling)}: the ground is"
+            " taken"
             " to touch them so far below their frames",
             Cure("state other radii [m] after the names, or 0 for points: FL_FOOT:0.02"),
         )
@@ -226,7 +231,7 @@ def _radius_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
         yield Finding(
             "contact_radius",
             "warning",
-            f"in stance feet move as balls roll on radii of {joined(other)}; a force at another"
+            f"in stance feet move as balls roll on radii of {join_names(other)}; a force at another"
             " point has another moment",
             Cure("state these radii, or leave them out, and they are taken from the log"),
         )
@@ -241,7 +246,7 @@ def _falls(model: RobotModel, recording: Recording) -> bool:
     return bool(fall > 0.5 * np.linalg.norm(model.gravity))
 
 
-def _late(speed: Array, closed: Mask, rate: float) -> float:
+def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:
     """Return by how long [s] flags come late (early if negative), 0 if they are right.
 
     Speeds beyond nine tenths of them count as that, since feet in the air have any.
@@ -264,18 +269,18 @@ def _late(speed: Array, closed: Mask, rate: float) -> float:
     return best / rate if named else 0.0
 
 
-def _inside(closed: Mask, margin: int) -> Mask:
+def _mark_inside(closed: Mask, margin: int) -> Mask:
     """Return which samples are closed and `margin` away from any that is open."""
     reach = np.convolve((~closed).astype(np.float64), np.ones(2 * margin + 1), mode="same")
     return np.asarray(reach == 0.0, dtype=np.bool_)
 
 
-def _size(x: Array) -> float:
+def _measure_mean_square(x: Array) -> float:
     """Return the mean square, single outliers cut off."""
     squares = np.sum(x * x, axis=1)
     return float(np.minimum(squares, np.percentile(squares, 99.0)).mean())
 
 
-def of_joints_alone(model: RobotModel, recording: Recording) -> Recording:
+def drop_base_joints(model: RobotModel, recording: Recording) -> Recording:
     """Return a recording of the joints that have a drive, as of a robot that is held."""
     return replace(recording.reordered(model.standing.joint_names), undriven=(), contact=None)

@@ -18,8 +18,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.measured_forces import (
-    force_columns,
-    pressed,
+    detect_force,
+    select_force_columns,
     with_measured_forces,
 )
 from asbuilt.experiment.free_base.sensor_checks import unit_quaternions
@@ -36,7 +36,7 @@ STEEPEST = np.deg2rad(80.0)
 """Pitch beyond which yaw and roll are one turn, so that their rates say nothing."""
 
 
-def base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
+def select_base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns of a log that belong to a free base and its contacts."""
     return {
         name: values
@@ -45,7 +45,7 @@ def base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     }
 
 
-def on_its_base(recording: Recording, model: RobotModel) -> Recording:
+def add_base_coordinates(recording: Recording, model: RobotModel) -> Recording:
     """Return a recording of the joints with the coordinates of the base before them.
 
     The columns of the base are among its `extra`.
@@ -71,9 +71,9 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
         )
 
         recording = with_inertial_base(recording, model)
-    contact = _closed_contacts(recording, model) if model.contacts else None
-    q, notes = _pose(recording, model)
-    qd, qdd = _rates(recording, model, q)
+    contact = _find_closed_contacts(recording, model) if model.contacts else None
+    q, notes = _read_pose(recording, model)
+    qd, qdd = _read_rates(recording, model, q)
     still = np.zeros_like(q)
     base = model.joint_names[: model.n_floating]
     found = replace(
@@ -85,26 +85,28 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
         joint_names=(*base, *recording.joint_names),
         notes=(*recording.notes, *notes),
         gains=None if recording.gains is None else (*[1.0] * len(base), *recording.gains),
-        extra=force_columns(recording.extra),
+        extra=select_force_columns(recording.extra),
         undriven=base,
         contact=contact,
     )
     return with_measured_forces(found, model)
 
 
-def _closed_contacts(recording: Recording, model: RobotModel) -> Array:
+def _find_closed_contacts(recording: Recording, model: RobotModel) -> Array:
     """Return where contacts are closed (N, n_contacts), by their flag or else by their force."""
     found = []
     for contact in model.contacts:
         name = f"contact_{contact.frame}"
         if name not in recording.extra and f"{name}_fz" in recording.extra:
-            found.append(pressed(recording.extra[f"{name}_fz"]))
+            found.append(detect_force(recording.extra[f"{name}_fz"]))
         else:
-            found += list(_columns(recording, [name], "which says when the contact is closed").T)
+            found += list(
+                _stack_columns(recording, [name], "which says when the contact is closed").T
+            )
     return np.stack(found, axis=1)
 
 
-def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str) -> Array:
+def _stack_columns(recording: Recording, names: list[str] | tuple[str, ...], what: str) -> Array:
     """Return columns (N, len(names)); raises `RecordingError` where one is missing."""
     missing = [name for name in names if name not in recording.extra]
     if missing:
@@ -120,15 +122,15 @@ def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str
     return np.stack([recording.extra[name] for name in names], axis=1)
 
 
-def _pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str]]:
+def _read_pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str]]:
     """Return the coordinates of the base (N, n_floating), and notes."""
     if model.n_floating == 3 and YAW_OF_PLANAR in recording.extra:
-        pose = _columns(recording, (*POSITION[:2], YAW_OF_PLANAR), "a coordinate of the base")
+        pose = _stack_columns(recording, (*POSITION[:2], YAW_OF_PLANAR), "a coordinate of the base")
         return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])]), []
-    position = _columns(
+    position = _stack_columns(
         recording, POSITION[: 2 if model.n_floating == 3 else 3], "where the base is"
     )
-    logged = _columns(recording, QUATERNION, "how the base is turned")
+    logged = _stack_columns(recording, QUATERNION, "how the base is turned")
     quaternion, notes = unit_quaternions(recording, logged, QUATERNION)
     angles = yaw_pitch_roll(quaternion)
     if model.n_floating == 3:
@@ -166,7 +168,9 @@ def yaw_pitch_roll(quaternion: Array) -> Array:
     )
 
 
-def _rates(recording: Recording, model: RobotModel, q: Array) -> tuple[Array | None, Array | None]:
+def _read_rates(
+    recording: Recording, model: RobotModel, q: Array
+) -> tuple[Array | None, Array | None]:
     """Return the first and second rates of the base's coordinates; None if they are not logged."""
     known = recording.extra
 

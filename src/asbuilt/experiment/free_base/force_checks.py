@@ -15,12 +15,12 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.free_base.measured_forces import (
-    in_world_axes,
-    measured_wrenches,
-    pressed,
+    collect_measured_wrenches,
+    detect_force,
+    turn_into_world_axes,
 )
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,13 @@ class ForceLimits:
 LIMITS = ForceLimits()
 
 
-def force_findings(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
+def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
     """Find forces in other axes or of other sign, and flags that disagree with them."""
-    wrenches = measured_wrenches(recording, model)
+    wrenches = collect_measured_wrenches(recording, model)
     if not wrenches or model.n_floating != 6:
         return
     own = {place: f[:, :3] for place, f in wrenches.items()}
-    world = _total(in_world_axes(model, recording.q, place, f) for place, f in own.items())
+    world = _add_up(turn_into_world_axes(model, recording.q, place, f) for place, f in own.items())
     needed = inverse_dynamics(model, recording.q, rates, np.gradient(rates, recording.t, axis=0))[
         :, :3
     ]
@@ -59,7 +59,7 @@ def force_findings(model: RobotModel, recording: Recording, rates: Array) -> Ite
         means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
         return float(np.mean(means**2)) if len(means) else 0.0
 
-    plain = _total(own.values())
+    plain = _add_up(own.values())
     readings = {
         "in world axes": plain,
         "those of the robot on its surroundings": -world,
@@ -70,7 +70,8 @@ def force_findings(model: RobotModel, recording: Recording, rates: Array) -> Ite
         yield Finding(
             "force_axes",
             "error",
-            f"measured forces at {joined([place.frame for place in own])} are {best}: so read, they"
+            f"measured forces at {join_names([place.frame for place in own])} are {best}: so"
+            " read, they"
             " carry the weight of the robot; as forces on it in axes of these frames they do not",
             Cure("turn them into axes of the frames, with the sign of what acts on the robot"),
         )
@@ -78,7 +79,7 @@ def force_findings(model: RobotModel, recording: Recording, rates: Array) -> Ite
         flag = recording.extra.get(f"contact_{place.frame}")
         if flag is None:
             continue
-        closed = pressed(np.linalg.norm(force, axis=1))
+        closed = detect_force(np.linalg.norm(force, axis=1))
         wrong = float(np.mean((flag > 0.5) != (closed > 0.5)))
         if wrong > LIMITS.often:
             yield Finding(
@@ -90,5 +91,5 @@ def force_findings(model: RobotModel, recording: Recording, rates: Array) -> Ite
             )
 
 
-def _total(forces: Iterable[Array]) -> Array:
+def _add_up(forces: Iterable[Array]) -> Array:
     return np.asarray(np.sum(list(forces), axis=0))

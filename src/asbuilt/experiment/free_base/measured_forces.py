@@ -18,9 +18,9 @@ from asbuilt.description.structure.parts import Contact
 from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.rolling_feet import on_rolling_feet
+from asbuilt.experiment.free_base.rolling_feet import set_rolling_radii
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 
 BASE = "base"
 FORCE, MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
@@ -38,8 +38,8 @@ def with_measured_forces(recording: Recording, model: RobotModel) -> Recording:
     """
     if not any(name.endswith("_fx") for name in recording.extra):
         return recording
-    rolling = on_rolling_feet(model, [recording])
-    wrenches = measured_wrenches(recording, rolling)
+    rolling = set_rolling_radii(model, [recording])
+    wrenches = collect_measured_wrenches(recording, rolling)
     contact = None if recording.contact is None else recording.contact.copy()
     for place, wrench in wrenches.items():
         for k, each in enumerate(model.contacts):
@@ -49,7 +49,7 @@ def with_measured_forces(recording: Recording, model: RobotModel) -> Recording:
     return replace(recording, tau=tau, contact=contact)
 
 
-def force_columns(extra: Mapping[str, Array]) -> dict[str, Array]:
+def select_force_columns(extra: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns of measured forces and of the flags of contacts."""
     ends = tuple(f"_{kind}" for kind in (*FORCE, *MOMENT))
     return {
@@ -59,13 +59,13 @@ def force_columns(extra: Mapping[str, Array]) -> dict[str, Array]:
     }
 
 
-def pressed(force: Array) -> Array:
+def detect_force(force: Array) -> Array:
     """Return 1 where a force (N,) is felt, or has no value, and 0 elsewhere."""
     large = float(np.nanquantile(np.abs(force), 0.95))
     return np.asarray(~(np.abs(force) <= PRESSED * large), dtype=np.float64)
 
 
-def measured_wrenches(recording: Recording, model: RobotModel) -> dict[Contact, Array]:
+def collect_measured_wrenches(recording: Recording, model: RobotModel) -> dict[Contact, Array]:
     """Return measured forces (N, 3), or forces and moments (N, 6), with where they act.
 
     Raises
@@ -85,7 +85,8 @@ def measured_wrenches(recording: Recording, model: RobotModel) -> dict[Contact, 
         missing = [name for name in wanted if name not in recording.extra]
         if missing:
             raise RecordingError(
-                f"{recording.source} has {joined([*known[0], *known[1]])} but no {missing[0]}; a"
+                f"{recording.source} has {join_names([*known[0], *known[1]])} but no"
+                f" {missing[0]}; a"
                 f" measured force has {' '.join(wanted)}"
                 + (", with the moments of a sole" if contact.flat else ""),
                 cure=Cure("log all components, or leave the force out, and it is projected away"),
@@ -105,12 +106,12 @@ def generalised_forces(model: RobotModel, q: Array, wrenches: Mapping[Contact, A
         span = slice(start, start + SAMPLES_AT_ONCE)
         jacobians = contact_jacobians(places, q[span])
         for J, (contact, wrench) in zip(jacobians, wrenches.items(), strict=True):
-            f = np.nan_to_num(in_world_axes(model, q[span], contact, wrench[span]))
+            f = np.nan_to_num(turn_into_world_axes(model, q[span], contact, wrench[span]))
             found[span] += np.einsum("sij,si->sj", J, f)
     return found
 
 
-def in_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: Array) -> Array:
+def turn_into_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: Array) -> Array:
     """Return a wrench (N, 3 or 6) turned from axes of its frame into those of the world."""
     link, placement = model.placed(contact.frame)
     R = link_poses(model, q)[:, link, :3, :3] @ placement[:3, :3]

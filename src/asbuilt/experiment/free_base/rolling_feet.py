@@ -43,12 +43,12 @@ class RollingRules:
 ROLLING = RollingRules()
 
 
-def on_rolling_feet(model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
+def set_rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
     """Return a robot whose contacts of unstated radius have that on which they roll, if any."""
     unstated = [each.radius is None and not each.flat for each in model.contacts]
     if not any(unstated):
         return model
-    radii = rolling_radii(model, recordings)
+    radii = estimate_rolling_radii(model, recordings)
     return replace(
         model,
         contacts=tuple(
@@ -58,7 +58,9 @@ def on_rolling_feet(model: RobotModel, recordings: Sequence[Recording]) -> Robot
     )
 
 
-def rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> list[float | None]:
+def estimate_rolling_radii(
+    model: RobotModel, recordings: Sequence[Recording]
+) -> list[float | None]:
     """Return the radius [m] on which each contact rolls; None where it does not show one."""
     flat = replace(
         model, contacts=tuple(replace(each, flat=True, radius=0.0) for each in model.contacts)
@@ -70,13 +72,13 @@ def rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> list[fl
         if part.contact is None or model.n_floating != 6 or not readable:
             continue
         for own, moved, closed in zip(
-            pieces, _displacements(flat, part.q), part.contact.T > 0.5, strict=True
+            pieces, _sum_displacements(flat, part.q), part.contact.T > 0.5, strict=True
         ):
-            own.extend(_pieces(moved, closed, part.rate))
-    return [_radius(own) for own in pieces]
+            own.extend(_cut_stance_segments(moved, closed, part.rate))
+    return [_estimate_radius(own) for own in pieces]
 
 
-def _displacements(model: RobotModel, q: Array) -> Array:
+def _sum_displacements(model: RobotModel, q: Array) -> Array:
     """Return the sums of displacements and turns (n_contacts, N, 6) of each contact's frame."""
     steps = [np.zeros((len(model.contacts), 1, 6))]
     for start in range(0, len(q) - 1, SAMPLES_AT_ONCE):
@@ -87,7 +89,7 @@ def _displacements(model: RobotModel, q: Array) -> Array:
     return np.cumsum(np.concatenate(steps, axis=1), axis=1)
 
 
-def _pieces(moved: Array, closed: Mask, rate: float) -> Iterator[tuple[Array, Array]]:
+def _cut_stance_segments(moved: Array, closed: Mask, rate: float) -> Iterator[tuple[Array, Array]]:
     """Yield displacement and what a radius of 1 m would give, (2 n,) each, of pieces of stance."""
     changes = np.flatnonzero(np.diff(np.r_[False, closed, False].astype(np.int8)))
     for start, stop in changes.reshape(-1, 2).tolist():
@@ -100,7 +102,7 @@ def _pieces(moved: Array, closed: Mask, rate: float) -> Iterator[tuple[Array, Ar
                 yield off[:, :2].ravel(), np.stack([off[:, 4], -off[:, 3]], axis=1).ravel()
 
 
-def _radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
+def _estimate_radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
     """Return the median radius, weighted by the turns of pieces, if the foot rolls on it."""
     if len(pieces) < ROLLING.pieces:
         return None

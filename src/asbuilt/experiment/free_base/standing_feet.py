@@ -14,7 +14,7 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
-from asbuilt.experiment.free_base.measured_forces import pressed
+from asbuilt.experiment.free_base.measured_forces import detect_force
 from asbuilt.experiment.recording import Recording
 
 
@@ -75,7 +75,7 @@ class Feet:
             name = f"contact_{contact.frame}"
             flag = recording.extra.get(name)
             if flag is None and f"{name}_fz" in recording.extra:
-                flag = pressed(recording.extra[f"{name}_fz"])
+                flag = detect_force(recording.extra[f"{name}_fz"])
             if flag is not None:
                 stands[k] = np.nan_to_num(flag) > 0.5
         return cls(place, velocity, stands)

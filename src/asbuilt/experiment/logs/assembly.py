@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.magnitude import signed_by_command
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.magnitude import sign_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.columns.layout import Layout
-from asbuilt.experiment.logs.columns.roles import quantity_of_file, recognise
+from asbuilt.experiment.logs.columns.roles import parse_file_quantity, recognise
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -26,16 +26,16 @@ from asbuilt.findings import Cure
 _QUANTITIES = {"position", "velocity", "acceleration", "torque"}
 
 
-def role_groups(paths: Sequence[Path]) -> list[list[Path]]:
+def group_by_role(paths: Sequence[Path]) -> list[list[Path]]:
     """Group files whose names differ in the quantity alone, in the order of first appearance."""
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in paths:
-        quantity, rest = quantity_of_file(path.stem)
+        quantity, rest = parse_file_quantity(path.stem)
         key = (path.parent, rest, path.suffix) if quantity in _QUANTITIES else (path, "", "")
         groups.setdefault(key, []).append(path)
     result: list[list[Path]] = []
     for group in groups.values():
-        distinct = {quantity_of_file(path.stem)[0] for path in group}
+        distinct = {parse_file_quantity(path.stem)[0] for path in group}
         result.extend([group] if len(distinct) == len(group) else [[path] for path in group])
     return result
 
@@ -55,7 +55,7 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
     known: dict[str, tuple[str, str]] = {}
     parts = {}
     for key, table in tables.items():
-        quantity = key if key in _QUANTITIES else quantity_of_file(Path(key).stem)[0]
+        quantity = key if key in _QUANTITIES else parse_file_quantity(Path(key).stem)[0]
         if quantity is None:
             raise RecordingError(
                 f"the name {key!r} does not name the quantity that the file holds",
@@ -63,8 +63,8 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
                 file=key,
             )
         parts[quantity] = table
-    clocks = {quantity: _clock_column(table) for quantity, table in parts.items()}
-    rows, notes = _common_rows(parts, clocks)
+    clocks = {quantity: _find_clock_column(table) for quantity, table in parts.items()}
+    rows, notes = _match_rows(parts, clocks)
     for quantity, table in parts.items():
         for name, values in table.columns.items():
             if name == clocks[quantity]:
@@ -89,7 +89,7 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
     )
 
 
-def _clock_column(table: LogTable) -> str | None:
+def _find_clock_column(table: LogTable) -> str | None:
     for name in table.columns:
         role = recognise(name)
         if role is not None and role.quantity == "time" and not role.joint:
@@ -97,7 +97,7 @@ def _clock_column(table: LogTable) -> str | None:
     return None
 
 
-def _common_rows(
+def _match_rows(
     parts: Mapping[str, LogTable], clocks: Mapping[str, str | None]
 ) -> tuple[dict[str, NDArray[np.intp] | slice], tuple[str, ...]]:
     lengths = {table.source: table.n_samples for table in parts.values()}
@@ -156,7 +156,7 @@ def build_recording(
     """
     notes, start = list(layout.notes), 0.0
     if layout.time is not None:
-        t, start = logged_times(table, layout, origin)
+        t, start = read_logged_times(table, layout, origin)
         if start != 0:
             notes.append(f"times count from {start:.6f} s")
         if rate is not None:
@@ -173,7 +173,8 @@ def build_recording(
     else:
         t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
     arrays = {
-        quantity: _stacked(table, names, layout) for quantity, names in layout.quantities.items()
+        quantity: _stack_columns(table, names, layout)
+        for quantity, names in layout.quantities.items()
     }
     q, command = arrays.pop("position"), arrays.pop("command", None)
     tau = arrays.pop("torque", None)
@@ -208,13 +209,15 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
             recording, t=recording.t * sheet.time_factor, notes=(*recording.notes, note)
         )
     if sheet.position_sign is not None:
-        recording = _turned(recording, _of_joints(recording, sheet.position_sign, "position signs"))
+        recording = _apply_signs(
+            recording, _read_joint_numbers(recording, sheet.position_sign, "position signs")
+        )
     if sheet.zero is not None:
         recording = _from_zero(recording, sheet)
     if sheet.sign == "command":
-        recording = signed_by_command(recording, {*sheet.lock, *(options.lock or ())})
+        recording = sign_by_command(recording, {*sheet.lock, *(options.lock or ())})
     elif sheet.sign is not None:
-        signs = _of_joints(recording, sheet.sign, "signs")
+        signs = _read_joint_numbers(recording, sheet.sign, "signs")
         if np.all(signs < 0):
             recording = recording.flipped()
         elif np.any(signs < 0):
@@ -225,9 +228,9 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     if options.flip_torque:
         recording = recording.flipped()
     if recording.torque_source == "command" and recording.command is not None:
-        servo = stated_servo(recording, sheet, options)
+        servo = build_stated_servo(recording, sheet, options)
         if servo is not None:
-            recording = driven_by_command(recording, servo)
+            recording = drive_by_command(recording, servo)
     if recording.servo is None:
         _refuse_idle_servo(recording, options)
     if sheet.windows:
@@ -264,7 +267,7 @@ ABSENT = {"torque_limit": np.inf, "no_load_speed": np.inf, "goal_speed": np.inf,
 """What a servo is taken to lack unless it is stated, as the number that says so."""
 
 
-def _of_joints(recording: Recording, given: float | list[float], what: str) -> Array:
+def _read_joint_numbers(recording: Recording, given: float | list[float], what: str) -> Array:
     """Return the numbers of a sheet, one or (n,); raise where there are not as many as joints."""
     numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
     if numbers.size not in (1, recording.n_joints):
@@ -279,7 +282,7 @@ def _of_joints(recording: Recording, given: float | list[float], what: str) -> A
     return numbers
 
 
-def _turned(recording: Recording, signs: Array) -> Recording:
+def _apply_signs(recording: Recording, signs: Array) -> Recording:
     """Return a recording whose motion is multiplied by these signs, one or (n,)."""
 
     def times(values: Array | None) -> Array | None:
@@ -299,7 +302,7 @@ def _turned(recording: Recording, signs: Array) -> Recording:
 def _from_zero(recording: Recording, sheet: RecordingSheet) -> Recording:
     """Return a recording whose positions count from those that the log gives at zero."""
     assert sheet.zero is not None
-    zeros = _of_joints(recording, sheet.zero, "zero positions")
+    zeros = _read_joint_numbers(recording, sheet.zero, "zero positions")
     listed = ", ".join(f"{value:g}" for value in zeros)
     signs = np.asarray(1.0 if sheet.position_sign is None else sheet.position_sign)
     return replace(
@@ -310,7 +313,7 @@ def _from_zero(recording: Recording, sheet: RecordingSheet) -> Recording:
     )
 
 
-def stated_servo(
+def build_stated_servo(
     recording: Recording, sheet: RecordingSheet, options: ReadingOptions
 ) -> PositionServo | None:
     """Return the servo that options and sheet state; None if the torque itself was commanded.
@@ -327,13 +330,15 @@ def stated_servo(
     if sheet.columns.torque is not None and not commanded:
         return None
     numbers: dict[str, Any] = {
-        name: _per_joint(recording, name, each, ABSENT.get(name, np.nan))
+        name: _spread_over_joints(recording, name, each, ABSENT.get(name, np.nan))
         for name, each in given.items()
     }
     return PositionServo(**numbers)
 
 
-def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> tuple[float, ...]:
+def _spread_over_joints(
+    recording: Recording, name: str, given: Any, unknown: float
+) -> tuple[float, ...]:
     """Return one number per joint; "auto", NaN and None are `unknown`, "none" is infinite."""
     listed = given if isinstance(given, list | tuple) else [given]
     named = {None: np.nan, "auto": np.nan, "none": np.inf}
@@ -351,13 +356,13 @@ def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> t
     return tuple(values * recording.n_joints if len(values) == 1 else values)
 
 
-def logged_times(
+def read_logged_times(
     table: LogTable, layout: Layout, origin: float | None = None
 ) -> tuple[Array, float]:
     """Return the times [s] of a table with a time column, less the origin, and the origin."""
     assert layout.time is not None
     t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
-    start = origin if origin is not None else clock_origin(t)
+    start = origin if origin is not None else find_clock_origin(t)
     t = t - start if start != 0 else t
     return (
         t if layout.nanoseconds is None else t + 1e-9 * table.columns[layout.nanoseconds],
@@ -365,14 +370,14 @@ def logged_times(
     )
 
 
-def clock_origin(t: Array) -> float:
+def find_clock_origin(t: Array) -> float:
     """Return the first time of a clock that counts from a date, else zero."""
     finite = t[np.isfinite(t)]
     # Time [s] from which a clock counts from a date, not from the start of the recording.
     return float(finite[0]) if finite.size and abs(finite[0]) > 1e6 else 0.0
 
 
-def _stacked(table: LogTable, names: tuple[str, ...], layout: Layout) -> Array:
+def _stack_columns(table: LogTable, names: tuple[str, ...], layout: Layout) -> Array:
     """Return columns in SI units (N, n), NaN for joints that have none."""
     out = np.full((table.n_samples, len(names)), np.nan)
     for k, name in enumerate(names):

@@ -15,14 +15,14 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.servo_torque import driven_by_command
-from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, logged_times
-from asbuilt.experiment.logs.formats.log_format import LogStream, LogTable, log_format
-from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
+from asbuilt.experiment.command.servo_torque import drive_by_command
+from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, read_logged_times
+from asbuilt.experiment.logs.formats.log_format import LogStream, LogTable, choose_log_format
+from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
     find_sheet,
-    layout_of,
+    find_table_layout,
     read_recording,
 )
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -67,11 +67,11 @@ def stream_recording(
         raise RecordingError(
             f"chunk_samples must be at least 1, got {chunk_samples}", value=chunk_samples, lower=1
         )
-    path, chosen = Path(path), reading_options(options, settings)
+    path, chosen = Path(path), merge_reading_options(options, settings)
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
     whole_first = sheet.files.position is not None or sheet.sign == "command"
-    stream = None if whole_first or path.suffix == ".toml" else log_format(path).stream
+    stream = None if whole_first or path.suffix == ".toml" else choose_log_format(path).stream
     header = None if stream is None else stream.header(path, sheet)
     if stream is None or header is None:
         whole = read_recording(path, model=model, options=replace(chosen, sheet=sheet))
@@ -79,9 +79,11 @@ def stream_recording(
             yield whole.taken(slice(begin, begin + chunk_samples))
         return
     try:
-        layout = layout_of(header, sheet, model, chosen)
+        layout = find_table_layout(header, sheet, model, chosen)
     except RecordingError:
-        layout = layout_of(_first_rows(stream, header, path, sheet), sheet, model, chosen)
+        layout = find_table_layout(
+            _read_first_rows(stream, header, path, sheet), sheet, model, chosen
+        )
     quantities = {name: layout.quantities[name] for name in _STREAMED if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
@@ -91,7 +93,7 @@ def stream_recording(
     for first, columns in stream.chunks(path, sheet, layout.columns, chunk_samples):
         table = replace(header, columns=columns)
         if origin is None and layout.time is not None:
-            t, origin = logged_times(table, layout)
+            t, origin = read_logged_times(table, layout)
             start = float(t[0])
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), windowless, chosen)
@@ -103,7 +105,9 @@ def stream_recording(
         yield chunk
 
 
-def _first_rows(stream: LogStream, header: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
+def _read_first_rows(
+    stream: LogStream, header: LogTable, path: Path, sheet: RecordingSheet
+) -> LogTable:
     """Return the first rows of all numeric columns, by which an error drafts a sheet."""
     # Samples by which the draft of a sheet is made.
     for _, columns in stream.chunks(path, sheet, tuple(header.columns), 2000):
@@ -170,7 +174,7 @@ class RecordingStream:
         joints = self.joints
         kept = chunks if joints is None else (chunk.reordered(joints) for chunk in chunks)
         servo = self.servo
-        return kept if servo is None else (driven_by_command(chunk, servo) for chunk in kept)
+        return kept if servo is None else (drive_by_command(chunk, servo) for chunk in kept)
 
     @cached_property
     def head(self) -> Recording:
@@ -247,7 +251,7 @@ def head_of(recording: Recording | RecordingStream) -> Recording:
     return recording.head if isinstance(recording, RecordingStream) else recording
 
 
-def first_of(recording: Recording | RecordingStream, n_samples: int) -> Recording:
+def take_first_samples(recording: Recording | RecordingStream, n_samples: int) -> Recording:
     """Return the first samples of a recording or a stream, at most so many."""
     if isinstance(recording, RecordingStream):
         return recording.beginning(n_samples)
@@ -261,5 +265,5 @@ def is_long(path: Path, size: float | None = None) -> bool:
     """
     if not path.is_file() or path.suffix == ".toml":
         return False
-    stream = log_format(path).stream
+    stream = choose_log_format(path).stream
     return stream is not None and stream.n_bytes(path) > (LONG if size is None else size)

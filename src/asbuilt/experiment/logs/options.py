@@ -17,24 +17,24 @@ from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import GAINS, RANGES, RATES, RecordingSheet
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
-from asbuilt.ranges import Range, check_ranges, out_of_range
-from asbuilt.registry import shared_settings
+from asbuilt.ranges import Range, check_ranges, make_range_error
+from asbuilt.registry import divide_settings
 
 PathLike = str | Path
 
 
-def _numbers(text: str) -> tuple[float, ...]:
+def _parse_numbers(text: str) -> tuple[float, ...]:
     values = tuple(float(part) for part in text.split(","))
     if not all(map(math.isfinite, values)):
         raise ValueError(text)
     return values
 
 
-def servo_numbers(text: str) -> tuple[float, ...]:
+def parse_servo_numbers(text: str) -> tuple[float, ...]:
     """Return numbers separated by commas, NaN for `auto`, infinity for `none`."""
     named = {"auto": math.nan, "none": math.inf}
     parts = [part.strip().lower() for part in text.split(",")]
-    _numbers(",".join("0" if part in named else part for part in parts))
+    _parse_numbers(",".join("0" if part in named else part for part in parts))
     return tuple(named[part] if part in named else float(part) for part in parts)
 
 
@@ -114,7 +114,7 @@ class ReadingOptions:
         metadata={
             "help": "torque per logged unit, one for all joints or one each; replaces the sheet's",
             "metavar": "G1,G2,...",
-            "parse": _numbers,
+            "parse": _parse_numbers,
             "range": GAINS,
         },
     )
@@ -159,7 +159,7 @@ class ReadingOptions:
         metadata={
             "help": "stiffness of the position servo [N m/rad], one or each; auto: identified",
             "metavar": "K1,K2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     kd: ArrayLike | None = field(
@@ -168,7 +168,7 @@ class ReadingOptions:
             "help": "damping of the position servo [N m s/rad], one or each; auto: identified with"
             " viscous friction",
             "metavar": "D1,D2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     torque_limit: ArrayLike | None = field(
@@ -176,7 +176,7 @@ class ReadingOptions:
         metadata={
             "help": "largest torque of the position servo [N m], one or each",
             "metavar": "T1,T2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     deadband: ArrayLike | None = field(
@@ -185,7 +185,7 @@ class ReadingOptions:
             "help": "control error without torque [rad], one or each; auto (default): estimated"
             " from the log",
             "metavar": "E1,E2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     lead: ArrayLike | None = field(
@@ -194,7 +194,7 @@ class ReadingOptions:
             "help": "derivative gain on the servo's control error over its stiffness [s], one or"
             " each",
             "metavar": "S1,S2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     no_load_speed: ArrayLike | None = field(
@@ -203,7 +203,7 @@ class ReadingOptions:
             "help": "speed at which the servo's torque limit has fallen to zero [rad/s], one or"
             " each",
             "metavar": "W1,W2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     goal_acceleration: ArrayLike | None = field(
@@ -212,7 +212,7 @@ class ReadingOptions:
             "help": "limit of the acceleration of the servo's goal [rad/s^2], one or each; none;"
             " auto (default): estimated from the log",
             "metavar": "A1,A2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     goal_speed: ArrayLike | None = field(
@@ -220,7 +220,7 @@ class ReadingOptions:
         metadata={
             "help": "limit of the speed of the servo's goal [rad/s], one or each",
             "metavar": "V1,V2,...",
-            "parse": servo_numbers,
+            "parse": parse_servo_numbers,
         },
     )
     fixed_base: bool = field(
@@ -260,7 +260,7 @@ class ReadingOptions:
                 unlimited = np.isinf(values) & (name in LIMITS)
                 beyond = ~(unlimited | np.isnan(values) | np.vectorize(RANGES[name].holds)(values))
                 if np.any(beyond):
-                    raise out_of_range(name, float(values[beyond][0]), RANGES[name])
+                    raise make_range_error(name, float(values[beyond][0]), RANGES[name])
                 object.__setattr__(self, name, tuple(values.tolist()))
         if self.gain is not None:
             gains = np.atleast_1d(np.asarray(self.gain, dtype=np.float64))
@@ -268,18 +268,18 @@ class ReadingOptions:
         if isinstance(self.lock, str):
             object.__setattr__(self, "lock", locks_from_text(self.lock))
         if self.gravity is not None:
-            object.__setattr__(self, "gravity", gravity_of(self.gravity))
+            object.__setattr__(self, "gravity", parse_gravity(self.gravity))
         if isinstance(self.sheet, Mapping):
             object.__setattr__(self, "sheet", RecordingSheet.model_validate(dict(self.sheet)))
         check_ranges(self)
 
 
-def gravity_of(given: ArrayLike | str) -> tuple[float, float, float]:
+def parse_gravity(given: ArrayLike | str) -> tuple[float, float, float]:
     """Return a gravity [m/s^2] from three numbers, from their text, or from an axis such as `-z`.
 
     Raises `UsageError` for anything else.
 
-    >>> gravity_of("-y"), gravity_of("0,0,-9.8")
+    >>> parse_gravity("-y"), parse_gravity("0,0,-9.8")
     ((0.0, -9.81, 0.0), (0.0, 0.0, -9.8))
     """
     text = given.strip().lower() if isinstance(given, str) else ""
@@ -301,7 +301,9 @@ def gravity_of(given: ArrayLike | str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def reading_options(options: ReadingOptions | None, settings: Mapping[str, Any]) -> ReadingOptions:
+def merge_reading_options(
+    options: ReadingOptions | None, settings: Mapping[str, Any]
+) -> ReadingOptions:
     """Return the options with single settings replaced.
 
     Raises
@@ -309,5 +311,5 @@ def reading_options(options: ReadingOptions | None, settings: Mapping[str, Any])
     UsageError
         If there is no such setting.
     """
-    (chosen,) = shared_settings(settings, ReadingOptions)
+    (chosen,) = divide_settings(settings, ReadingOptions)
     return replace(options or ReadingOptions(), **chosen)

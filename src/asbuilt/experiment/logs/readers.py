@@ -9,26 +9,26 @@ from typing import Any
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.columns import base_columns, on_its_base
+from asbuilt.experiment.free_base.columns import add_base_coordinates, select_base_columns
 from asbuilt.experiment.logs.assembly import (
     apply_sheet,
     build_recording,
+    group_by_role,
     merge_role_files,
-    role_groups,
 )
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
-    commanded,
-    goal_of_position,
-    quantity_of_file,
+    match_commanded_role,
+    match_goal_role,
+    parse_file_quantity,
     recognise,
 )
 from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
-from asbuilt.experiment.logs.formats.frames import is_columns, table_of_columns
-from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
-from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
-from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
+from asbuilt.experiment.logs.formats.frames import is_columns, tabulate_columns
+from asbuilt.experiment.logs.formats.log_format import LogTable, choose_log_format
+from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
+from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 from asbuilt.untrusted import note_input
@@ -72,10 +72,10 @@ def read_recording(
     >>> read_recording(columns, gain=3.0).tau.tolist()
     [[3.0], [6.0]]
     """
-    chosen = reading_options(options, settings)
+    chosen = merge_reading_options(options, settings)
     if is_columns(source):
-        sheet, notes = _given_sheet(chosen.sheet)
-        return _recording(table_of_columns(source), sheet, notes, model, chosen)
+        sheet, notes = _read_given_sheet(chosen.sheet)
+        return _assemble_recording(tabulate_columns(source), sheet, notes, model, chosen)
     listed = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
     if not listed:
         raise RecordingError("no recording is given; give at least one file")
@@ -85,7 +85,7 @@ def read_recording(
     table = read_table(listed, sheet)
     if len(listed) == 1 and not table.known:
         _refuse_lone_role_file(listed[0], table)
-    return _recording(table, sheet, notes, model, chosen)
+    return _assemble_recording(table, sheet, notes, model, chosen)
 
 
 def read_recordings(
@@ -100,8 +100,8 @@ def read_recordings(
     Files whose names differ in the quantity alone (`run_positions.csv`, `run_efforts.csv`) are one
     recording.
     """
-    chosen = reading_options(options, settings)
-    groups = grouped_files([Path(path) for path in paths])
+    chosen = merge_reading_options(options, settings)
+    groups = group_files([Path(path) for path in paths])
     return [read_recording(group, model=model, options=chosen) for group in groups]
 
 
@@ -126,16 +126,16 @@ def find_sheet(
 ) -> tuple[RecordingSheet, tuple[str, ...]]:
     """Return the sheet that is given, is the log itself, or lies next to it; else an empty one."""
     if sheet is None:
-        sheet = log if log.suffix == ".toml" else sheet_beside(log)
-    return _given_sheet(sheet)
+        sheet = log if log.suffix == ".toml" else find_sheet_beside(log)
+    return _read_given_sheet(sheet)
 
 
-def grouped_files(paths: list[Path]) -> list[list[Path]]:
+def group_files(paths: list[Path]) -> list[list[Path]]:
     """Group files of one quantity each; whole recordings stay alone, whatever their names."""
     for path in paths:
         check_readable(path)
     groups: list[list[Path]] = []
-    for group in role_groups(paths):
+    for group in group_by_role(paths):
         whole = len(group) > 1 and any(
             path.is_file() and _is_whole(_read_table(path, RecordingSheet())) for path in group
         )
@@ -143,24 +143,24 @@ def grouped_files(paths: list[Path]) -> list[list[Path]]:
     return groups
 
 
-def _recording(
+def _assemble_recording(
     table: LogTable,
     sheet: RecordingSheet,
     notes: tuple[str, ...],
     model: RobotModel | None,
     options: ReadingOptions,
 ) -> Recording:
-    layout = layout_of(table, sheet, None if model is None else model.standing, options)
+    layout = find_table_layout(table, sheet, None if model is None else model.standing, options)
     rate = options.rate if options.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return apply_sheet(recording, sheet, options)
-    recording = replace(recording, extra=base_columns(table.columns))
-    return on_its_base(apply_sheet(recording, sheet, options), model)
+    recording = replace(recording, extra=select_base_columns(table.columns))
+    return add_base_coordinates(apply_sheet(recording, sheet, options), model)
 
 
-def layout_of(
+def find_table_layout(
     table: LogTable, sheet: RecordingSheet, model: RobotModel | None, options: ReadingOptions
 ) -> Layout:
     """Return the layout of a table; where that fails the error has the draft of a sheet.
@@ -172,7 +172,7 @@ def layout_of(
         describes.
     """
     if not table.named and sheet.columns.position is None:
-        raise _unnamed_columns(table, model, options.rate)
+        raise _make_unnamed_error(table, model, options.rate)
     try:
         layout = find_layout(
             table.source,
@@ -188,7 +188,7 @@ def layout_of(
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
         if "absent" in problem.fields and table.n_samples:
-            problem.cure = Cure(f"{problem.cure}{_draft(table, model, options.rate)}")
+            problem.cure = Cure(f"{problem.cure}{_draft_sheet(table, model, options.rate)}")
         raise
     if not (sheet.joint_units or table.shares):
         return layout
@@ -196,7 +196,7 @@ def layout_of(
     return with_joint_units(table, layout, sheet, sheet.lock | dict(held))
 
 
-def _given_sheet(
+def _read_given_sheet(
     sheet: PathLike | RecordingSheet | Mapping[str, Any] | None,
 ) -> tuple[RecordingSheet, tuple[str, ...]]:
     if sheet is None or isinstance(sheet, RecordingSheet | Mapping):
@@ -212,7 +212,7 @@ def _given_sheet(
 
 
 def _read_table(path: Path, sheet: RecordingSheet) -> LogTable:
-    return log_format(path).read(path, sheet)
+    return choose_log_format(path).read(path, sheet)
 
 
 def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
@@ -229,7 +229,7 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
                 f"the recording sheet names {missing[0]}, which does not exist", file=missing[0]
             )
         return merge_role_files({what: _read_table(path, sheet) for what, path in files.items()})
-    groups = grouped_files(paths)
+    groups = group_files(paths)
     if len(groups) > 1:
         listing = "; ".join(", ".join(path.name for path in group) for group in groups)
         raise RecordingError(
@@ -242,19 +242,22 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
 
 
 def _is_whole(table: LogTable) -> bool:
-    roles = [recognise(name) or commanded(name) or goal_of_position(name) for name in table.columns]
+    roles = [
+        recognise(name) or match_commanded_role(name) or match_goal_role(name)
+        for name in table.columns
+    ]
     found = {role.quantity for role in roles if role is not None}
     return "position" in found and bool({"torque", "current", "command"} & found)
 
 
 def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
-    quantity, rest = quantity_of_file(path.stem)
+    quantity, rest = parse_file_quantity(path.stem)
     if quantity is None or quantity == "time" or _is_whole(table):
         return
     others = [
         p.name
         for p in sorted(path.parent.glob(f"*{path.suffix}"))
-        if p != path and quantity_of_file(p.stem)[1] == rest and quantity_of_file(p.stem)[0]
+        if p != path and parse_file_quantity(p.stem)[1] == rest and parse_file_quantity(p.stem)[0]
     ]
     nearby = f" ({', '.join(others)} lie next to it)" if others else ""
     raise RecordingError(
@@ -267,22 +270,22 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
     )
 
 
-def _draft(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
+def _draft_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
     """Return the draft of a sheet for columns whose names are of no use, empty if none fits."""
-    sheet = suggested_sheet(table, model, rate)
+    sheet = propose_sheet(table, model, rate)
     if DRAFT in sheet:
         return ""
     return f". From the values it may read (check it):\n\n{sheet}\n"
 
 
-def suggested_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
+def propose_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
     """Return the draft of a sheet by the values of the columns."""
     order = table.order or tuple(table.columns)
     numbers = [order.index(name) + 1 for name in table.columns]
     return suggest_sheet(table.columns, model, named=table.named, rate=rate, numbers=numbers)
 
 
-def _unnamed_columns(
+def _make_unnamed_error(
     table: LogTable, model: RobotModel | None, rate: float | None
 ) -> RecordingError:
     count = len(table.order or table.columns)
@@ -292,7 +295,7 @@ def _unnamed_columns(
             f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from the"
             " values it may read as follows (column numbers from 1; check it, and add gains = [...]"
             " and torque_source if the torques are currents):\n\n"
-            f"{suggested_sheet(table, model, rate)}\n"
+            f"{propose_sheet(table, model, rate)}\n"
         ),
         file=table.source,
         value=count,

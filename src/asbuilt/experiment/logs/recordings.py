@@ -11,14 +11,14 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.free_base.rolling_feet import on_rolling_feet
+from asbuilt.experiment.free_base.rolling_feet import set_rolling_radii
 from asbuilt.experiment.logs.formats.frames import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
-from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
+from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
     find_sheet,
-    grouped_files,
+    group_files,
     read_recording,
 )
 from asbuilt.experiment.recording import Recording
@@ -70,16 +70,16 @@ def as_recordings(
     >>> [recording.n_joints for recording in as_recordings(None, [arrays, arrays])]
     [2, 2]
     """
-    chosen = reading_options(options, settings)
-    listed = _listed(items)
-    groups = grouped_files([Path(item) for item in listed if isinstance(item, str | Path)])
+    chosen = merge_reading_options(options, settings)
+    listed = _list_items(items)
+    groups = group_files([Path(item) for item in listed if isinstance(item, str | Path)])
     group_of = {path: group for group in groups for path in group}
     found: list[Recorded] = []
     for item in listed:
         if isinstance(item, str | Path):
             group = group_of[Path(item)]
             if group[0] == Path(item):
-                found.append(_of_files(group, model, chosen, streamed_from))
+                found.append(_read_files(group, model, chosen, streamed_from))
         elif isinstance(item, Recorded):
             found.append(item)
         else:
@@ -87,7 +87,7 @@ def as_recordings(
     return found
 
 
-def fitted_recordings(
+def read_fitted_recordings(
     model: RobotModel,
     groups: Sequence[RecordingLike | Sequence[RecordingLike]],
     options: ReadingOptions | None = None,
@@ -127,17 +127,17 @@ def fitted_recordings(
     chosen = options or ReadingOptions()
     if chosen.gravity is not None:
         model = model.with_gravity(np.asarray(chosen.gravity, dtype=np.float64))
-    listed = [_listed(items) for items in groups]
+    listed = [_list_items(items) for items in groups]
     _refuse_idle(chosen, [item for items in listed for item in items])
-    asked = _locks([item for items in listed for item in items], chosen)
+    asked = _list_locks([item for items in listed for item in items], chosen)
     while True:
         try:
             read = [
                 as_recordings(model, items, chosen, streamed_from=streamed_from) for items in listed
             ]
-            logged = [[_joints_of(item, model) for item in items] for items in read]
+            logged = [[_list_joints(item, model) for item in items] for items in read]
         except RecordingError as problem:
-            missing = _named_ones(problem, model, asked) or problem.fields.get("missing")
+            missing = _name_joints_to_lock(problem, model, asked) or problem.fields.get("missing")
             if not missing:
                 raise
             model = model.locked({name: asked.get(name) for name in missing})
@@ -149,14 +149,14 @@ def fitted_recordings(
         model = model.locked({name: asked.get(name) for name in absent})
     free = [name for name in asked if name in model.joint_names]
     first = next((item for items in read for item in items), None)
-    values = {name: _held_at(first, name, asked[name]) for name in free}
+    values = {name: _find_held_position(first, name, asked[name]) for name in free}
     for name in asked.keys() - values.keys() - model.locked_joints.keys():
         values[name] = None
     whole, model = model, model.locked({**asked, **values})
     if model is not whole or any(each != model.joint_names for group in logged for each in group):
         read = [[_with_joints(item, model.joint_names) for item in items] for items in read]
     whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
-    return on_rolling_feet(model, whole_ones), read
+    return set_rolling_radii(model, whole_ones), read
 
 
 OF_THE_ROBOT = ("lock", "gravity", "fixed_base", "free_base", "contacts")
@@ -179,7 +179,7 @@ def _refuse_idle(options: ReadingOptions, items: Sequence[Any]) -> None:
         )
 
 
-def _locks(items: Sequence[Any], options: ReadingOptions) -> dict[str, float | None]:
+def _list_locks(items: Sequence[Any], options: ReadingOptions) -> dict[str, float | None]:
     """Return the joints to lock of the sheets and, in their place, of the options."""
     found: dict[str, float | None] = {}
     for item in items:
@@ -190,7 +190,7 @@ def _locks(items: Sequence[Any], options: ReadingOptions) -> dict[str, float | N
     return found | (dict(lock) if isinstance(lock, Mapping) else {})
 
 
-def _named_ones(
+def _name_joints_to_lock(
     problem: RecordingError, model: RobotModel, asked: Mapping[str, float | None]
 ) -> tuple[str, ...]:
     """Return the joints to lock if the log, which counts its joints, has all others."""
@@ -201,13 +201,13 @@ def _named_ones(
     return named if fits and count == model.n_joints - len(named) else ()
 
 
-def _joints_of(item: Recorded, model: RobotModel) -> tuple[str, ...]:
+def _list_joints(item: Recorded, model: RobotModel) -> tuple[str, ...]:
     """Return the joints that a recording has; the robot's, where its names match none."""
     names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
     return names if set(names) & set(model.joint_names) else model.joint_names
 
 
-def _held_at(item: Recorded | None, joint: str, value: float | None) -> float | None:
+def _find_held_position(item: Recorded | None, joint: str, value: float | None) -> float | None:
     """Return the position given, or the median of a recording that has the joint."""
     if value is not None or item is None:
         return value
@@ -225,12 +225,12 @@ def _with_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
     return item
 
 
-def _listed(items: Any) -> list[Any]:
+def _list_items(items: Any) -> list[Any]:
     one = isinstance(items, str | Path | Recorded) or is_columns(items)
     return [items] if one else list(items)
 
 
-def _of_files(
+def _read_files(
     group: list[Path],
     model: RobotModel | None,
     options: ReadingOptions,

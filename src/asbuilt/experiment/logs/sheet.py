@@ -23,11 +23,11 @@ from pydantic import (
 
 from asbuilt.dynamics.drives.position_servo import PER_JOINT
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.roles import unit_scale
+from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.ranges import Range
-from asbuilt.registry import did_you_mean, known_fields
-from asbuilt.untrusted import parsed_toml, read_text, reason
+from asbuilt.registry import list_known_fields, suggest_name
+from asbuilt.untrusted import describe_problem, parse_toml, read_text
 
 ColumnName = int | str
 LONGEST_NUMBER = 4
@@ -91,7 +91,7 @@ RANGES = {"rate": RATES, "gains": GAINS, "time_factor": Range(1e-12, 1e12)} | {
 """Ranges of numbers, by field."""
 
 
-def _listed(given: Any) -> list[Any]:
+def _list_numbers(given: Any) -> list[Any]:
     """Return the numbers of a field."""
     values = given if isinstance(given, list) else [given]
     return [each for each in values if isinstance(each, int | float)]
@@ -105,7 +105,7 @@ class _Part(BaseModel):
     def _no_truth_as_number(cls, given: Any) -> Any:
         """Refuse `rate = true`, which would be 1."""
         for name, value in given.items() if isinstance(given, Mapping) else ():
-            found = any(isinstance(each, bool) for each in _listed(value))
+            found = any(isinstance(each, bool) for each in _list_numbers(value))
             if found and name != "header":
                 raise ValueError(f"{name} = {str(value).lower()} is given; a number is expected")
         return given
@@ -113,7 +113,7 @@ class _Part(BaseModel):
     @model_validator(mode="after")
     def _sensible(self) -> Self:
         for name in type(self).model_fields:
-            for value in _listed(getattr(self, name)):
+            for value in _list_numbers(getattr(self, name)):
                 allowed = RANGES.get(name, ANY)
                 if isinstance(value, float) and math.isfinite(value) and not allowed.holds(value):
                     raise ValueError(f"{name} is {value:g}; it must be a number {allowed}")
@@ -173,7 +173,7 @@ class SheetUnits(_Part):
     @model_validator(mode="after")
     def _known(self) -> SheetUnits:
         for name, unit in self.model_dump().items():
-            if unit is not None and unit_scale(unit) is None:
+            if unit is not None and parse_unit_scale(unit) is None:
                 raise ValueError(
                     f"units.{name}: {unit!r} is not known; write s, ms, us, ns | rad, deg, mrad, m,"
                     " mm (per s, s^2) | N m, mN m, kN m, N | A, mA"
@@ -195,9 +195,9 @@ class SheetRange(_Part):
         return self
 
 
-def _known_unit(unit: object) -> object:
+def _refuse_unknown_unit(unit: object) -> object:
     """Refuse the text of an unknown unit."""
-    if isinstance(unit, str) and unit_scale(unit) is None:
+    if isinstance(unit, str) and parse_unit_scale(unit) is None:
         raise ValueError(f"joint_units: {unit!r} is not known; write rad, deg, mrad, m or mm")
     return unit
 
@@ -272,8 +272,8 @@ class RecordingSheet(_Part):
     goal_speed: GoalNumbers = None
     columns: SheetColumns = SheetColumns()
     units: SheetUnits = SheetUnits()
-    joint_units: dict[str, Annotated[str | SheetRange, BeforeValidator(_known_unit)]] = Field(
-        default_factory=dict
+    joint_units: dict[str, Annotated[str | SheetRange, BeforeValidator(_refuse_unknown_unit)]] = (
+        Field(default_factory=dict)
     )
     windows: list[SheetWindow] = Field(default_factory=list)
     files: SheetFiles = SheetFiles()
@@ -296,11 +296,11 @@ class RecordingSheet(_Part):
     def _signs(self) -> RecordingSheet:
         for name in ("sign", "position_sign"):
             given = getattr(self, name)
-            if any(sign not in (1, -1) for sign in _listed(given)):
+            if any(sign not in (1, -1) for sign in _list_numbers(given)):
                 raise ValueError(
                     f"{name}: {given} is given; each sign is 1 or -1 (other factors are gains)"
                 )
-        if any(gain == 0 or not math.isfinite(gain) for gain in _listed(self.gains)):
+        if any(gain == 0 or not math.isfinite(gain) for gain in _list_numbers(self.gains)):
             raise ValueError(f"gains: {self.gains} is given; each must be finite and not zero")
         return self
 
@@ -316,10 +316,10 @@ def read_sheet(path: str | Path) -> RecordingSheet:
     path = Path(path)
     text = read_text(path, "recording sheet", RecordingError)
     try:
-        content = parsed_toml(text)
+        content = parse_toml(text)
     except ValueError as error:
         raise RecordingError(
-            f"recording sheet {path} is not TOML: {reason(error)}", file=str(path)
+            f"recording sheet {path} is not TOML: {describe_problem(error)}", file=str(path)
         ) from None
     try:
         return RecordingSheet.model_validate(content)
@@ -327,7 +327,7 @@ def read_sheet(path: str | Path) -> RecordingSheet:
         raise RecordingError(_explain(path, error), file=str(path)) from error
 
 
-def sheet_beside(log: Path) -> Path | None:
+def find_sheet_beside(log: Path) -> Path | None:
     """Return the sheet next to a log: `run.csv.toml` or `run.toml`; None if there is none."""
     if not log.name:
         return None
@@ -335,7 +335,7 @@ def sheet_beside(log: Path) -> Path | None:
         if candidate == log or not candidate.is_file():
             continue
         try:
-            fields = set(parsed_toml(read_text(candidate, "recording sheet", RecordingError)))
+            fields = set(parse_toml(read_text(candidate, "recording sheet", RecordingError)))
         except ValueError:
             return candidate
         if fields & ROBOT_FIELDS:
@@ -368,8 +368,8 @@ def _explain(path: Path, error: ValidationError) -> str:
         )
     for place, fields in unknown.items():
         are = "fields {} are" if len(fields) > 1 else "field {} is"
-        known = known_fields(RecordingSheet.model_json_schema(), place)
-        near = did_you_mean(fields[0].rpartition(".")[2], known)
+        known = list_known_fields(RecordingSheet.model_json_schema(), place)
+        near = suggest_name(fields[0].rpartition(".")[2], known)
         problems.append(
             f"{are.format(', '.join(map(repr, fields)))} not known here; {near}known are"
             f" {', '.join(known)}"

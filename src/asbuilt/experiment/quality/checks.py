@@ -12,45 +12,45 @@ from pathlib import PurePath
 import numpy as np
 
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.locking import lock_findings
+from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.base_checks import free_base_findings, of_joints_alone
+from asbuilt.experiment.free_base.base_checks import check_free_base, drop_base_joints
 from asbuilt.experiment.gravity_load import DEGREE
-from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
-from asbuilt.experiment.quality.clock_checks import clock_findings
-from asbuilt.experiment.quality.command_checks import command_findings
+from asbuilt.experiment.logs.long_recordings import RecordingStream, take_first_samples
+from asbuilt.experiment.quality.clock_checks import check_clock
+from asbuilt.experiment.quality.command_checks import check_commands
 from asbuilt.experiment.quality.motion_checks import (
-    excitation_findings,
-    impossible_motion,
-    motion_findings,
+    check_excitation,
+    check_recorded_motion,
+    find_impossible_motion,
 )
 from asbuilt.experiment.quality.passes import (
     FirstPass,
     as_modelled,
-    credible,
-    first_pass,
-    second_pass,
+    blank_incredible,
+    run_first_pass,
+    run_second_pass,
 )
 from asbuilt.experiment.quality.position_checks import (
     MEASURED,
     PositionNoise,
-    closure_findings,
-    coupling_findings,
-    encoder_findings,
-    position_findings,
+    check_closure,
+    check_couplings,
+    check_encoders,
+    check_positions,
 )
-from asbuilt.experiment.quality.reductions import UniformSegments, smoothed_motion
+from asbuilt.experiment.quality.reductions import UniformSegments, smooth_motion
 from asbuilt.experiment.quality.torque.signal_checks import (
+    check_channels,
+    check_saturation,
+    check_signs,
+    check_spikes,
     filter_findings,
-    missing_channel_findings,
-    saturation_findings,
-    spike_findings,
-    unsigned_findings,
 )
-from asbuilt.experiment.quality.torque.torque_checks import torque_findings
+from asbuilt.experiment.quality.torque.torque_checks import check_torques
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
-from asbuilt.findings import Cure, Finding, joined, ranked, undesigned
-from asbuilt.tables import WIDTH, wrapped
+from asbuilt.findings import Cure, Finding, join_names, rank_findings, undesigned
+from asbuilt.tables import WIDTH, wrap_text
 
 TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
@@ -158,13 +158,13 @@ class RecordingCheck:
             Function that writes a cure, for an interface that adds the names of its options.
         """
         head = [
-            wrapped(self.headline),
-            wrapped(f"{self.source} on {self.robot}, {self.n_samples} samples"),
+            wrap_text(self.headline),
+            wrap_text(f"{self.source} on {self.robot}, {self.n_samples} samples"),
         ]
         groups = [[finding] for finding in self.findings] if full else self._merged()
         infos = [group for group in groups if group[0].severity == "info"]
         hidden = infos[_MOST_INFOS:] if not full else []
-        lines = [line for g in groups if g not in hidden for line in _paragraph(g, cure_text)]
+        lines = [line for g in groups if g not in hidden for line in _write_paragraph(g, cure_text)]
         more = [f"{len(hidden)} more findings of severity info"] if hidden else []
         return "\n".join([*head, *([""] if lines else []), *lines, *more])
 
@@ -189,7 +189,7 @@ class RecordingCheck:
         errors = [finding for finding in self.errors if finding.code not in but]
         if errors:
             first = errors[0]
-            also = joined(list(dict.fromkeys(finding.code for finding in errors[1:])) or [""])
+            also = join_names(list(dict.fromkeys(finding.code for finding in errors[1:])) or [""])
             raise RecordingError(
                 f"{self.source}: {first.message}" + (f" (also found: {also})" if also else ""),
                 cure=first.cure,
@@ -208,11 +208,11 @@ class RecordingCheck:
         return [list(group) for _, group in groupby(self.findings, kind)]
 
 
-def _paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
+def _write_paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
     """Return the lines of findings of one code: the first message, the other joints by name."""
     first = group[0]
     names = [finding.joint for finding in group[1:] if finding.joint]
-    others = f"; the same holds for {joined(names)}" if names else ""
+    others = f"; the same holds for {join_names(names)}" if names else ""
     cure = None if first.cure is None else Cure(cure_text(first.cure))
     return textwrap.wrap(
         str(replace(first, message=first.message + others, cure=cure)),
@@ -259,20 +259,20 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     if model.n_floating and not isinstance(recording, RecordingStream):
         return _check_of_free_base(model, recording)
     chunks = recording if isinstance(recording, RecordingStream) else (recording,)
-    known = first_pass(model, chunks)
-    findings = list(clock_findings(known))
+    known = run_first_pass(model, chunks)
+    findings = list(check_clock(known))
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
-        beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
+        beginning = as_modelled(model, blank_incredible(take_first_samples(recording, MEASURED)))
         beginning = beginning.with_torque_of(known.first.has_torque)
-        of_commands = list(command_findings(model, beginning))
-        of_loops = list(closure_findings(model, beginning))
+        of_commands = list(check_commands(model, beginning))
+        of_loops = list(check_closure(model, beginning))
         findings += of_loops
         follows = not any(f.severity == "error" for f in of_loops)
         of_torques = (
             [
-                *_findings_in_time(model, chunks, known),
-                *unsigned_findings(model, known.torque_range, beginning),
+                *_check_in_time(model, chunks, known),
+                *check_signs(model, known.torque_range, beginning),
             ]
             if follows
             else []
@@ -280,11 +280,11 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += of_commands
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
-        findings += position_findings(model, noise)
-        findings += encoder_findings(model, beginning)
-        findings += coupling_findings(model, beginning) if follows else ()
-    findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
-    findings += map(_of_note, known.first.notes)
+        findings += check_positions(model, noise)
+        findings += check_encoders(model, beginning)
+        findings += check_couplings(model, beginning) if follows else ()
+    findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
+    findings += map(_report_note, known.first.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,
@@ -292,7 +292,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         n_joints=known.n_joints,
         rate=known.rate,
         duration=known.duration,
-        findings=ranked(findings),
+        findings=rank_findings(findings),
         position_step=() if noise is None else tuple(noise.step.tolist()),
         position_noise=() if noise is None else tuple(noise.density.tolist()),
     )
@@ -303,24 +303,24 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
 
     Checks that compare torques with the model's are left out, since contacts push the robot.
     """
-    held = check_recording(model.standing, of_joints_alone(model, recording))
+    held = check_recording(model.standing, drop_base_joints(model, recording))
     clock = any(f.severity == "error" and f.code.startswith("clock_") for f in held.findings)
     kept = (
         replace(f, cure=f.cure and undesigned(f.cure))
         for f in held.findings
         if f.code not in OF_MODEL_TORQUES
     )
-    further = () if clock else free_base_findings(model, recording)
+    further = () if clock else check_free_base(model, recording)
     return replace(
         held,
         n_joints=model.n_joints,
-        findings=ranked([*kept, *further]),
+        findings=rank_findings([*kept, *further]),
         position_step=(),
         position_noise=(),
     )
 
 
-def _of_note(note: str) -> Finding:
+def _report_note(note: str) -> Finding:
     """Return what reading the recording did; flips that cancel are seldom meant."""
     if note == FLIPPED_TWICE:
         return Finding(
@@ -332,22 +332,22 @@ def _of_note(note: str) -> Finding:
     return Finding("note", "info", note.removesuffix("."))
 
 
-def _findings_in_time(
+def _check_in_time(
     model: RobotModel, chunks: Iterable[Recording], known: FirstPass
 ) -> Iterator[Finding]:
     """Find problems of motion, torque and excitation, which need a correct clock."""
     segments = UniformSegments.of(known.t, known.valid)
-    closer = second_pass(model, chunks, known, () if segments is None else segments.rows)
-    motion = None if segments is None else smoothed_motion(segments, closer.segments)
-    excess = impossible_motion(model, known, motion)
+    closer = run_second_pass(model, chunks, known, () if segments is None else segments.rows)
+    motion = None if segments is None else smooth_motion(segments, closer.segments)
+    excess = find_impossible_motion(model, known, motion)
     revolute = np.array([joint.is_revolute for joint in model.joints])
-    yield from motion_findings(model, known, motion, excess)
-    yield from missing_channel_findings(model, known)
-    yield from saturation_findings(model, known, closer)
-    yield from spike_findings(model, known)
+    yield from check_recorded_motion(model, known, motion, excess)
+    yield from check_channels(model, known)
+    yield from check_saturation(model, known, closer)
+    yield from check_spikes(model, known)
     yield from filter_findings(closer.torques, known.rate)
     if motion is not None and (excess is None or excess.unit == "deg"):
         scale = np.where(revolute & (excess is not None), DEGREE, 1.0)
-        yield from torque_findings(model, known, motion, scale)
+        yield from check_torques(model, known, motion, scale)
     if excess is None:
-        yield from excitation_findings(model, known, motion)
+        yield from check_excitation(model, known, motion)

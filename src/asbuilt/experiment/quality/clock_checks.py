@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.experiment.quality.passes import FirstPass, Missing
 from asbuilt.experiment.quality.reductions import GAP_STEPS
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ THRESHOLDS = ClockThresholds()
 _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
-def clock_findings(recording: FirstPass) -> Iterator[Finding]:
+def check_clock(recording: FirstPass) -> Iterator[Finding]:
     """Find missing values, wrong units of time, time stamps that repeat, decrease or jump."""
-    yield from _not_finite(recording)
+    yield from _find_not_finite(recording)
     t = recording.t
     steps = np.diff(t)
     backward = np.flatnonzero(steps < 0)
@@ -65,7 +65,7 @@ def clock_findings(recording: FirstPass) -> Iterator[Finding]:
     if not forward.size:
         return
     step = float(np.median(forward))
-    yield from _wrong_unit(step)
+    yield from _find_wrong_unit(step)
     gaps = np.flatnonzero(steps > GAP_STEPS * step)
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
@@ -87,10 +87,10 @@ def clock_findings(recording: FirstPass) -> Iterator[Finding]:
             f" {1e3 * step:.3g} ms",
             Cure("no action is needed: the recording is resampled to a uniform clock"),
         )
-    yield from _stale(recording)
+    yield from _find_stale(recording)
 
 
-def _not_finite(recording: FirstPass) -> Iterator[Finding]:
+def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
     """Find values that are missing, infinite or absurd, once for columns with the same rows."""
     bad_times = np.flatnonzero(~np.isfinite(recording.t))
     if bad_times.size:
@@ -115,7 +115,7 @@ def _not_finite(recording: FirstPass) -> Iterator[Finding]:
             else f"{value:.3g}, beyond what a robot logs,"
         )
         listed = [
-            f"the {what} of {joined([names[c.joint] for c in columns if c.quantity == what])}"
+            f"the {what} of {join_names([names[c.joint] for c in columns if c.quantity == what])}"
             for what in dict.fromkeys(column.quantity for column in columns)
         ]
         yield Finding(
@@ -129,7 +129,7 @@ def _not_finite(recording: FirstPass) -> Iterator[Finding]:
         )
 
 
-def _wrong_unit(step: float) -> Iterator[Finding]:
+def _find_wrong_unit(step: float) -> Iterator[Finding]:
     """Find a clock with a rate that no controller has."""
     rate = 1.0 / step
     if rate > THRESHOLDS.fastest:
@@ -159,7 +159,7 @@ def _wrong_unit(step: float) -> Iterator[Finding]:
         )
 
 
-def _stale(recording: FirstPass) -> Iterator[Finding]:
+def _find_stale(recording: FirstPass) -> Iterator[Finding]:
     changed = np.flatnonzero(recording.not_repeated)
     if changed.size < 3:
         return

@@ -12,8 +12,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.recording import Recording, advancing
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.experiment.recording import Recording, find_advancing_rows
+from asbuilt.findings import Cure, Finding, join_names
 
 SHEET_UNITS: Mapping[str, float] = MappingProxyType(
     {"deg": math.degrees(1.0), "mrad": 1000.0, "turn": 0.5 / math.pi}
@@ -96,14 +96,14 @@ class _Motion:
         return float(self.r[k, i, j]), float(self.lags[k])
 
 
-def command_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def check_commands(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare commands with positions, where torques are computed from both.
 
     A position servo moves its joint to where the command was a moment ago, by about as much.
     """
     if recording.command is None or recording.servo is None:
         return
-    motion = _motion(model, recording)
+    motion = _select_motion(model, recording)
     if motion is None:
         return
     if _is_position(recording, motion.moving):
@@ -114,21 +114,21 @@ def command_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
             Cure("log what was sent to the servos"),
         )
         return
-    found = [*_constant(motion)]
-    swapped = _swapped(motion)
+    found = [*_find_constant(motion)]
+    swapped = _find_swapped(motion)
     if swapped:
-        found.append(_swapped_finding(motion, swapped))
+        found.append(_report_swapped(motion, swapped))
     rest = [j for j in motion.moving if j not in swapped]
-    found += [*_units(motion, rest), *_flipped(motion, rest)]
-    found = found or [*_clock(motion)] or [*_lost(motion)]
-    yield from found or _offset(model, recording.servo, motion)
+    found += [*_find_wrong_units(motion, rest), *_find_flipped(motion, rest)]
+    found = found or [*_find_wrong_clock(motion)] or [*_find_lost(motion)]
+    yield from found or _find_offset(model, recording.servo, motion)
 
 
-def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
+def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     """Return what is compared; None where too little moves or is known."""
     assert recording.command is not None
     t, q, u = recording.t, recording.q, recording.command
-    rows = advancing(t, np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1))
+    rows = find_advancing_rows(t, np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1))
     t, q, u = t[rows], q[rows], u[rows]
     if t.size < 4:
         return None
@@ -153,15 +153,15 @@ def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
     held = np.flatnonzero(constant & (extent > THRESHOLDS.held * smallest)).tolist()
     reach = int(THRESHOLDS.searched / step)
     lags = np.arange(-reach, reach + 1)
-    positions = _normalised(q[reach : q.shape[0] - reach])
+    positions = _normalise(q[reach : q.shape[0] - reach])
     r = np.array(
-        [positions.T @ _normalised(u[reach - lag : q.shape[0] - reach - lag]) for lag in lags]
+        [positions.T @ _normalise(u[reach - lag : q.shape[0] - reach - lag]) for lag in lags]
     )
     names = recording.joint_names
     return _Motion(names, step, q, u, np.asarray(lags * step, dtype=np.float64), r, moving, held)
 
 
-def _normalised(x: Array) -> Array:
+def _normalise(x: Array) -> Array:
     """Return columns without their means, of unit length; zero where they are constant."""
     x = x - x.mean(axis=0)
     length = np.linalg.norm(x, axis=0)
@@ -183,7 +183,7 @@ def _is_position(recording: Recording, moving: list[int]) -> bool:
     return changes.size > 0 and bool(max(here.mean(), next_one.mean()) > 0.99)
 
 
-def _constant(motion: _Motion) -> Iterator[Finding]:
+def _find_constant(motion: _Motion) -> Iterator[Finding]:
     names = [motion.names[j] for j in motion.constant]
     if not names:
         return
@@ -191,7 +191,8 @@ def _constant(motion: _Motion) -> Iterator[Finding]:
     yield Finding(
         "command_constant",
         "error",
-        f"the command{'s' * plural} of {joined(names)} {'are' if plural else 'is'} constant, though"
+        f"the command{'s' * plural} of {join_names(names)} {'are' if plural else 'is'} constant,"
+        " though"
         f" the joint{'s move' if plural else ' moves'} by up to"
         f" {np.ptp(motion.q[:, motion.constant], axis=0).max():.3g}",
         Cure("check which columns are commands, or lock what was moved by hand"),
@@ -199,7 +200,7 @@ def _constant(motion: _Motion) -> Iterator[Finding]:
     )
 
 
-def _units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
+def _find_wrong_units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands that vary many times as much, or as little, as positions that follow them."""
     tested = [j for j in tested if abs(motion.r[:, j, j]).max() > THRESHOLDS.followed]
     ratios = np.ptp(motion.u, axis=0) / np.maximum(np.ptp(motion.q, axis=0), 1e-12)
@@ -222,13 +223,14 @@ def _units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     yield Finding(
         "command_units",
         "error",
-        f"the commands of {joined(names)} vary {ratio:.3g} times as much as the positions{looks}",
+        f"the commands of {join_names(names)} vary {ratio:.3g} times as much as the"
+        f" positions{looks}",
         Cure(cure),
         joint=names[0] if len(names) == 1 else None,
     )
 
 
-def _swapped(motion: _Motion) -> dict[int, int]:
+def _find_swapped(motion: _Motion) -> dict[int, int]:
     """Return joints that follow each other's commands, not their own, with the commands' joints.
 
     A joint that follows a command of one that follows its own as well moves in step with that.
@@ -247,9 +249,9 @@ def _swapped(motion: _Motion) -> dict[int, int]:
     return pairs if set(pairs) == set(pairs.values()) else {}
 
 
-def _swapped_finding(motion: _Motion, pairs: Mapping[int, int]) -> Finding:
+def _report_swapped(motion: _Motion, pairs: Mapping[int, int]) -> Finding:
     names = motion.names
-    listed = joined([f"{names[i]} the command of {names[j]}" for i, j in pairs.items()])
+    listed = join_names([f"{names[i]} the command of {names[j]}" for i, j in pairs.items()])
     return Finding(
         "command_swapped",
         "error",
@@ -261,7 +263,7 @@ def _swapped_finding(motion: _Motion, pairs: Mapping[int, int]) -> Finding:
     )
 
 
-def _flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
+def _find_flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands whose positions go the other way."""
     inside = (motion.lags >= 0.0) & (motion.lags <= THRESHOLDS.longest)
     for j in tested:
@@ -277,7 +279,7 @@ def _flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
             )
 
 
-def _offset(model: RobotModel, servo: PositionServo, motion: _Motion) -> Iterator[Finding]:
+def _find_offset(model: RobotModel, servo: PositionServo, motion: _Motion) -> Iterator[Finding]:
     """Find commands so far away that the stiffness, if stated, exceeds the torque limit."""
     away = np.median(motion.u - motion.q, axis=0)
     limits = np.minimum(servo.torque_limit, [joint.limits.torque for joint in model.joints])
@@ -294,7 +296,7 @@ def _offset(model: RobotModel, servo: PositionServo, motion: _Motion) -> Iterato
             )
 
 
-def _clock(motion: _Motion) -> Iterator[Finding]:
+def _find_wrong_clock(motion: _Motion) -> Iterator[Finding]:
     """Find commands that come after the motion, or long before it, at most joints."""
     within, longest = (-THRESHOLDS.searched, THRESHOLDS.searched), THRESHOLDS.longest
     lags = []
@@ -323,7 +325,7 @@ def _clock(motion: _Motion) -> Iterator[Finding]:
     )
 
 
-def _lost(motion: _Motion) -> Iterator[Finding]:
+def _find_lost(motion: _Motion) -> Iterator[Finding]:
     """Find joints that do not go where they are commanded."""
     for j in motion.moving:
         r, _ = motion.best(j, j, (-2 * motion.step, THRESHOLDS.searched))

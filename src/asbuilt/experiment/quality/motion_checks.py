@@ -14,11 +14,11 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, unit_by_gravity
+from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import IN_STEP, SmoothedMotion
-from asbuilt.experiment.quality.velocity_checks import velocity_findings
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.experiment.quality.velocity_checks import check_velocities
+from asbuilt.findings import Cure, Finding, join_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,27 +108,29 @@ class Excess:
         )
 
 
-def impossible_motion(
+def find_impossible_motion(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
 ) -> Excess | None:
     """Return why the motion in radians is impossible, None if it is not."""
     revolute = np.array([joint.is_revolute for joint in model.joints])
     if not revolute.any():
         return None
-    evidence, largest = _far(model, recording, revolute)
+    evidence, largest = _find_far_position(model, recording, revolute)
     rate = None
     if not evidence and motion is not None:
-        evidence, ratio = _fast(model, motion, revolute)
+        evidence, ratio = _find_fast_joint(model, motion, revolute)
         rate = recording.rate / ratio
     if not evidence:
         return None
     unit: Literal["rad", "deg"] | None = "deg"
     if largest < LARGEST_RADIANS and motion is not None:
-        unit = unit_by_gravity(model, motion.q, motion.tau)
+        unit = infer_unit_by_gravity(model, motion.q, motion.tau)
     return Excess(evidence, unit, rate)
 
 
-def _far(model: RobotModel, recording: FirstPass, revolute: Mask) -> tuple[str, float]:
+def _find_far_position(
+    model: RobotModel, recording: FirstPass, revolute: Mask
+) -> tuple[str, float]:
     """Return which position is far outside its limits, empty if none is, and the largest one."""
     extremes = recording.position_range
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
@@ -145,12 +147,15 @@ def _far(model: RobotModel, recording: FirstPass, revolute: Mask) -> tuple[str, 
         return "", float(np.nanmax(largest, initial=0.0))
     k = int(np.argmax(over))
     return (
-        f"{_names(model, revolute)[k]} reaches {largest[k]:.4g}, {over[k]:.3g} times its limit of"
+        f"{_list_names(model, revolute)[k]} reaches {largest[k]:.4g}, {over[k]:.3g} times its"
+        " limit of"
         f" {bounds[k]:.4g} rad"
     ), float(np.max(largest))
 
 
-def _fast(model: RobotModel, motion: SmoothedMotion, revolute: Mask) -> tuple[str, float]:
+def _find_fast_joint(
+    model: RobotModel, motion: SmoothedMotion, revolute: Mask
+) -> tuple[str, float]:
     """Return which joint is far too fast, empty if none is, and how many times its limit."""
     speed = np.percentile(np.abs(motion.qd[:, revolute]), USUAL_PEAK, axis=0)
     limits = [joint.limits for joint in model.joints if joint.is_revolute]
@@ -164,36 +169,37 @@ def _fast(model: RobotModel, motion: SmoothedMotion, revolute: Mask) -> tuple[st
     ):
         return "", 1.0
     return (
-        f"{_names(model, revolute)[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times its"
+        f"{_list_names(model, revolute)[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g}"
+        " times its"
         f" limit of {speed[k] / ratio[k]:.4g} rad/s"
     ), float(ratio[k])
 
 
-def _names(model: RobotModel, chosen: Mask) -> list[str]:
+def _list_names(model: RobotModel, chosen: Mask) -> list[str]:
     return [name for name, each in zip(model.joint_names, chosen, strict=True) if each]
 
 
-def motion_findings(
+def check_recorded_motion(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None, excess: Excess | None
 ) -> Iterator[Finding]:
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(velocity_findings(recording, motion, motion.logged_qd))
+        velocities = list(check_velocities(recording, motion, motion.logged_qd))
     if excess is None:
-        yield from _in_millimetres(model, recording)
-        yield from _limits(model, recording)
+        yield from _find_millimetres(model, recording)
+        yield from _check_limits(model, recording)
         if motion is not None:
-            yield from _too_fast(model, recording.rate, motion)
+            yield from _find_too_fast(model, recording.rate, motion)
     elif "rate_wrong" not in [each.code for each in velocities]:
         yield excess.finding(recording.rate)
     degrees = excess is not None and excess.unit != "rad"
-    yield from _still(model, recording, DEGREE if degrees else 1.0)
-    yield from _correlated(recording)
+    yield from _find_still(model, recording, DEGREE if degrees else 1.0)
+    yield from _find_correlated(recording)
     yield from velocities
 
 
-def _in_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Find sliding joints that are far outside their limits, and inside them as millimetres."""
     for k, joint in enumerate(model.joints):
         bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
@@ -215,7 +221,7 @@ def _in_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding
         )
 
 
-def _limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def _check_limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     outside = recording.outside_limits
     for k, joint in enumerate(model.joints):
         count, value, worst = int(outside.count[k]), float(outside.value[k]), int(outside.row[k])
@@ -234,7 +240,7 @@ def _limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
         )
 
 
-def _too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> Iterator[Finding]:
+def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> Iterator[Finding]:
     """Find that most joints exceed their limits of velocity, as at a rate too high."""
     limits = np.array([joint.limits.velocity for joint in model.joints])
     known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
@@ -254,7 +260,7 @@ def _too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> Iterato
     )
 
 
-def _still(model: RobotModel, recording: FirstPass, scale: float) -> Iterator[Finding]:
+def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterator[Finding]:
     still: list[tuple[str, float, str]] = []
     extremes = recording.position_range
     for k, joint in enumerate(model.joints):
@@ -287,7 +293,7 @@ def _still(model: RobotModel, recording: FirstPass, scale: float) -> Iterator[Fi
         )
 
 
-def _correlated(recording: FirstPass) -> Iterator[Finding]:
+def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
     moving = recording.moments.moving
     if len(moving) < 3:
         return
@@ -301,7 +307,8 @@ def _correlated(recording: FirstPass) -> Iterator[Finding]:
     yield Finding(
         "joints_correlated",
         "warning" if everyone else "info",
-        f"{'all' if everyone else len(group)} joints move in step: {joined(names)} (correlation of"
+        f"{'all' if everyone else len(group)} joints move in step: {join_names(names)}"
+        " (correlation of"
         f" positions at least {least:.4f}), so their inertias are hard to separate",
         Cure("record a motion in which every joint moves independently", call="design_motion"),
     )
@@ -313,7 +320,7 @@ _RANK_TOLERANCE = 1e-7
 """Singular value or column norm, relative to the largest, below which it counts as zero."""
 
 
-def excitation_findings(
+def check_excitation(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
 ) -> Iterator[Finding]:
     """Find recordings with too few samples, rank deficiency, or a large scaled condition number.
@@ -349,7 +356,7 @@ def excitation_findings(
     triangle = np.linalg.qr(observed / np.where(zero, 1.0, lengths), mode="r")
     _, values, directions = np.linalg.svd(triangle, full_matrices=False)
     rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
-    worst = joined([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
+    worst = join_names([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
     if rank < base.n_base:
         yield Finding(
             "rank_deficient",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask, any_of
+from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
@@ -99,7 +99,7 @@ class FirstPass:
         return time_span(self.t)
 
 
-def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
+def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     """Read the consecutive chunks of a recording once (a recording in memory is one chunk).
 
     Raises
@@ -120,14 +120,14 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         chunk = as_modelled(model, logged)
         first = first or chunk
         chunk = chunk.with_torque_of(first.has_torque)
-        not_repeated = _not_repeated(chunk, last)
-        missing += _missing(chunk, begin)
-        last, chunk = chunk, credible(chunk)
+        not_repeated = _mark_not_repeated(chunk, last)
+        missing += _find_missing(chunk, begin)
+        last, chunk = chunk, blank_incredible(chunk)
         q, tau = chunk.q, chunk.tau
-        valid_torque = np.isfinite(chunk.t) & ~any_of(~np.isfinite(tau))
-        valid = valid_torque & ~any_of(~np.isfinite(q))
+        valid_torque = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(tau))
+        valid = valid_torque & ~find_true_rows(~np.isfinite(q))
         if chunk.qd is not None:
-            valid &= ~any_of(~np.isfinite(chunk.qd))
+            valid &= ~find_true_rows(~np.isfinite(chunk.qd))
         times.append(np.array(chunk.t))
         flags.append(np.stack([not_repeated, valid_torque, valid]))
         rows = np.arange(begin, begin + chunk.n_samples)
@@ -152,7 +152,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         not_repeated=not_repeated,
         valid_torque=valid_torque,
         valid=valid,
-        missing=_merged(missing),
+        missing=_merge(missing),
         position_range=positions,
         moments=moments,
         outside_limits=outside,
@@ -190,7 +190,7 @@ def as_modelled(model: RobotModel, recording: Recording) -> Recording:
     return recording
 
 
-def credible(recording: Recording) -> Recording:
+def blank_incredible(recording: Recording) -> Recording:
     """Return the recording with NaN in place of values that no robot could log."""
 
     def cleaned(what: str, values: Array) -> Array:
@@ -198,7 +198,7 @@ def credible(recording: Recording) -> Recording:
 
     if not any(
         np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what]
-        for what, values in _quantities(recording)
+        for what, values in _list_quantities(recording)
     ):
         return recording
     return replace(
@@ -210,7 +210,7 @@ def credible(recording: Recording) -> Recording:
     )
 
 
-def _quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
+def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
     """Yield what was logged; torques of a servo are computed from its command."""
     yield "position", recording.q
     if recording.servo is not None and recording.command is not None:
@@ -230,16 +230,18 @@ def position_limits(model: RobotModel) -> tuple[Array, Array]:
     return lower, np.where(endless, np.inf, [joint.limits.upper for joint in model.joints])
 
 
-def _not_repeated(chunk: Recording, before: Recording | None) -> Mask:
+def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
-    changed = any_of(np.diff(chunk.q, axis=0) != 0) | any_of(np.diff(chunk.tau, axis=0) != 0)
+    changed = find_true_rows(np.diff(chunk.q, axis=0) != 0) | find_true_rows(
+        np.diff(chunk.tau, axis=0) != 0
+    )
     first = before is None or bool(
         np.any(chunk.q[0] != before.q[-1]) or np.any(chunk.tau[0] != before.tau[-1])
     )
     return np.concatenate([[first], changed])
 
 
-def _missing(chunk: Recording, begin: int) -> Iterator[Missing]:
+def _find_missing(chunk: Recording, begin: int) -> Iterator[Missing]:
     for what, values in _with_second_encoder(chunk):
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
@@ -249,13 +251,13 @@ def _missing(chunk: Recording, begin: int) -> Iterator[Missing]:
 
 def _with_second_encoder(chunk: Recording) -> Iterator[tuple[str, Array]]:
     """Yield what was logged, and a second encoder, which joints may be without."""
-    yield from _quantities(chunk)
+    yield from _list_quantities(chunk)
     if chunk.second_encoder is not None:
         positions = chunk.second_encoder[1]
         yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
 
 
-def _merged(missing: list[Missing]) -> tuple[Missing, ...]:
+def _merge(missing: list[Missing]) -> tuple[Missing, ...]:
     """Return one entry per column, quantity by quantity."""
     found: dict[tuple[int, int], list[Missing]] = {}
     for each in missing:
@@ -308,19 +310,19 @@ class SecondPass:
     plateaus: tuple[tuple[Plateau, ...], ...]
 
 
-def second_pass(
+def run_second_pass(
     model: RobotModel, chunks: Iterable[Recording], known: FirstPass, rows: Sequence[Indices]
 ) -> SecondPass:
     """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
 
     The torques for spectra are all torques of one chunk, else the torques of the segments.
     """
-    plateaus = [_plateaus(known, k) for k in range(known.n_joints)]
+    plateaus = [_find_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]
     torques: list[Array] = []
     begin = place = 0
     for logged in chunks:
-        chunk = credible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
+        chunk = blank_incredible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
         stop = begin + chunk.n_samples
         changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [
@@ -330,17 +332,17 @@ def second_pass(
         for wanted, part in zip(rows, parts, strict=True):
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
-                part.append(_copied(chunk, here - begin))
+                part.append(_copy_rows(chunk, here - begin))
         if known.n_chunks == 1:
             torques.append(chunk.tau[known.valid_torque])
         begin, place = stop, place + len(changed)
-    segments = tuple(_joined(part) for part in parts)
+    segments = tuple(_join(part) for part in parts)
     return SecondPass(
         segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
     )
 
 
-def _plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
+def _find_plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
     low, high = float(known.torque_range.low[joint]), float(known.torque_range.high[joint])
     # Number of torques that are not repeated below which there is no plateau.
     if known.torque_range.count[joint] < 20 or high == low:
@@ -348,7 +350,7 @@ def _plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
     return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
 
 
-def _copied(chunk: Recording, rows: Indices) -> Recording:
+def _copy_rows(chunk: Recording, rows: Indices) -> Recording:
     return Recording(
         t=chunk.t[rows],
         q=chunk.q[rows],
@@ -359,7 +361,7 @@ def _copied(chunk: Recording, rows: Indices) -> Recording:
     )
 
 
-def _joined(parts: Sequence[Recording]) -> Recording:
+def _join(parts: Sequence[Recording]) -> Recording:
     t, q, tau = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau")
     )

@@ -12,9 +12,9 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.noise.band_choice import POSITION_BANDWIDTHS, Band, choose_band
-from asbuilt.experiment.signal.noise.position_step import position_steps
-from asbuilt.experiment.signal.resampling import uniform_segments
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.experiment.signal.noise.position_step import find_position_steps
+from asbuilt.experiment.signal.resampling import resample_segments
+from asbuilt.findings import Cure, Finding, join_names
 
 MEASURED = 20_000
 """Samples at the beginning by which step and noise are measured: 20 s at 1 kHz."""
@@ -48,7 +48,7 @@ class PositionNoise:
     def of(cls, recording: Recording) -> PositionNoise | None:
         """Measure a recording; None if no segment can be used, or no position changes."""
         try:
-            segments, rate, _ = uniform_segments(recording)
+            segments, rate, _ = resample_segments(recording)
         except RecordingError:
             return None
         finite = recording.q[np.all(np.isfinite(recording.q), axis=1)]
@@ -56,16 +56,16 @@ class PositionNoise:
         if rate < 1.0 or not changed.any():
             return None
         band = choose_band(segments, rate, commanded=recording.torque_source == "command")
-        step = position_steps([finite[np.concatenate([[True], changed])]])
+        step = find_position_steps([finite[np.concatenate([[True], changed])]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
         return cls(step, np.maximum(density, step**2 / (6.0 * rate)), band)
 
 
-def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterator[Finding]:
+def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[Finding]:
     """Find positions of coarse steps, and noise that limits the band."""
     if noise is None:
         return
-    steps = [_step_text(model, k, step) for k, step in enumerate(noise.step.tolist())]
+    steps = [_describe_step(model, k, step) for k, step in enumerate(noise.step.tolist())]
     band = noise.band
     if band.noise is not None and band.cutoff < LIMITED * band.wanted:
         worst = band.noise.limiting_joint(band.wanted)
@@ -89,7 +89,7 @@ def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterato
             )
 
 
-def _step_text(model: RobotModel, joint: int, step: float) -> str:
+def _describe_step(model: RobotModel, joint: int, step: float) -> str:
     if step <= 0.0:
         return ""
     if not model.joints[joint].is_revolute:
@@ -124,7 +124,7 @@ BLOCKS = 10
 """Time blocks from whose scatter the error of a lag follows."""
 
 
-def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Name samples at which the loops do not close, and postures near a singular one."""
     closure = model.closure
     if closure is None:
@@ -141,7 +141,7 @@ def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
             "loops_open",
             "error",
             f"the encoders contradict the loops of the description: they do not close at"
-            f" {recording.t[rows[first]]:.3f} s, with {joined(where, len(where))}"
+            f" {recording.t[rows[first]]:.3f} s, with {join_names(where, len(where))}"
             f" ({100.0 * failed.size / rows.size:.3g} % of the samples)",
             Cure("correct zero positions, signs and units of the log, or the lengths of the links"),
             joint=model.joint_names[k],
@@ -154,7 +154,8 @@ def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
     where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
     text = (
         f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
-        f" {joined(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of the"
+        f" {join_names(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of"
+        " the"
         " largest"
     )
     joint, time = model.joint_names[moving[0]], float(recording.t[rows[nearest]])
@@ -171,9 +172,9 @@ def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
     )
 
 
-def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
-    placed, shares = _placed(model, recording.q), model.link_shares
+    placed, shares = _place_joints(model, recording.q), model.link_shares
     for k, joint in enumerate(model.followers, start=model.n_joints):
         master = " and ".join(
             name for name, share in zip(model.joint_names, shares[k], strict=True) if share
@@ -210,7 +211,7 @@ def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Findi
             )
 
 
-def _placed(model: RobotModel, q: Array) -> Array:
+def _place_joints(model: RobotModel, q: Array) -> Array:
     """Return the positions of the joints of all links, NaN at samples that have NaN."""
     known = np.isfinite(q).all(axis=1)
     placed = np.full((len(q), model.n_links), np.nan)
@@ -238,7 +239,7 @@ class EncoderLag:
     rest: float
 
 
-def encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
+def estimate_encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
     """Return the lag of `other` (N,) behind `own` (N,); None if one of them does not move.
 
     To first order `other(t) = s own(t - lag) + c = s own - s lag d(own)/dt + c`: zero positions and
@@ -265,14 +266,14 @@ def encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
     )
 
 
-def encoder_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Report the lag between two encoders of each joint, and joints without the second."""
     second = recording.second_encoder
     if second is None or recording.n_samples < 2 * BLOCKS:
         return
     sign = 1.0 if second[0] == "link" else -1.0
     found = [
-        encoder_lag(recording.t, own, other)
+        estimate_encoder_lag(recording.t, own, other)
         for own, other in zip(recording.q.T, second[1].T, strict=True)
     ]
     # Standard errors beyond which a lag is one.
@@ -295,12 +296,12 @@ def encoder_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
         for joint, each in lagging
     ]
     without = [joint.name for joint, each in zip(model.joints, found, strict=True) if each is None]
-    also = f"; {joined(without)} have one encoder that moves" if without else ""
+    also = f"; {join_names(without)} have one encoder that moves" if without else ""
     yield Finding(
         "encoder_lag",
         "info",
-        f"the link encoders lag behind the motor encoders by {joined(lags, len(lags))}, which"
+        f"the link encoders lag behind the motor encoders by {join_names(lags, len(lags))}, which"
         f" explains {shares[0]:.0f} to {shares[-1]:.0f} % of their difference and leaves"
-        f" {joined(rest, len(rest))} for elasticity and hysteresis{also}",
+        f" {join_names(rest, len(rest))} for elasticity and hysteresis{also}",
         joint=lagging[0][0].name,
     )

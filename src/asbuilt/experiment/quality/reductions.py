@@ -11,7 +11,7 @@ from scipy.linalg import lstsq
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.parallel_filter import filtered_rows
+from asbuilt.experiment.signal.parallel_filter import filter_rows
 
 IN_STEP = 0.995
 """Correlation of positions from which joints move in step."""
@@ -185,29 +185,29 @@ class UniformSegments:
         return cls(tuple(rows[a:b] for a, b in bounds), step, window) if bounds else None
 
 
-def smoothed_motion(segments: UniformSegments, logged: Sequence[Recording]) -> SmoothedMotion:
+def smooth_motion(segments: UniformSegments, logged: Sequence[Recording]) -> SmoothedMotion:
     """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964).
 
     `logged` are the samples of each segment. Derivatives are summed by parts, over steps in place
     of values, so that a joint at rest has a velocity of exactly 0.
     """
     window, step = segments.window, segments.step
-    value, *slopes = _cubic(window, step)
+    value, *slopes = _derive_cubic_taps(window, step)
     of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
     smooth: list[list[Array]] = []
     for part in logged:
         columns = [part.q, part.tau] + ([part.qd] if part.qd is not None else [])
         even = np.arange(part.t[0], part.t[-1], step)
-        q, *rest = [_resampled(even, part.t, values) for values in columns]
+        q, *rest = [_resample(even, part.t, values) for values in columns]
         steps = np.diff(q, axis=1)
-        derivatives = [filtered_rows(q, value), *(filtered_rows(steps, each) for each in of_steps)]
-        others = [filtered_rows(values, value) for values in rest]
+        derivatives = [filter_rows(q, value), *(filter_rows(steps, each) for each in of_steps)]
+        others = [filter_rows(values, value) for values in rest]
         smooth.append([values.T for values in (*derivatives, *others)])
     q, qd, qdd, tau, *measured = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]
     return SmoothedMotion(q, qd, qdd, tau, measured[0] if measured else None, 1.0 / step)
 
 
-def _cubic(window: int, step: float) -> list[Array]:
+def _derive_cubic_taps(window: int, step: float) -> list[Array]:
     """Return the taps of value, slope and curvature of the cubic that fits a window best.
 
     As `scipy.signal.savgol_coeffs`, whose package takes long to import.
@@ -217,6 +217,6 @@ def _cubic(window: int, step: float) -> list[Array]:
     return [lstsq(A, np.eye(4)[k] * factorial(k) / step**k)[0] for k in range(3)]
 
 
-def _resampled(even: Array, t: Array, values: Array) -> Array:
+def _resample(even: Array, t: Array, values: Array) -> Array:
     """Return the columns of values (L, n) at the times `even` (N,) as rows (n, N)."""
     return np.array([np.interp(even, t, column) for column in np.ascontiguousarray(values.T)])

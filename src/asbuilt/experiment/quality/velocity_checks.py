@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from asbuilt.arrays import Array
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
 
@@ -46,7 +46,7 @@ _OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
 """Revolutions per minute and per second, and thousandths."""
 
 
-def velocity_findings(
+def check_velocities(
     recording: FirstPass, motion: SmoothedMotion, logged: Array
 ) -> Iterator[Finding]:
     """Find logged velocities that are zero, swapped, in another unit, wrong, late or disturbed."""
@@ -65,14 +65,16 @@ def velocity_findings(
                 Cure("leave the velocity columns out"),
             )
         return
-    correlation = _correlations(logged[:, moving], slope[:, moving])
+    correlation = _correlate_columns(logged[:, moving], slope[:, moving])
     swapped = [
         (int(moving[a]), int(moving[b]))
         for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
         if a != b and correlation[a, b] > THRESHOLDS.swapped and correlation[a, a] < THRESHOLDS.own
     ]
     if swapped:
-        pairs = joined([f"the velocity of {names[a]} belongs to {names[b]}" for a, b in swapped])
+        pairs = join_names(
+            [f"the velocity of {names[a]} belongs to {names[b]}" for a, b in swapped]
+        )
         yield Finding(
             "velocity_swapped",
             "error",
@@ -97,7 +99,7 @@ def velocity_findings(
             Cure('write the unit in a recording sheet: units = { velocity = "deg/s" }'),
         )
         return
-    rate = _right_rate(recording, np.diag(correlation), gain)
+    rate = _find_right_rate(recording, np.diag(correlation), gain)
     if rate is not None:
         yield Finding(
             "rate_wrong",
@@ -128,11 +130,11 @@ def velocity_findings(
         else:
             continue
         yield Finding("velocity_mismatch", "warning", message, LEAVE_OUT, joint=names[k])
-    yield from _lag(recording, motion, logged, moving.tolist())
-    yield from _ends(recording, motion, logged, moving.tolist())
+    yield from _find_lag(recording, motion, logged, moving.tolist())
+    yield from _check_ends(recording, motion, logged, moving.tolist())
 
 
-def _right_rate(recording: FirstPass, correlation: Array, gain: Array) -> float | None:
+def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> float | None:
     """Return the rate [Hz] at which velocities are derivatives of positions, if there is one.
 
     Units of velocity other than the units of the positions are no reason to doubt the rate.
@@ -147,10 +149,10 @@ def _right_rate(recording: FirstPass, correlation: Array, gain: Array) -> float 
     return float(f"{common * recording.rate:.3g}")
 
 
-def _lag(
+def _find_lag(
     recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
-    lags = np.array([_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
+    lags = np.array([_find_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
     if not np.all(np.isfinite(lags)):
         return
     step = 1.0 / (recording.rate * float(np.mean(recording.not_repeated)))
@@ -169,7 +171,7 @@ def _lag(
         )
 
 
-def _best_shift(late: Array, early: Array) -> float:
+def _find_best_shift(late: Array, early: Array) -> float:
     """Return by how many samples `late` follows `early`, refined by a parabola.
 
     NaN if no shift up to a fifth of the signal matches.
@@ -189,7 +191,7 @@ def _best_shift(late: Array, early: Array) -> float:
     return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
 
 
-def _ends(
+def _check_ends(
     recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
     """Find ends at which velocities and positions differ, as after the transient of a filter."""
@@ -219,7 +221,7 @@ def _ends(
             )
 
 
-def _correlations(a: Array, b: Array) -> Array:
+def _correlate_columns(a: Array, b: Array) -> Array:
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     norms = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None, :]
     return np.asarray((a.T @ b) / np.where(norms > 0, norms, 1.0))

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.experiment.recording import Recording
 
 
-def bridged(
+def bridge_pauses(
     recording: Recording, rows: Indices, longest: float, pause: float
 ) -> tuple[Recording, Indices, tuple[float, ...]]:
     """Return a recording whose shorter pauses are filled, its rows, and the lengths of these.
@@ -48,13 +48,13 @@ def bridged(
     for place in places.tolist():
         count = round(float(steps[place]) / period) - 1
         times = t[place] + np.arange(1, count + 1) * (steps[place] / (count + 1))
-        near = _around(t, place, count, pause)
+        near = _select_around(t, place, count, pause)
         parts["t"] += [t[before : place + 1], times]
         for name in names:
             if name == "command":
                 filled = np.repeat(columns[name][place : place + 1], count, axis=0)
             else:
-                filled = _local(t[near], columns[name][near], times)
+                filled = _interpolate_locally(t[near], columns[name][near], times)
             parts[name] += [columns[name][before : place + 1], filled]
         before = place + 1
     parts["t"].append(t[before:])
@@ -65,7 +65,7 @@ def bridged(
     return filled_in, np.arange(whole["t"].size), tuple(steps[places].tolist())
 
 
-def _around(t: Array, place: int, count: int, pause: float) -> slice:
+def _select_around(t: Array, place: int, count: int, pause: float) -> slice:
     """Return the samples on either side of a pause, up to the next pause."""
     # Fewest samples on either side of a pause that the polynomial is fitted to.
     width = max(8, count)
@@ -76,7 +76,7 @@ def _around(t: Array, place: int, count: int, pause: float) -> slice:
     return slice(begin, place + 2 + int(later[0]) if later.size else last)
 
 
-def _local(t: Array, values: Array, times: Array) -> Array:
+def _interpolate_locally(t: Array, values: Array, times: Array) -> Array:
     """Return a polynomial through values (L, n) at other times (m, n)."""
     centre, half = float(times.mean()), max(float(np.ptp(t)) / 2.0, 1e-12)
     # Degree of the polynomial; a sine at the cutoff makes less than one turn in its window.

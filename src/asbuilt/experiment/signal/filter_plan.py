@@ -23,7 +23,7 @@ from asbuilt.experiment.signal.parallel_filter import (
 )
 from asbuilt.experiment.signal.resampling import HALF_WIDTH, UniformSegment
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.signal.standstill import PAUSE, at_rest, moving_ranges
+from asbuilt.experiment.signal.standstill import PAUSE, find_moving_ranges, find_rests
 from asbuilt.findings import Cure
 
 SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
@@ -207,10 +207,10 @@ class FilterPlan:
             return [(t[::n], q, qd, qdd, smooth, tau[::n])], segment.t.size
         ranges = [(0, segment.t.size)]
         if not self.chain.rests and speeds is not None:
-            still = at_rest(qd, speeds, self.rate)
+            still = find_rests(qd, speeds, self.rate)
             if still.any():
                 qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
-            ranges = moving_ranges(still, self.rate, self.shoulder)
+            ranges = find_moving_ranges(still, self.rate, self.shoulder)
         m = self.anti_alias.margin if self.anti_alias else 0
         parts, after = [], stop
         for begin, end in ranges:

@@ -47,8 +47,8 @@ def parse_rule(rule: str) -> Blocks | Last:
     """
     kind, *arguments = rule.strip().split(":")
     if kind == "blocks" and len(arguments) == 2:
-        seconds = _number(arguments[0].removesuffix("s"), rule, "a block length in seconds")
-        every = _number(arguments[1], rule, "every how many blocks one is held out")
+        seconds = _parse_number(arguments[0].removesuffix("s"), rule, "a block length in seconds")
+        every = _parse_number(arguments[1], rule, "every how many blocks one is held out")
         if seconds <= 0 or every != int(every) or every < 2:
             raise UsageError(
                 f"cannot hold out {rule!r}: blocks have a positive length and a whole number of 2"
@@ -57,7 +57,7 @@ def parse_rule(rule: str) -> Blocks | Last:
             )
         return Blocks(seconds, int(every))
     if kind == "last" and len(arguments) == 1:
-        share = _number(arguments[0], rule, "a share of the time")
+        share = _parse_number(arguments[0], rule, "a share of the time")
         if not 0 < share < 1:
             raise UsageError(
                 f"cannot hold out {rule!r}: the share must lie between 0 and 1, as in {FORMS}",
@@ -67,12 +67,12 @@ def parse_rule(rule: str) -> Blocks | Last:
     raise UsageError(f"cannot hold out {rule!r}: give {FORMS}", value=rule)
 
 
-def usual_rule(seconds: float) -> str | None:
+def choose_usual_rule(seconds: float) -> str | None:
     """Return the rule that holds out a third of a recording of this length; None if too short.
 
     Blocks of 5 s, of a shorter recording a sixth of it, so that two are held out.
 
-    >>> usual_rule(60.0), usual_rule(15.0), usual_rule(4.0)
+    >>> choose_usual_rule(60.0), choose_usual_rule(15.0), choose_usual_rule(4.0)
     ('blocks:5s:3', 'blocks:2.5s:3', None)
     """
     if seconds < SHORTEST_DIVIDED:
@@ -135,7 +135,7 @@ def hold_out(samples: Samples, rule: str, *, shared: bool = False) -> tuple[Samp
     return samples.select(~held), samples.select(held)
 
 
-def _number(text: str, rule: str, what: str) -> float:
+def _parse_number(text: str, rule: str, what: str) -> float:
     try:
         value = float(text)
     except ValueError:

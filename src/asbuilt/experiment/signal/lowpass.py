@@ -55,12 +55,12 @@ def butterworth(
     0.7071
     """
     values = np.asarray(x, dtype=np.float64)
-    sections = _sections(cutoff, rate, order, corrected)
+    sections = _design_sections(cutoff, rate, order, corrected)
     padding = min(
         settling_samples(cutoff, rate, order=order, corrected=corrected, tolerance=1e-6),
         values.shape[0] - 1,
     )
-    return _both_ways(values, sections, padding)
+    return _filter_both_ways(values, sections, padding)
 
 
 @lru_cache(maxsize=256)
@@ -72,7 +72,7 @@ def settling_samples(
     The impulse response dies as the slowest pole p does, |p|^k; the count is read from the response
     itself, which is the autocorrelation of one pass.
     """
-    sections = _sections(cutoff, rate, order, corrected)
+    sections = _design_sections(cutoff, rate, order, corrected)
     slowest = max(abs(root) for section in sections for root in np.roots(section[3:]))
     length = int(np.ceil(np.log(1e-3 * tolerance) / np.log(slowest))) + 1
     rows = np.zeros((AT_ONCE, 2 * length))
@@ -101,7 +101,7 @@ def decimate_chebyshev(x: ArrayLike, factor: int, *, order: int = 8) -> Array:
     )
 
 
-def _both_ways(x: Array, sections: Array, padding: int) -> Array:
+def _filter_both_ways(x: Array, sections: Array, padding: int) -> Array:
     """Filter the columns of x (N,) or (N, m) forwards and backwards, as `scipy.signal.sosfiltfilt`.
 
     The ends are extended by odd reflection over `padding` < N samples, and the filter starts in its
@@ -115,14 +115,14 @@ def _both_ways(x: Array, sections: Array, padding: int) -> Array:
     if padding:
         rows[:m, :padding] = 2.0 * columns[:, :1] - columns[:, padding:0:-1]
         rows[:m, -padding:] = 2.0 * columns[:, -1:] - columns[:, -2 : -padding - 2 : -1]
-    steady = _steady_state(sections.tobytes(), len(sections))
+    steady = _solve_steady_state(sections.tobytes(), len(sections))
     _filter_in_place(rows, sections, steady)
     kept = rows[:m, padding : padding + length].T
     return kept[:, 0] if x.ndim == 1 else kept
 
 
 @lru_cache(maxsize=256)
-def _steady_state(sections: bytes, count: int) -> Array:
+def _solve_steady_state(sections: bytes, count: int) -> Array:
     """Return the states (count, 2) of sections that the input 1 has held for long.
 
     The states (p, q) of a section with the input 1 solve `p = q + b1 - a1 (p + b0)`,
@@ -172,7 +172,7 @@ def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
 
 
 @lru_cache(maxsize=256)
-def _sections(cutoff: float, rate: float, order: int, corrected: bool) -> Array:
+def _design_sections(cutoff: float, rate: float, order: int, corrected: bool) -> Array:
     if not 0.0 < cutoff < 0.5 * rate:
         raise UsageError(
             f"a low-pass at {cutoff:g} Hz is impossible at {rate:g} Hz: the cutoff must lie between"

@@ -81,7 +81,7 @@ class ParallelFilter:
         """
         values = np.asarray(x, dtype=np.float64)
         if values.ndim == 2 and axis in (-1, 1) and _has_rows_in_memory(values):
-            return filtered_rows(values, self.taps, self.decimation, out)
+            return filter_rows(values, self.taps, self.decimation, out)
         moved = np.ascontiguousarray(np.moveaxis(values, axis, -1))
         flat = self.apply(moved.reshape(-1, moved.shape[-1]), -1)
         return np.ascontiguousarray(
@@ -144,7 +144,7 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
     return ParallelFilter(taps(corner), decimation, cutoff, rate)
 
 
-def filtered_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = None) -> Array:
+def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = None) -> Array:
     """Return `y[i, k] = sum_j taps[j] x[i, k decimation + j]` of x (m, L), where all j exist.
 
     The numbers of a row are neighbours in memory, and finite: one that is not spreads to seven more
@@ -158,11 +158,13 @@ def filtered_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None 
         weights = np.zeros((taps.size + (LANES - 1) * decimation, LANES))
         for lane in range(LANES):
             weights[lane * decimation : lane * decimation + taps.size, lane] = taps
-        _filter_rows(*_memory_of(x), rows, weights.reshape(-1), decimation, *_memory_of(out), count)
+        _filter_rows(
+            *_flatten_memory(x), rows, weights.reshape(-1), decimation, *_flatten_memory(out), count
+        )
     return out
 
 
-def _memory_of(x: Array) -> tuple[Array, int]:
+def _flatten_memory(x: Array) -> tuple[Array, int]:
     """Return the memory of an array (m, L) as one row, and where the next of its rows begins."""
     stride = x.strides[0] // x.itemsize
     return as_strided(x, ((len(x) - 1) * stride + x.shape[1],), x.strides[1:]), stride
@@ -210,7 +212,7 @@ def _filter_rows(
             at = min(k, count - LANES)
             begin = 0 if few else first * stride + at * decimation
             to = 0 if few else first * out_stride + at
-            _eight_rows(source, begin, apart, below, weights, span, target, to, target_apart)
+            _sum_eight_rows(source, begin, apart, below, weights, span, target, to, target_apart)
         if few:
             for r in range(min(EIGHT, rows - first)):
                 for k in range(count):
@@ -218,7 +220,7 @@ def _filter_rows(
 
 
 @part
-def _eight_rows(
+def _sum_eight_rows(
     memory: Array,
     at: int,
     stride: int,

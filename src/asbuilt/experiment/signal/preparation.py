@@ -13,9 +13,9 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.prepared_motion import (
     MotionFilters,
-    advanced,
-    assembled_samples,
-    grid_of,
+    advance_torque,
+    assemble_samples,
+    plan_grid,
     settle_chain,
 )
 from asbuilt.experiment.signal.resampling import SHORTEST
@@ -42,7 +42,7 @@ def resolve_chain(
     filters = filters or MotionFilters()
     chains = []
     for recording in recordings:
-        grid = grid_of(recording, chain)
+        grid = plan_grid(recording, chain)
         commanded = recording.torque_source == "command"
         chains.append(settle_chain(chain, grid.uniform(), grid.rate, filters, commanded)[0])
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
@@ -104,12 +104,12 @@ def stream_samples(
     low = -np.inf
     origin, clock_bound = np.nan, np.inf
     for chunk, more in _with_more(recordings):
-        joined = chunk if held is None else _joined(held, chunk)
+        joined = chunk if held is None else _join(held, chunk)
         held = joined
         if joined.n_samples < SHORTEST and more:
             continue
         has_torque = joined.has_torque if has_torque is None else has_torque
-        grid = grid_of(joined, chain, plan.rate if plan else None, has_torque)
+        grid = plan_grid(joined, chain, plan.rate if plan else None, has_torque)
         segments, rate, notes = grid.uniform(), grid.rate, grid.notes
         if plan is None:
             commanded = joined.torque_source == "command"
@@ -134,7 +134,7 @@ def stream_samples(
             after = begin
             if plan.fits(segment) and stop > begin:
                 found, after = plan.arrays(
-                    advanced(segment, plan), plan.motion(segment), begin, stop
+                    advance_torque(segment, plan), plan.motion(segment), begin, stop
                 )
                 parts.extend(found)
             if goes_on:
@@ -146,14 +146,14 @@ def stream_samples(
                 held = joined.between(segment.t[0] + (after - plan.support - 0.5) / rate, np.inf)
         if parts:
             provenance = (*joined.notes, *notes, *plan.description())
-            samples = assembled_samples(
+            samples = assemble_samples(
                 joined, plan, parts, origin, has_torque, clock_bound, provenance
             )
             if samples.n_filtered:
                 yield samples
 
 
-def _joined(first: Recording, second: Recording) -> Recording:
+def _join(first: Recording, second: Recording) -> Recording:
     qd = None if first.qd is None or second.qd is None else np.concatenate([first.qd, second.qd])
     t, q, tau = (
         np.concatenate(pair)

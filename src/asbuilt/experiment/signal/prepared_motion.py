@@ -18,10 +18,15 @@ from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
 from asbuilt.experiment.signal.noise.band_choice import choose_band
 from asbuilt.experiment.signal.noise.spikes import without_spikes
 from asbuilt.experiment.signal.noise.velocity_choice import VelocityVerdict, compare_velocities
-from asbuilt.experiment.signal.resampling import Grid, UniformSegment, shifted, uniform_grid
+from asbuilt.experiment.signal.resampling import (
+    Grid,
+    UniformSegment,
+    plan_uniform_grid,
+    shift_in_time,
+)
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
-from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
+from asbuilt.experiment.signal.standstill import PAUSE, estimate_standstill_speeds
 from asbuilt.findings import Cure
 
 UNRESOLVED = 0.25
@@ -49,11 +54,11 @@ class MotionFilters:
             If a cutoff or rate is impossible for this recording.
         """
         asked = replace(chain or SignalChain(), delay=None)
-        grid = grid_of(recording, asked)
+        grid = plan_grid(recording, asked)
         segments, commanded = grid.uniform(), recording.torque_source == "command"
         settled, notes, bound = settle_chain(asked, segments, grid.rate, self, commanded)
         if asked.cutoff is None:
-            grid = grid_of(recording, settled)
+            grid = plan_grid(recording, settled)
             segments = grid.uniform()
         plan = FilterPlan.of(settled, grid.rate)
         motions = (self.motion(plan, each) if plan.fits(each) else None for each in segments)
@@ -71,7 +76,7 @@ class MotionFilters:
         """Return what is made of the motion of segments, as it was made before if it was."""
         arrays = tuple(x for segment in segments for x in (segment.q, segment.qd))
         for known, before, found in self._kept:
-            if known == what and len(before) == len(arrays) and all(map(_same, before, arrays)):
+            if known == what and len(before) == len(arrays) and all(map(_is_same, before, arrays)):
                 return found  # type: ignore[return-value]
         made = make()
         self._kept.append((what, arrays, made))
@@ -129,7 +134,7 @@ class PreparedMotion:
         for segment, motion in zip(self.segments, self.motions, strict=True):
             if motion is not None:
                 stop = segment.t.size - plan.margin
-                parts += plan.arrays(advanced(segment, plan), motion, plan.margin, stop)[0]
+                parts += plan.arrays(advance_torque(segment, plan), motion, plan.margin, stop)[0]
                 seconds += (stop - plan.margin) / rate
         if not parts:
             longest = max(segment.t.size for segment in self.segments)
@@ -142,7 +147,7 @@ class PreparedMotion:
                 value=longest,
                 lower=2 * plan.margin,
             )
-        samples = assembled_samples(
+        samples = assemble_samples(
             recording,
             plan,
             parts,
@@ -182,7 +187,7 @@ class PreparedMotion:
         return replace(samples, encoder=moved[:, at], encoder_at=side)
 
 
-def grid_of(
+def plan_grid(
     recording: Recording,
     chain: SignalChain,
     rate: float | None = None,
@@ -194,7 +199,7 @@ def grid_of(
     """
     resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
     recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
-    return uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
+    return plan_uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 
 
 def settle_chain(
@@ -234,7 +239,7 @@ def settle_chain(
         verdict = filters.once(
             ("velocity", rate, chain.cutoff, chain.order),
             segments,
-            lambda: _velocity_verdict(chain, segments, rate),
+            lambda: _validate_velocity(chain, segments, rate),
         )
         chain = replace(
             chain, velocity="measured" if verdict is not None and verdict.helps else "derived"
@@ -258,11 +263,13 @@ def settle_chain(
         fitting = [segment for segment in segments if plan.fits(segment)]
         if fitting:
             motions = [filters.motion(plan, segment)[:2] for segment in fitting]
-            chain = replace(chain, standstill=standstill_speeds(motions, chain.cutoff or 0.0))
+            chain = replace(
+                chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
+            )
     return chain, tuple(notes), clock_bound
 
 
-def advanced(segment: UniformSegment, plan: FilterPlan) -> UniformSegment:
+def advance_torque(segment: UniformSegment, plan: FilterPlan) -> UniformSegment:
     """Return a segment with the torque shifted back by the known delay of the chain."""
     delays, n = plan.chain.delays, segment.q.shape[1]
     if not delays:
@@ -271,21 +278,23 @@ def advanced(segment: UniformSegment, plan: FilterPlan) -> UniformSegment:
         raise UsageError(
             f"a delay is one number for all joints or one for each of {n}, got {len(delays)}"
         )
-    return _with_torque(segment, shifted(segment.tau, np.broadcast_to(delays, (n,)), plan.rate))
+    return _with_torque(
+        segment, shift_in_time(segment.tau, np.broadcast_to(delays, (n,)), plan.rate)
+    )
 
 
 def _with_torque(segment: UniformSegment, tau: Array) -> UniformSegment:
     return replace(segment, tau=tau)
 
 
-def _same(one: Array | None, other: Array | None) -> bool:
+def _is_same(one: Array | None, other: Array | None) -> bool:
     """Return whether two arrays hold the same numbers, or neither is there."""
     if one is None or other is None:
         return one is other
     return one is other or (one.shape == other.shape and bool(np.all(one == other)))
 
 
-def _velocity_verdict(
+def _validate_velocity(
     chain: SignalChain, segments: Sequence[UniformSegment], rate: float
 ) -> VelocityVerdict | None:
     cutoff, order = chain.cutoff or 0.0, chain.order
@@ -302,7 +311,7 @@ def _velocity_verdict(
     return compare_velocities(pairs, rate) if pairs else None
 
 
-def assembled_samples(
+def assemble_samples(
     recording: Recording,
     plan: FilterPlan,
     parts: list[SegmentArrays],

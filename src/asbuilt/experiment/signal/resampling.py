@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.compilation import kernel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording, advancing
-from asbuilt.experiment.signal.bridging import bridged
+from asbuilt.experiment.recording import Recording, find_advancing_rows
+from asbuilt.experiment.signal.bridging import bridge_pauses
 from asbuilt.findings import Cure
 
 GAP = 4.5
@@ -86,7 +86,7 @@ class Grid:
 
     def _if_logged(self, x: Array | None, k: int) -> Array | None:
         """Return a channel in a segment, None if it was not logged, or not for every sample."""
-        if x is None or not np.all(np.isfinite(x[_slice_of(self.segments[k])])):
+        if x is None or not np.all(np.isfinite(x[_simplify_indices(self.segments[k])])):
             return None
         return self._on_clock(x, k)
 
@@ -97,7 +97,7 @@ class Grid:
         return [self._on_clock(bridged_x, k) for k in range(len(self.segments))]
 
     def _bridged(self, recording: Recording) -> Recording:
-        return bridged(recording, self.rows, self.gap, self.pause)[0]
+        return bridge_pauses(recording, self.rows, self.gap, self.pause)[0]
 
     def _times(self, t: Array, k: int) -> Array:
         rows = self.segments[k]
@@ -105,19 +105,19 @@ class Grid:
             clock = self.clocks[k]
             count = int(np.floor((clock[-1] - clock[0]) * self.rate + 1e-6)) + 1
             return np.asarray(clock[0] + np.arange(count) / self.rate)
-        part, even = t[_slice_of(rows)], t[rows[0]] + np.arange(rows.size) / self.rate
+        part, even = t[_simplify_indices(rows)], t[rows[0]] + np.arange(rows.size) / self.rate
         return np.asarray(even if np.max(np.abs(even - part)) < 0.5 / self.rate else part)
 
     def _on_clock(self, x: Array, k: int) -> Array:
         rows = self.segments[k]
         if self.clocks is None:
-            return x[_slice_of(rows)]
+            return x[_simplify_indices(rows)]
         clock = self.clocks[k]
         inside = np.minimum(self._times(clock, k), clock[-1])
         return np.ascontiguousarray(CubicSpline(clock, x[rows], axis=0)(inside))
 
 
-def uniform_segments(
+def resample_segments(
     recording: Recording,
     rate: float | None = None,
     max_gap: float | None = None,
@@ -125,13 +125,13 @@ def uniform_segments(
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
     """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
 
-    They come from `uniform_grid`, with the same parameters.
+    They come from `plan_uniform_grid`, with the same parameters.
     """
-    grid = uniform_grid(recording, rate, max_gap, resolved)
+    grid = plan_uniform_grid(recording, rate, max_gap, resolved)
     return grid.uniform(), grid.rate, grid.notes
 
 
-def uniform_grid(
+def plan_uniform_grid(
     recording: Recording,
     rate: float | None = None,
     max_gap: float | None = None,
@@ -160,13 +160,13 @@ def uniform_grid(
         notes.append(
             f"{n - int(kept.sum())} of {n} samples with NaN or infinite values were dropped"
         )
-    later = advancing(recording.t, kept)
+    later = find_advancing_rows(recording.t, kept)
     if not np.array_equal(later, kept):
         notes.append(
             f"{int(kept.sum() - later.sum())} samples whose time does not increase were dropped"
         )
     index = np.flatnonzero(later)
-    kept_rows = _not_repeated(recording, index)
+    kept_rows = _drop_repeats(recording, index)
     if kept_rows.size < index.size:
         notes.append(
             f"{index.size - kept_rows.size} samples that repeat the one before (the log was polled"
@@ -183,7 +183,7 @@ def uniform_grid(
         )
     steps = np.diff(t)
     period = float(np.median(steps))
-    logged_rate = _logged_rate(t, period)
+    logged_rate = _estimate_logged_rate(t, period)
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
             f"{recording.source}: a rate of {rate:g} Hz is above the rate of the log,"
@@ -195,7 +195,7 @@ def uniform_grid(
         )
     gap, pause = max(GAP * period, resolved) if max_gap is None else max_gap, GAP * period
     logged, usable = recording, kept_rows
-    recording, kept_rows, filled = bridged(recording, kept_rows, gap, pause)
+    recording, kept_rows, filled = bridge_pauses(recording, kept_rows, gap, pause)
     if filled:
         notes.append(
             f"{len(filled)} pauses of up to {max(filled):.3g} s, shorter than the filter resolves,"
@@ -220,10 +220,10 @@ def uniform_grid(
     inside = np.delete(steps, breaks - 1)
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
         return Grid(logged, usable, gap, pause, segments, None, target, tuple(notes))
-    clocks = [_clock(recording.t[rows], recording.q[rows]) for rows in segments]
+    clocks = [_choose_clock(recording.t[rows], recording.q[rows]) for rows in segments]
     ticks = sum(even for _, even in clocks)
     if rate is None and ticks == len(segments):
-        target = _rounded(
+        target = _round_rate(
             1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
         )
     late = max(
@@ -244,7 +244,7 @@ def uniform_grid(
     return Grid(logged, usable, gap, pause, segments, stamps, target, tuple(notes))
 
 
-def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
+def _drop_repeats(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay.
 
     A second torque channel that changes makes a sample new. Under a command nothing is dropped: its
@@ -253,7 +253,7 @@ def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
     commanded = recording.torque_source == "command" and recording.command is not None
     if not index.size or commanded:
         return index
-    part = _slice_of(index)
+    part = _simplify_indices(index)
     rows = [recording.q[part], recording.tau[part]] + (
         [recording.qd[part]] if recording.qd is not None else []
     )
@@ -271,7 +271,7 @@ def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
     return kept_rows
 
 
-def _slice_of(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+def _simplify_indices(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     """Return increasing indices as a slice, which copies nothing, if none is left out."""
     if rows.size and rows[-1] - rows[0] + 1 == rows.size:
         return slice(int(rows[0]), int(rows[-1]) + 1)
@@ -294,17 +294,17 @@ def _add_changes(changed: Mask, values: Array) -> None:
             changed[k] |= values[k, j] != values[k - 1, j]
 
 
-def _logged_rate(t: Array, period: float) -> float:
+def _estimate_logged_rate(t: Array, period: float) -> float:
     """Return the inverse of the mean step outside gaps, rounded to a whole number within 0.1 %."""
     steps = np.diff(t)
-    return _rounded(1.0 / float(np.mean(steps[steps <= GAP * period])))
+    return _round_rate(1.0 / float(np.mean(steps[steps <= GAP * period])))
 
 
-def _rounded(rate: float) -> float:
+def _round_rate(rate: float) -> float:
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 20 else rate
 
 
-def _clock(t: Array, q: Array) -> tuple[Array, bool]:
+def _choose_clock(t: Array, q: Array) -> tuple[Array, bool]:
     """Return the times of a segment: its stamps, or a uniform clock on which it is smoother.
 
     A controller that samples uniformly but is stamped by another process has stamps that jitter
@@ -312,7 +312,7 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
     root mean square of the third difference on a uniform grid.
     """
     period = float(np.median(np.diff(t)))
-    tick = _ticks(t, period)
+    tick = _assign_ticks(t, period)
     if tick is None:
         return t, False
     slope, start = np.polyfit(tick, t - t[0], 1)
@@ -333,7 +333,7 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
     )
 
 
-def _ticks(t: Array, period: float) -> Array | None:
+def _assign_ticks(t: Array, period: float) -> Array | None:
     """Return the clock tick (L,) of each stamp, None if the stamps follow no clock of this period.
 
     The phase of the stamps against the period is averaged on the circle over blocks of a few
@@ -351,18 +351,18 @@ def _ticks(t: Array, period: float) -> Array | None:
     return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
-def shifted(x: Array, delay: Array, rate: float) -> Array:
+def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
     """Return x (L, n), whose value at time t is the one at `t + delay`, (n,) [s].
 
     Fractions of a sample by a Kaiser-windowed sinc (Laakso et al., Splitting the unit delay, IEEE
     Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
     logged, x is continued by its odd reflection.
     """
-    columns = (_shifted(each, float(steps)) for each, steps in zip(x.T, delay * rate, strict=True))
+    columns = (_shift(each, float(steps)) for each, steps in zip(x.T, delay * rate, strict=True))
     return np.stack(list(columns), axis=1)
 
 
-def _shifted(x: Array, steps: float) -> Array:
+def _shift(x: Array, steps: float) -> Array:
     """Return x (L,) at every index plus `steps`, a real number."""
     whole = round(steps)
     part = steps - whole

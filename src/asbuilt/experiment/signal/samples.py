@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import EncoderSide, TorqueSource
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.parallel_filter import ParallelFilter
@@ -156,7 +156,7 @@ class Samples:
     def __repr__(self) -> str:
         return (
             f"Samples({self.source!r}: {self.n_samples} samples x {self.n_joints} joints"
-            f" ({joined(self.joint_names)}), {self.duration:.4g} s at {self.rate:.4g} Hz in"
+            f" ({join_names(self.joint_names)}), {self.duration:.4g} s at {self.rate:.4g} Hz in"
             f" {len(self.segments)} segments)"
         )
 

@@ -18,7 +18,9 @@ PAUSE = 0.5
 """Least duration [s] of a rest; a reversal is shorter."""
 
 
-def standstill_speeds(motions: Sequence[tuple[Array, Array]], cutoff: float) -> tuple[float, ...]:
+def estimate_standstill_speeds(
+    motions: Sequence[tuple[Array, Array]], cutoff: float
+) -> tuple[float, ...]:
     """Return the speed of each joint below which it may be at rest.
 
     `motions` are positions and velocities (L, n) of segments, behind a low-pass of `cutoff` [Hz].
@@ -33,7 +35,7 @@ def standstill_speeds(motions: Sequence[tuple[Array, Array]], cutoff: float) -> 
     return tuple(np.maximum(0.003 * top, least).tolist())
 
 
-def at_rest(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
+def find_rests(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
     """Return where each joint is at rest, (L, n): slower than its speed for `PAUSE` or longer."""
     slow = np.ascontiguousarray(np.abs(qd.T) < np.asarray(speeds)[:, None])
     for each in slow:
@@ -41,7 +43,7 @@ def at_rest(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
     return slow.T
 
 
-def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, int]]:
+def find_moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, int]]:
     """Return the index ranges without rests of all joints, but `shoulder` samples at their ends.
 
     During a rest friction takes any value up to the Coulomb torque, which a model whose friction
@@ -50,10 +52,10 @@ def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, in
     rest = np.array(still.all(axis=1))
     _keep_lasting(rest, PAUSE * rate)
     keep = ~rest
-    for a, b in _runs(rest):
+    for a, b in _find_segments(rest):
         keep[a : a + shoulder if a > 0 else a] = True
         keep[max(b - shoulder, a) if b < rest.size else b : b] = True
-    return _runs(keep)
+    return _find_segments(keep)
 
 
 @kernel("B1 f")
@@ -70,6 +72,6 @@ def _keep_lasting(mask: Mask, samples: float) -> None:
             length = 0
 
 
-def _runs(mask: Mask) -> list[tuple[int, int]]:
+def _find_segments(mask: Mask) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -16,7 +16,7 @@ from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Trajectory
-from asbuilt.experiment.virtual.sensors import PerJoint, per_joint
+from asbuilt.experiment.virtual.sensors import PerJoint, spread_per_joint
 from asbuilt.findings import Cure
 
 FeedForward = Literal["none", "gravity", "full", "exact"]
@@ -80,7 +80,7 @@ class DriveTrain:
 
     def of(self, name: str, n: int) -> Array:
         """Return a field for n joints, shape (n,)."""
-        return per_joint(getattr(self, name), n, name, signed=name == "offset")
+        return spread_per_joint(getattr(self, name), n, name, signed=name == "offset")
 
     def friction_law(self, n: int) -> Callable[[Array], Array]:
         """Return `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)` of n joints."""
@@ -266,7 +266,9 @@ class JointServo:
 
     def gains(self, described: RobotModel, armature: Array, q: Array) -> tuple[Array, Array]:
         """Return stiffness (N, n, n) at positions (N, n), and damping over stiffness (n,) [s]."""
-        kp, kd = (per_joint(x, q.shape[1], name) for x, name in ((self.kp, "kp"), (self.kd, "kd")))
+        kp, kd = (
+            spread_per_joint(x, q.shape[1], name) for x, name in ((self.kp, "kp"), (self.kd, "kd"))
+        )
         return np.broadcast_to(np.diag(kp), (len(q), *np.diag(kp).shape)), kd / kp
 
     def feedforward_torque(
@@ -277,6 +279,6 @@ class JointServo:
 
     def law(self, model: RobotModel) -> PositionServo:
         """Return the servo as a log states it: gains and limits, and a delay that is unknown."""
-        kp, kd = (per_joint(x, model.n_joints, "kp") for x in (self.kp, self.kd))
+        kp, kd = (spread_per_joint(x, model.n_joints, "kp") for x in (self.kp, self.kd))
         limits = tuple(joint.limits.torque for joint in model.joints)
         return PositionServo(kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), torque_limit=limits)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.description.formats.compiled_mjcf import collected_warnings
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.compiled_mjcf import collect_warnings
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.description.rotation import quaternion_from_rotation, rotation_from_rpy
-from asbuilt.dynamics.kinematics import random_postures
+from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.dynamics.newton_euler import mass_matrix
 from asbuilt.errors import InertiaError, MissingExtraError
 
@@ -48,7 +48,7 @@ class Stiffness:
 STIFFNESS = Stiffness()
 
 
-def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
+def import_mujoco(purpose: str = "a virtual robot") -> ModuleType:
     """Return MuJoCo, or raise MissingExtraError with the way to install it."""
     try:
         return import_module("mujoco")
@@ -96,7 +96,7 @@ class Physics:
         springs: bool = False,
         extend: Callable[[Any], None] | None = None,
     ) -> None:
-        self._mujoco = mujoco_module()
+        self._mujoco = import_mujoco()
         self.model = model = model.with_rotors
         n = model.n_joints
         bare = replace(
@@ -114,7 +114,7 @@ class Physics:
                 for link in model.links
             ),
         )
-        spec = self._mujoco.MjSpec.from_string(mjcf_text(bare, actuators=False, shapes=False))
+        spec = self._mujoco.MjSpec.from_string(format_mjcf(bare, actuators=False, shapes=False))
         if extend is not None:
             extend(spec)
         self.compiled: Any = spec.compile()
@@ -205,7 +205,7 @@ class Physics:
 
         Raises InertiaError where one is singular.
         """
-        q = random_postures(self.model, np.random.default_rng(0), 8)
+        q = draw_postures(self.model, np.random.default_rng(0), 8)
         masses: Array = mass_matrix(self.model, q) + np.diag(
             self.compiled.dof_armature[self._order]
         )
@@ -289,7 +289,7 @@ class Physics:
 
     def quiet(self) -> AbstractContextManager[list[str]]:
         """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
-        return collected_warnings(self._mujoco)
+        return collect_warnings(self._mujoco)
 
     def rub(self, coulomb: Array, viscous: Array) -> None:
         """Set dry [N m] and viscous [N m s/rad] friction, two (n,)."""

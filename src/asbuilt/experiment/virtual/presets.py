@@ -37,7 +37,7 @@ def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> Ro
     UsageError
         If the robot has no moving link or frame of that name.
     """
-    index, placement = _flange(model, at)
+    index, placement = _find_flange(model, at)
     link, carried = model.links[index], body.moved(placement)
     links = list(model.links)
     links[index] = replace(
@@ -48,7 +48,7 @@ def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> Ro
     return replace(model, links=tuple(links))
 
 
-def perturbed_links(model: RobotModel, fraction: float, rng: np.random.Generator) -> RobotModel:
+def perturb_links(model: RobotModel, fraction: float, rng: np.random.Generator) -> RobotModel:
     """Return the robot with every link stretched, sheared, shifted and scaled by about `fraction`.
 
     The pseudo-inertia becomes `s A J A^T` with `s = exp(fraction N)`, `A = [[1 + fraction N / 2,
@@ -68,12 +68,12 @@ def perturbed_links(model: RobotModel, fraction: float, rng: np.random.Generator
     return replace(model, links=tuple(links))
 
 
-def tilted_base(model: RobotModel, roll: float, pitch: float) -> RobotModel:
+def tilt_base(model: RobotModel, roll: float, pitch: float) -> RobotModel:
     """Return the robot with its root turned by small angles [rad] about x, then y."""
     return model.with_gravity(rotation_from_rpy([roll, pitch, 0.0]).T @ model.gravity)
 
 
-def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Array, Array]:
+def estimate_torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return torque range and mean inertia of each joint, two (n,).
 
     The torque range is the limit, or without one the largest torque at random states.
@@ -87,7 +87,7 @@ def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Arr
     return np.where(np.isfinite(bounds.torque), bounds.torque, np.maximum(largest, 1.0)), inertia
 
 
-def _flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
+def _find_flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
     if at is None:
         return model.tool_link, np.eye(4)
     if at in model.link_names:
@@ -111,7 +111,9 @@ Parts = dict[str, Any]
 """Fields of `VirtualRobot`."""
 
 
-def preset_parts(name: str, model: RobotModel, engine: str, rng: np.random.Generator) -> Parts:
+def build_preset_parts(
+    name: str, model: RobotModel, engine: str, rng: np.random.Generator
+) -> Parts:
     """Return the fields of the preset robot of a description.
 
     Raises
@@ -138,7 +140,7 @@ def preset_parts(name: str, model: RobotModel, engine: str, rng: np.random.Gener
     return known[name](model, rng) | {"name": name}
 
 
-def _exact(model: RobotModel, rng: np.random.Generator) -> Parts:
+def _build_exact(model: RobotModel, rng: np.random.Generator) -> Parts:
     drive, values = described_drive(model)
     return {
         "model": model,
@@ -148,15 +150,15 @@ def _exact(model: RobotModel, rng: np.random.Generator) -> Parts:
     }
 
 
-def _typical(model: RobotModel, rng: np.random.Generator) -> Parts:
+def _build_typical(model: RobotModel, rng: np.random.Generator) -> Parts:
     n = model.n_joints
-    torque, inertia = torque_and_inertia(model, rng)
-    values = _usual_drives(model, rng, 0.15 * inertia, torque)
+    torque, inertia = estimate_torque_and_inertia(model, rng)
+    values = _draw_usual_drives(model, rng, 0.15 * inertia, torque)
     sensors = SensorNoise(
         encoder_counts=tuple(2.0**16 if joint.is_revolute else 1e5 for joint in model.joints),
-        torque_noise=_numbers(1e-3 * torque),
-        torque_bias=_numbers(1e-3 * torque * rng.normal(size=n)),
-        torque_resolution=_numbers(1e-4 * torque),
+        torque_noise=_list_floats(1e-3 * torque),
+        torque_bias=_list_floats(1e-3 * torque * rng.normal(size=n)),
+        torque_resolution=_list_floats(1e-4 * torque),
     )
     mass = 0.03 * sum(link.inertia.mass for link in model.links)
     gripper = LinkInertia.from_com(
@@ -165,18 +167,18 @@ def _typical(model: RobotModel, rng: np.random.Generator) -> Parts:
         np.diag([1.0, 1.0, 0.5]) * mass * 0.05**2,
     )
     tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
-    built = with_body(perturbed_links(model, 0.03, rng), gripper)
+    built = with_body(perturb_links(model, 0.03, rng), gripper)
     return {
-        "model": tilted_base(built, float(tilt[0]), float(tilt[1])),
+        "model": tilt_base(built, float(tilt[0]), float(tilt[1])),
         "described": model,
-        "train": TermDrives(*_beside_described(model, DriveSet.parse(FULL_DRIVE), values.T)),
+        "train": TermDrives(*_add_described_terms(model, DriveSet.parse(FULL_DRIVE), values.T)),
         "controller": None,
         "sensors": sensors,
         "logger": DataLogger(accelerations=True),
     }
 
 
-def _ideal(model: RobotModel, rng: np.random.Generator) -> Parts:
+def _build_ideal(model: RobotModel, rng: np.random.Generator) -> Parts:
     drive, values = described_drive(model)
     further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
     if further:
@@ -187,7 +189,7 @@ def _ideal(model: RobotModel, rng: np.random.Generator) -> Parts:
             value=further,
         )
     columns = np.reshape(values, (model.n_joints, -1)).T
-    stated: Parts = {key: _numbers(x) for key, x in zip(drive.keys, columns, strict=True)}
+    stated: Parts = {key: _list_floats(x) for key, x in zip(drive.keys, columns, strict=True)}
     return {
         "model": model,
         "train": DriveTrain(**stated),
@@ -196,18 +198,18 @@ def _ideal(model: RobotModel, rng: np.random.Generator) -> Parts:
     }
 
 
-def _lab(model: RobotModel, rng: np.random.Generator) -> Parts:
-    torque, _ = torque_and_inertia(model, rng)
-    train = _drive_train(model, rng)
+def _build_lab(model: RobotModel, rng: np.random.Generator) -> Parts:
+    torque, _ = estimate_torque_and_inertia(model, rng)
+    train = _build_drive_train(model, rng)
     sensors = SensorNoise(
-        encoder_counts=_counts(model, 2**19),
-        torque_noise=_numbers(1e-3 * torque),
-        torque_bias=_numbers(1e-3 * torque * rng.normal(size=model.n_joints)),
-        torque_ripple=_numbers(1e-3 * torque),
-        torque_resolution=_numbers(1e-4 * torque),
+        encoder_counts=_choose_encoder_counts(model, 2**19),
+        torque_noise=_list_floats(1e-3 * torque),
+        torque_bias=_list_floats(1e-3 * torque * rng.normal(size=model.n_joints)),
+        torque_ripple=_list_floats(1e-3 * torque),
+        torque_resolution=_list_floats(1e-4 * torque),
     )
-    built = perturbed_links(model, 0.03, rng)
-    phase = _numbers(rng.uniform(0.0, 2 * np.pi, model.n_joints))
+    built = perturb_links(model, 0.03, rng)
+    phase = _list_floats(rng.uniform(0.0, 2 * np.pi, model.n_joints))
     return {
         "model": built,
         "described": model,
@@ -218,51 +220,51 @@ def _lab(model: RobotModel, rng: np.random.Generator) -> Parts:
     }
 
 
-def _factory(model: RobotModel, rng: np.random.Generator) -> Parts:
+def _build_factory(model: RobotModel, rng: np.random.Generator) -> Parts:
     n = model.n_joints
-    torque, _ = torque_and_inertia(model, rng)
+    torque, _ = estimate_torque_and_inertia(model, rng)
     speed = MotionBounds.assumed(model).velocity
     train = replace(
-        _drive_train(model, rng),
-        stiction=_numbers(0.01 * torque * rng.uniform(0.5, 1.5, n)),
-        stribeck_velocity=_numbers(0.02 * speed),
+        _build_drive_train(model, rng),
+        stiction=_list_floats(0.01 * torque * rng.uniform(0.5, 1.5, n)),
+        stribeck_velocity=_list_floats(0.02 * speed),
         backlash=tuple(
             1.5e-4 * float(x) if joint.is_revolute else 2e-5
             for joint, x in zip(model.joints, rng.uniform(0.5, 1.5, n), strict=True)
         ),
-        engagement=_numbers(0.01 * torque),
+        engagement=_list_floats(0.01 * torque),
         warming=0.1,
         warming_time=300.0,
     )
     sensors = SensorNoise(
-        encoder_counts=_counts(model, 2**16),
-        torque_noise=_numbers(1e-2 * torque),
-        torque_gain=_numbers(1.0 + 0.03 * rng.normal(size=n)),
-        torque_ripple=_numbers(5e-3 * torque),
-        torque_resolution=_numbers(1e-3 * torque),
+        encoder_counts=_choose_encoder_counts(model, 2**16),
+        torque_noise=_list_floats(1e-2 * torque),
+        torque_gain=_list_floats(1.0 + 0.03 * rng.normal(size=n)),
+        torque_ripple=_list_floats(5e-3 * torque),
+        torque_resolution=_list_floats(1e-3 * torque),
     )
     tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
-    built = tilted_base(perturbed_links(model, 0.08, rng), float(tilt[0]), float(tilt[1]))
+    built = tilt_base(perturb_links(model, 0.08, rng), float(tilt[0]), float(tilt[1]))
     return {
         "model": built,
         "described": model,
         "train": train,
-        "sensors": replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, n))),
+        "sensors": replace(sensors, ripple_phase=_list_floats(rng.uniform(0.0, 2 * np.pi, n))),
         "logger": DataLogger(rate=250.0, clock_jitter=5e-5, dropped=0.005),
         "controller": PositionController(feedforward="gravity", bandwidth=15.0),
         "torque": "current",
     }
 
 
-def _servo(model: RobotModel, rng: np.random.Generator) -> Parts:
+def _build_servo(model: RobotModel, rng: np.random.Generator) -> Parts:
     """Return a robot of position servos.
 
     Where the description states no gains, they give a bandwidth of 4 Hz with half the damping of a
-    critically damped joint; where it states no drive value, it comes from `_drive_train`.
+    critically damped joint; where it states no drive value, it comes from `_build_drive_train`.
     """
     n = model.n_joints
-    _, inertia = torque_and_inertia(model, rng)
-    usual = _drive_train(model, rng)
+    _, inertia = estimate_torque_and_inertia(model, rng)
+    usual = _build_drive_train(model, rng)
 
     def values(name: str, other: Array) -> Array:
         stated = [getattr(joint.drive, name) for joint in model.joints]
@@ -278,37 +280,44 @@ def _servo(model: RobotModel, rng: np.random.Generator) -> Parts:
     stated = any(joint.drive.kp is not None for joint in model.joints)
     kd = values("kd", np.zeros(n) if stated else kp / pole)
     return {
-        "model": perturbed_links(model, 0.08, rng),
+        "model": perturb_links(model, 0.08, rng),
         "described": model,
         "train": DriveTrain(
-            armature=_numbers(armature), viscous=_numbers(viscous), coulomb=_numbers(coulomb)
+            armature=_list_floats(armature),
+            viscous=_list_floats(viscous),
+            coulomb=_list_floats(coulomb),
         ),
-        "sensors": SensorNoise(encoder_counts=_counts(model, 2**14)),
+        "sensors": SensorNoise(encoder_counts=_choose_encoder_counts(model, 2**14)),
         "logger": DataLogger(rate=200.0),
-        "controller": JointServo(kp=_numbers(kp), kd=_numbers(kd), delay=0.01),
+        "controller": JointServo(kp=_list_floats(kp), kd=_list_floats(kd), delay=0.01),
     }
 
 
 Preset = Callable[[RobotModel, np.random.Generator], Parts]
 PRESETS: Mapping[str, Mapping[str, Preset]] = {
-    "mujoco": {"ideal": _ideal, "lab": _lab, "factory": _factory, "servo": _servo},
-    "inverse-dynamics": {"ideal": _exact, "lab": _typical},
+    "mujoco": {
+        "ideal": _build_ideal,
+        "lab": _build_lab,
+        "factory": _build_factory,
+        "servo": _build_servo,
+    },
+    "inverse-dynamics": {"ideal": _build_exact, "lab": _build_typical},
 }
 """Presets of each engine by name."""
 
 
-def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
+def _build_drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
     """Return drives of the usual size for the torque range of each joint.
 
     A rotor that the whole range accelerates by 200 rad/s^2 (or 200 m/s^2), and the usual friction.
     """
-    torque, _ = torque_and_inertia(model, rng)
-    values = _usual_drives(model, rng, 0.005 * torque, torque)
-    armature, viscous, coulomb, offset = (_numbers(row) for row in values)
+    torque, _ = estimate_torque_and_inertia(model, rng)
+    values = _draw_usual_drives(model, rng, 0.005 * torque, torque)
+    armature, viscous, coulomb, offset = (_list_floats(row) for row in values)
     return DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
 
 
-def _usual_drives(
+def _draw_usual_drives(
     model: RobotModel, rng: np.random.Generator, armature: Array, torque: Array
 ) -> Array:
     """Return armature, viscous and Coulomb friction and offset of each joint (4, n), half off.
@@ -322,7 +331,9 @@ def _usual_drives(
     return np.stack([armature, viscous, 0.02 * torque, 0.005 * torque * signs]) * spread
 
 
-def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tuple[DriveSet, Array]:
+def _add_described_terms(
+    model: RobotModel, drive: DriveSet, values: Array
+) -> tuple[DriveSet, Array]:
     """Return drive terms and values (n, columns_per_joint) with the further terms described."""
     described, stated = described_drive(model)
     whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
@@ -335,10 +346,10 @@ def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tupl
     return whole, np.array([[have[symbol] for symbol in whole.symbols] for have in known]).ravel()
 
 
-def _counts(model: RobotModel, per_turn: int) -> tuple[float, ...]:
+def _choose_encoder_counts(model: RobotModel, per_turn: int) -> tuple[float, ...]:
     """Return encoder counts per turn, or per metre for sliding joints."""
     return tuple(float(per_turn) if joint.is_revolute else 2.0 * per_turn for joint in model.joints)
 
 
-def _numbers(values: Array) -> tuple[float, ...]:
+def _list_floats(values: Array) -> tuple[float, ...]:
     return tuple(float(value) for value in values)

@@ -56,7 +56,7 @@ class SensorNoise:
 
     def delayed(self, t: Array, tau: Array) -> Array:
         """Return torques (N, n) at times t (N,) [s] as late as `torque_delay` says."""
-        delay = per_joint(self.torque_delay, tau.shape[1], "torque_delay", signed=True)
+        delay = spread_per_joint(self.torque_delay, tau.shape[1], "torque_delay", signed=True)
         if not np.any(delay):
             return tau
         return np.stack(
@@ -72,7 +72,7 @@ class SensorNoise:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if value is not None:
-                per_joint(value, n, entry.name, signed=entry.name in SIGNED)
+                spread_per_joint(value, n, entry.name, signed=entry.name in SIGNED)
 
     def measured(
         self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator
@@ -85,33 +85,36 @@ class SensorNoise:
             If a field does not fit the joints, or a magnitude is negative.
         """
         n = model.n_joints
-        counts = per_joint(self.encoder_counts, n, "encoder_counts")
+        counts = spread_per_joint(self.encoder_counts, n, "encoder_counts")
         turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, 1.0)
         step = np.divide(turn, counts, out=np.zeros(n), where=counts > 0)
-        position = truth.q + per_joint(
+        position = truth.q + spread_per_joint(
             self.position_noise, n, "position_noise"
         ) * rng.standard_normal(truth.q.shape)
-        torque = tau * per_joint(self.torque_gain, n, "torque_gain", signed=True) + per_joint(
-            self.torque_bias, n, "torque_bias", signed=True
-        )
-        torque = torque + per_joint(self.torque_noise, n, "torque_noise") * rng.standard_normal(
-            tau.shape
-        )
-        ripple = per_joint(self.torque_ripple, n, "torque_ripple")
+        torque = tau * spread_per_joint(
+            self.torque_gain, n, "torque_gain", signed=True
+        ) + spread_per_joint(self.torque_bias, n, "torque_bias", signed=True)
+        torque = torque + spread_per_joint(
+            self.torque_noise, n, "torque_noise"
+        ) * rng.standard_normal(tau.shape)
+        ripple = spread_per_joint(self.torque_ripple, n, "torque_ripple")
         if np.any(ripple > 0):
-            waves = per_joint(self.ripple_cycles, n, "ripple_cycles") * 2 * np.pi / turn
+            waves = spread_per_joint(self.ripple_cycles, n, "ripple_cycles") * 2 * np.pi / turn
             torque = torque + ripple * np.sin(
-                waves * truth.q + per_joint(self.ripple_phase, n, "ripple_phase", signed=True)
+                waves * truth.q
+                + spread_per_joint(self.ripple_phase, n, "ripple_phase", signed=True)
             )
         velocity = None
         if self.velocity_noise is not None:
-            velocity = truth.qd + per_joint(
+            velocity = truth.qd + spread_per_joint(
                 self.velocity_noise, n, "velocity_noise"
             ) * rng.standard_normal(truth.qd.shape)
         return (
-            _rounded(position, step),
+            _round_to_step(position, step),
             velocity,
-            _rounded(torque, per_joint(self.torque_resolution, n, "torque_resolution")),
+            _round_to_step(
+                torque, spread_per_joint(self.torque_resolution, n, "torque_resolution")
+            ),
         )
 
 
@@ -119,7 +122,7 @@ PERFECT_SENSORS = SensorNoise()
 """Sensors that add nothing."""
 
 
-def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
+def spread_per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
     """Return one number or one per joint as (n,).
 
     Raises
@@ -142,7 +145,7 @@ def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Ar
     return np.broadcast_to(array, (n,))
 
 
-def _rounded(values: Array, step: Array) -> Array:
+def _round_to_step(values: Array, step: Array) -> Array:
     """Return the nearest multiples of `step` (n,); a step of 0 leaves values as they are."""
     safe = np.where(step > 0, step, 1.0)
     return np.where(step > 0, np.round(values / safe) * safe, values)

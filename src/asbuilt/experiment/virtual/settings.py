@@ -27,14 +27,14 @@ OWN = ("torque", "behind")
 SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
 
 
-def setting_names() -> dict[str, str]:
+def list_settings() -> dict[str, str]:
     """Return the part of the robot that each setting belongs to, "" for the robot itself.
 
     Names that two parts share carry the part before a dot.
 
     Examples
     --------
-    >>> setting_names()["backlash"], setting_names()["controller.rate"]
+    >>> list_settings()["backlash"], list_settings()["controller.rate"]
     ('train', 'controller')
     """
     count = Counter(entry.name for part in PARTS.values() for entry in fields(part))
@@ -64,7 +64,7 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
     >>> with_settings(robot, ["coulomb=1,0.5", "feedforward=none"]).train.coulomb
     (1.0, 0.5)
     """
-    known = setting_names()
+    known = list_settings()
     changes: dict[str, dict[str, Any]] = {"": {}, **{part: {} for part in PARTS}}
     for setting in settings:
         name, equals, text = (piece.strip() for piece in setting.partition("="))
@@ -89,8 +89,8 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
                 cure=Cure("choose the preset servo for a servo, another one for a controller"),
                 value=setting,
             )
-        changes[part][field] = _value(
-            name, text, of_joints=part in PARTS and field in _of_joints(PARTS[part])
+        changes[part][field] = _parse_value(
+            name, text, of_joints=part in PARTS and field in _list_joint_fields(PARTS[part])
         )
     if not any(changes.values()):
         return robot
@@ -103,12 +103,14 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
     return replace(robot, **parts, **changes[""])
 
 
-def _of_joints(part: type) -> set[str]:
+def _list_joint_fields(part: type) -> set[str]:
     """Return the fields that may have one number per joint."""
     return {entry.name for entry in fields(part) if "PerJoint" in str(entry.type)}
 
 
-def _value(name: str, text: str, *, of_joints: bool) -> float | tuple[float, ...] | str | bool:
+def _parse_value(
+    name: str, text: str, *, of_joints: bool
+) -> float | tuple[float, ...] | str | bool:
     if name in ("torque", "feedforward"):
         return text
     if name == "accelerations":

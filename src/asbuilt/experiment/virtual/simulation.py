@@ -218,9 +218,9 @@ def run_free(
     )
     if release == "free":
         viscous, coulomb, offset = np.zeros((3, n))
-    pose = _state(start, n, "start") if start is not None else heaviest_pose(model)
+    pose = _check_state(start, n, "start") if start is not None else find_heaviest_pose(model)
     rates = FREE.speed * MotionBounds.assumed(model).velocity if release == "free" else np.zeros(n)
-    rates = rates if speed is None else _state(speed, n, "speed")
+    rates = rates if speed is None else _check_state(speed, n, "speed")
     physics = Physics(
         model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=FREE.timestep
     )
@@ -230,7 +230,7 @@ def run_free(
     t: Array = np.arange(samples, dtype=np.float64) * FREE.timestep * FREE.logged
     q, qd, tau = np.empty((3, samples, n))
     goal, limit = (
-        pose + _step(model, pose),
+        pose + _choose_step(model, pose),
         np.array([joint.limits.torque for joint in model.joints]),
     )
     physics.start(pose, rates)
@@ -247,7 +247,7 @@ def run_free(
                     time=float(t[k]),
                 )
             tau[k] = (
-                np.clip(_pull(model, armature, q[k], qd[k], goal), -limit, limit)
+                np.clip(_evaluate_controller(model, armature, q[k], qd[k], goal), -limit, limit)
                 if release == "step"
                 else 0.0
             )
@@ -267,11 +267,11 @@ def run_free(
         kinetic=kinetic_energy(model, q, qd) + 0.5 * qd**2 @ armature,
         potential=potential - potential[0],
         work=np.concatenate([[0.0], np.cumsum(np.sum(tau[:-1] * np.diff(q, axis=0), axis=1))]),
-        dissipated=_integral(np.sum((friction + offset) * qd, axis=1), t),
+        dissipated=_integrate(np.sum((friction + offset) * qd, axis=1), t),
     )
 
 
-def heaviest_pose(model: RobotModel) -> Array:
+def find_heaviest_pose(model: RobotModel) -> Array:
     """Return the pose of largest gravity torque for its joints' range, out of 512, shape (n,)."""
     bounds = MotionBounds.assumed(model)
     poses = np.random.default_rng(0).uniform(bounds.lower, bounds.upper, (512, model.n_joints))
@@ -279,20 +279,22 @@ def heaviest_pose(model: RobotModel) -> Array:
     return np.array(poses[int(np.argmax(np.linalg.norm(gravity_torque(model, poses), axis=1)))])
 
 
-def _pull(model: RobotModel, armature: Array, q: Array, qd: Array, goal: Array) -> Array:
+def _evaluate_controller(
+    model: RobotModel, armature: Array, q: Array, qd: Array, goal: Array
+) -> Array:
     """Return the torque of the step's controller, shape (n,)."""
     stiffness, lead = STEP_CONTROLLER.gains(model, armature, q[None])
     return np.asarray(gravity_torque(model, q) + stiffness[0] @ (goal - q - lead * qd))
 
 
-def _step(model: RobotModel, pose: Array) -> Array:
+def _choose_step(model: RobotModel, pose: Array) -> Array:
     """Return a step of every joint towards the middle of its range, shape (n,)."""
     bounds = MotionBounds.assumed(model)
     size = np.array([FREE.step if joint.is_revolute else FREE.step / 4 for joint in model.joints])
     return np.where(pose < 0.5 * (bounds.lower + bounds.upper), size, -size)
 
 
-def _state(values: ArrayLike, n: int, what: str) -> Array:
+def _check_state(values: ArrayLike, n: int, what: str) -> Array:
     state = np.asarray(values, dtype=np.float64)
     if state.shape != (n,) or not np.all(np.isfinite(state)):
         raise UsageError(
@@ -301,6 +303,6 @@ def _state(values: ArrayLike, n: int, what: str) -> Array:
     return state
 
 
-def _integral(power: Array, t: Array) -> Array:
+def _integrate(power: Array, t: Array) -> Array:
     """Return the running integral by the trapezoidal rule, shape (N,)."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])

@@ -92,11 +92,11 @@ def track(
                 if progress is not None:
                     progress(i / t.size)
     motor = 0.5 * (torque[:-1] + torque[1:])
-    qdd, friction = _accelerations(physics, train, t, q, qd, motor - offset)
+    qdd, friction = _evaluate_accelerations(physics, train, t, q, qd, motor - offset)
     return TrackedMotion(t, q, qd, qdd, motor, friction + offset, armature * qdd)
 
 
-def _accelerations(
+def _evaluate_accelerations(
     physics: Physics, train: DriveTrain, t: Array, q: Array, qd: Array, tau: Array
 ) -> tuple[Array, Array]:
     """Return accelerations and friction at every tick, with the friction law of that moment."""

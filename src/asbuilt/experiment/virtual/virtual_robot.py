@@ -19,7 +19,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Motion, Trajectory
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.drive_train import (
     DriveTrain,
@@ -31,11 +31,16 @@ from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.presets import (
     FULL_DRIVE,
     Engine,
-    preset_parts,
-    tilted_base,
+    build_preset_parts,
+    tilt_base,
     with_body,
 )
-from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger, SensorNoise, per_joint
+from asbuilt.experiment.virtual.sensors import (
+    PERFECT_SENSORS,
+    DataLogger,
+    SensorNoise,
+    spread_per_joint,
+)
 from asbuilt.experiment.virtual.tracking import TrackedMotion, track
 from asbuilt.findings import Cure
 
@@ -240,7 +245,7 @@ class VirtualRobot:
         UsageError
             If there is no such preset, engine, link or frame.
         """
-        robot = cls(**preset_parts(name, model, engine, np.random.default_rng(rng)))
+        robot = cls(**build_preset_parts(name, model, engine, np.random.default_rng(rng)))
         return robot if tool is None else robot.with_tool(tool, at)
 
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> VirtualRobot:
@@ -249,7 +254,7 @@ class VirtualRobot:
 
     def tilted(self, roll: float, pitch: float) -> VirtualRobot:
         """Return the robot with its base tilted by small angles [rad] about x, then y."""
-        return replace(self, model=tilted_base(self.model, roll, pitch))
+        return replace(self, model=tilt_base(self.model, roll, pitch))
 
     def with_drive(self, drive: DriveSet, values: ArrayLike) -> VirtualRobot:
         """Return the robot, following exactly, with drive values (n columns_per_joint,)."""
@@ -315,7 +320,7 @@ class VirtualRobot:
             for key in self.drive.keys
         }
         if "offset" in values:
-            values["offset"] = values["offset"] + per_joint(
+            values["offset"] = values["offset"] + spread_per_joint(
                 self.sensors.torque_bias, n, "torque_bias", signed=True
             )
         drives = np.stack(list(values.values()), axis=1).ravel() if values else np.empty(0)
@@ -375,7 +380,7 @@ class VirtualRobot:
             extra={} if exact else {"q_command": commanded},
         )
         if isinstance(self.controller, JointServo):
-            recording = driven_by_command(
+            recording = drive_by_command(
                 replace(recording, tau=np.zeros(commanded.shape), command=commanded),
                 self.controller.law(model),
             )
@@ -455,7 +460,7 @@ class VirtualRobot:
         """Return motion, torque, command and a note of a robot that follows exactly."""
         sampled = motion.sample(self.logger.rate)
         perfect = self.sensors == PERFECT_SENSORS
-        how = "noise-free" if perfect else f"with sensor noise, {_seed_text(rng)}"
+        how = "noise-free" if perfect else f"with sensor noise, {_describe_seed(rng)}"
         note = (
             f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at"
             f" {self.logger.rate:g} Hz, drive terms {self.drive}"
@@ -474,12 +479,13 @@ class VirtualRobot:
         servo = isinstance(self.controller, JointServo)
         source = "no torque" if servo else f"torque from the {self.torque}"
         note = (
-            f"virtual robot {self.name!r} on MuJoCo, {_seed_text(rng)}: {motion.parametrisation}"
+            f"virtual robot {self.name!r} on MuJoCo, {_describe_seed(rng)}:"
+            f" {motion.parametrisation}"
             f" motion of {motion.duration:g} s at {self.logger.rate:g} Hz, {source}, largest"
             f" tracking error {np.abs(moved.q - command.q).max():.2g}"
         )
         return Trajectory(moved.t, motor, moved.qd, moved.qdd), torque, command.q, note
 
 
-def _seed_text(rng: Seed) -> str:
+def _describe_seed(rng: Seed) -> str:
     return f"seed {rng}" if isinstance(rng, int | np.integer) else "no stated seed"

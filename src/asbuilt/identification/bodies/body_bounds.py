@@ -47,7 +47,7 @@ class BodyBounds:
         )
 
 
-def non_negative_drives(prior: CadPrior) -> BodyBounds:
+def bound_passive_drives(prior: CadPrior) -> BodyBounds:
     """Return the bounds of passive drives: armature and friction are not negative."""
     rows = np.zeros((len(prior.non_negative), len(prior.parameters)))
     rows[np.arange(len(rows)), prior.non_negative] = 1.0
@@ -56,7 +56,7 @@ def non_negative_drives(prior: CadPrior) -> BodyBounds:
     )
 
 
-def known_bounds(prior: CadPrior) -> BodyBounds:
+def bound_known_masses(prior: CadPrior) -> BodyBounds:
     """Return the bounds of masses that are known in addition to CAD, such as from a scale."""
     rows: list[Array] = []
     offsets: list[float] = []
@@ -78,17 +78,17 @@ def known_bounds(prior: CadPrior) -> BodyBounds:
     )
 
 
-def certain_bounds(prior: CadPrior) -> BodyBounds:
+def bound_with_certainty(prior: CadPrior) -> BodyBounds:
     """Return the bounds of passive drives and of known masses."""
-    return non_negative_drives(prior).and_also(known_bounds(prior))
+    return bound_passive_drives(prior).and_also(bound_known_masses(prior))
 
 
-def generous_bounds(prior: CadPrior) -> BodyBounds:
-    """Return `certain_bounds` and wide ones: masses and centres of mass of the order of CAD."""
-    return certain_bounds(prior).and_also(wide_bounds(prior))
+def bound_generously(prior: CadPrior) -> BodyBounds:
+    """Return bounds that are certain, and masses and centres of mass of the order of CAD."""
+    return bound_with_certainty(prior).and_also(bound_widely(prior))
 
 
-def wide_bounds(prior: CadPrior) -> BodyBounds:
+def bound_widely(prior: CadPrior) -> BodyBounds:
     """Return bounds of masses and centres of mass of the order of CAD.
 
     A link has 0.05 to 10 times its CAD mass (or the mass of all links) unless its own is known, and
@@ -110,10 +110,10 @@ def wide_bounds(prior: CadPrior) -> BodyBounds:
     centres = {
         i: (body[6:9] / body[9] - far, body[6:9] / body[9] + far) for i, body in enumerate(bodies)
     }
-    return body_bounds(prior, mass=masses, com=centres)
+    return bound_bodies(prior, mass=masses, com=centres)
 
 
-def body_bounds(
+def bound_bodies(
     prior: CadPrior,
     *,
     mass: Mapping[int, tuple[float, float]] | None = None,

@@ -185,7 +185,7 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
     return np.asarray(np.sqrt(strength)[:, None, None] * svec(whitened).transpose(0, 2, 1))
 
 
-def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
+def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """Return the CAD values of a robot as a prior, made physically consistent.
 
     Flat links get a thickness. A link without mass gets its neighbours' mass, a centre between
@@ -199,7 +199,7 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     strength = np.ones(model.n_links)
     notes: list[str] = []
     for i, link in enumerate(model.links):
-        points = _joint_points(model, i)
+        points = _list_joint_points(model, i)
         reach[i] = max(RULES.smallest_reach, float(np.max(np.linalg.norm(points, axis=1))))
         if masses[i] > 0:
             mass, com = masses[i], link.inertia.com
@@ -207,7 +207,7 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         elif link.negligible:
             mass, com, spread = RULES.negligible, points.mean(axis=0), np.zeros((3, 3))
         else:
-            mass, com = _neighbouring_mass(model, masses, i), points.mean(axis=0)
+            mass, com = _average_neighbouring_mass(model, masses, i), points.mean(axis=0)
             spread = (
                 _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
             )
@@ -245,7 +245,7 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         parameters=chi,
         strength=strength,
         reach=reach,
-        non_negative=non_negative_columns(model.n_links, model.n_joints, drive),
+        non_negative=find_non_negative_columns(model.n_links, model.n_joints, drive),
         notes=tuple(notes),
         mass_ranges=tuple(
             (tuple(model.link_names.index(name) for name in known.links), known.lower, known.upper)
@@ -258,7 +258,7 @@ def _second_moment(inertia: Array) -> Array:
     return np.asarray(0.5 * np.trace(inertia) * np.eye(3) - inertia)
 
 
-def _joint_points(model: RobotModel, i: int) -> Array:
+def _list_joint_points(model: RobotModel, i: int) -> Array:
     """Return origins of the joints and frames of a link in link axes, shape (k, 3)."""
     points = [np.linalg.inv(model.moving_joints[i].after)[:3, 3]]
     points += [joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i]
@@ -266,7 +266,7 @@ def _joint_points(model: RobotModel, i: int) -> Array:
     return np.array(points)
 
 
-def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
+def _average_neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
     near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i] + [
         masses[j] for j in (model.parents[i],) if j >= 0
     ]
@@ -274,7 +274,7 @@ def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
     return float(np.exp(np.mean(np.log(known))))
 
 
-def non_negative_columns(n_links: int, n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
+def find_non_negative_columns(n_links: int, n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
     """Return the columns of standard parameters that are non-negative for passive drives."""
     bounded = [term.non_negative for term in drive.terms for _ in term.symbols] * n_joints
     return 10 * n_links + np.flatnonzero(bounded)

@@ -110,7 +110,7 @@ class ConicProblem:
         smallest_part: float = SMALLEST_PART,
     ) -> ConicProblem:
         """Return the program of a robot with these bounds."""
-        bodies, q0 = near_one(prior)
+        bodies, q0 = scale_near_one(prior)
         n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
         rows, margin = np.zeros((0, n)), np.zeros(0)
         if bounds is not None:
@@ -244,7 +244,7 @@ class ConicProblem:
         return np.asarray(q) if self._smallest(q) >= self.smallest_part else None
 
 
-def near_one(prior: CadPrior) -> tuple[Array, Array]:
+def scale_near_one(prior: CadPrior) -> tuple[Array, Array]:
     """Return M and q0 (CAD) with `chi = M q`: svec(Q_i) of every link, then scaled drives."""
     n, inertial = len(prior.parameters), 10 * prior.n_links
     roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]

@@ -12,7 +12,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import (
     IDENTITY_SVEC,
     PSEUDO_INERTIA_SVEC,
-    non_negative_columns,
+    find_non_negative_columns,
 )
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 
@@ -97,6 +97,6 @@ def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]
     """Return the names of single drive parameters that are negative, against passivity."""
     values = np.asarray(beta, dtype=np.float64)
     alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(
-        base.columns, non_negative_columns(base.n_links, base.n_joints, base.drive)
+        base.columns, find_non_negative_columns(base.n_links, base.n_joints, base.drive)
     )
     return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))

@@ -29,7 +29,7 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     links, n = 10 * prior.n_links, information.n_joints
     torque = np.sqrt(information.torque_energy / information.n_samples)
     torque = np.where(torque > 0.0, torque, torque.max())
-    energy = _column_energy(information, links).reshape(n, -1)
+    energy = _sum_column_energy(information, links).reshape(n, -1)
     present = np.maximum(np.count_nonzero(energy, axis=0), 1)
     typical = np.sqrt(energy.sum(axis=0) / present / information.n_samples)
     whole = np.divide(torque[:, None], typical, out=np.zeros_like(energy), where=typical > 0.0)
@@ -56,7 +56,7 @@ def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Arr
     return triangular_factor(np.vstack([factor, rows]))
 
 
-def _column_energy(information: SquareRootInformation, first: int) -> Array:
+def _sum_column_energy(information: SquareRootInformation, first: int) -> Array:
     """Return the energy of the column of each standard parameter from `first` on, all joints."""
     K = information.base.regrouping[:, first:]
     energy = np.zeros(K.shape[1])

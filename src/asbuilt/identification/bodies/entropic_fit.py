@@ -23,7 +23,7 @@ from asbuilt.identification.bodies.cad_prior import (
     smat,
     svec,
 )
-from asbuilt.identification.bodies.conic_fit import near_one
+from asbuilt.identification.bodies.conic_fit import scale_near_one
 
 BARRIER = 1e-3
 """Weight of the logarithmic barrier in squared weighted residuals, far below one standard error."""
@@ -127,7 +127,7 @@ class EntropicProblem:
         held: bool = False,
     ) -> None:
         self.prior, self.regrouping = prior, coordinates.regrouping
-        scale, self.q0 = near_one(prior)
+        scale, self.q0 = scale_near_one(prior)
         self.whitening = np.linalg.inv(scale)
         self.inertial = 10 * prior.n_links
         self.free = coordinates.dependent if held else scale
@@ -153,7 +153,7 @@ class EntropicProblem:
         blocks = 0.5 * np.outer(SVEC_LENGTH, SVEC_LENGTH) * pairs
         if self.held:
             parts, drives = self.along[:n].reshape(-1, 10, self.along.shape[1]), self.along[n:]
-            hessians += (_turned(parts) @ blocks @ parts).sum(
+            hessians += (_transpose(parts) @ blocks @ parts).sum(
                 axis=1
             ) + self.prior.drive_weight * drives.T @ drives
             return
@@ -225,10 +225,10 @@ class _Search:
         if factors is not None:
             self.A = factors[:, :-1, :-1] @ problem.torque
             self.error = (
-                _times(factors[:, :-1, :-1], self.start @ problem.regrouping.T)
+                _multiply_vectors(factors[:, :-1, :-1], self.start @ problem.regrouping.T)
                 - factors[:, :-1, -1]
             )
-        self.gram = _turned(self.A) @ self.A
+        self.gram = _transpose(self.A) @ self.A
         self.y = np.zeros((m, v))
         self.q = self.start @ problem.whitening.T
         self.slack = self.start @ problem.rows.T + problem.offsets
@@ -238,7 +238,7 @@ class _Search:
             self.duals, self.multipliers = start.duals.copy(), start.multipliers.copy()
         else:
             inverse = np.asarray(np.linalg.inv(self.roots), dtype=np.float64)
-            self.duals = self.weights[:, None, None] * (_turned(inverse) @ inverse)
+            self.duals = self.weights[:, None, None] * (_transpose(inverse) @ inverse)
             self.multipliers = barrier / self.slack
 
     def model(self, a: Indices | slice) -> tuple[Array, Array, Array, Array]:
@@ -249,15 +249,15 @@ class _Search:
         problem, n, q = self.problem, self.problem.inertial, self.q[a]
         roots = self.roots[a]
         inverse = np.asarray(np.linalg.inv(roots), dtype=np.float64)
-        size, turn = np.linalg.eigh(_turned(roots) @ self.duals[a] @ roots)
+        size, turn = np.linalg.eigh(_transpose(roots) @ self.duals[a] @ roots)
         V = np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
-        T = np.sqrt(V)[..., None] * (_turned(turn) @ inverse)
+        T = np.sqrt(V)[..., None] * (_transpose(turn) @ inverse)
         bodies = self.weights[:, None] * np.asarray(
-            problem.identity - svec(_turned(inverse) @ inverse)
+            problem.identity - svec(_transpose(inverse) @ inverse)
         )
         drives = problem.prior.drive_weight * (q[:, n:] - problem.q0[n:])
         slope = np.hstack([bodies.reshape(len(q), -1), drives])
-        gradient = _times(_turned(self.A[a]), self.error[a]) + (
+        gradient = _multiply_vectors(_transpose(self.A[a]), self.error[a]) + (
             slope @ problem.along if problem.held else slope
         )
         gradient -= (self.barrier / self.slack[a]) @ problem.slopes
@@ -265,7 +265,7 @@ class _Search:
             problem.slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]
         ) @ problem.slopes
         hessian += self.gram[a]
-        problem.curve(hessian, _turned(T) @ T)
+        problem.curve(hessian, _transpose(T) @ T)
         return gradient, hessian, T, V
 
     def advance(self, active: Indices, close: float) -> NDArray[np.bool_]:
@@ -290,13 +290,17 @@ class _Search:
             ) from None
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
-        narrowing, swing = step @ problem.slopes.T, _times(self.A[a], step)
+        narrowing, swing = step @ problem.slopes.T, _multiply_vectors(self.A[a], step)
 
-        X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _turned(T)
-        Y = _diagonal(own / V - V) - X
+        X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _transpose(T)
+        Y = _make_diagonal(own / V - V) - X
         loosening = (self.barrier - multipliers * narrowing) / slack - multipliers
         steepest = np.column_stack(
-            [_nearest_edge(np.array([X, Y]), V).T, -narrowing / slack, -loosening / multipliers]
+            [
+                _find_nearest_edge(np.array([X, Y]), V).T,
+                -narrowing / slack,
+                -loosening / multipliers,
+            ]
         )
         n_bounds = slack.shape[1]
         ahead, dual_ahead = (
@@ -309,7 +313,7 @@ class _Search:
             )
             for each in (ahead, dual_ahead)
         )
-        self.duals[a] += dual_length[:, None, None, None] * (_turned(T) @ Y @ T)
+        self.duals[a] += dual_length[:, None, None, None] * (_transpose(T) @ Y @ T)
         self.multipliers[a] += dual_length[:, None] * loosening
 
         trying = np.arange(m)
@@ -342,7 +346,7 @@ class _Search:
         """Return values and Cholesky roots of the links; infinite values outside."""
         problem, n = self.problem, self.problem.inertial
         bodies, drives = q[:, :n].reshape(len(q), -1, 10), q[:, n:] - problem.q0[n:]
-        roots = _roots(smat(bodies))
+        roots = _factor_matrices(smat(bodies))
         with np.errstate(divide="ignore", invalid="ignore"):
             value = (
                 bodies @ problem.identity
@@ -354,19 +358,19 @@ class _Search:
         return np.where(np.isfinite(value), value, np.inf), roots
 
 
-def _turned(matrices: Array) -> Array:
+def _transpose(matrices: Array) -> Array:
     return matrices.swapaxes(-1, -2)
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
+def _multiply_vectors(matrices: Array, vectors: Array) -> Array:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
-def _diagonal(entries: Array) -> Array:
+def _make_diagonal(entries: Array) -> Array:
     return np.asarray(entries[..., None] * np.eye(entries.shape[-1]))
 
 
-def _nearest_edge(change: Array, V: Array) -> Array:
+def _find_nearest_edge(change: Array, V: Array) -> Array:
     """Return the steepest approach of any link of each problem to the boundary, per step."""
     root = np.sqrt(V)
     steepest: Array = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(
@@ -375,7 +379,7 @@ def _nearest_edge(change: Array, V: Array) -> Array:
     return steepest
 
 
-def _roots(matrices: Array) -> Array:
+def _factor_matrices(matrices: Array) -> Array:
     """Return the Cholesky roots of (m, l, 4, 4) matrices; NaN for those not positive definite."""
     try:
         return np.asarray(np.linalg.cholesky(matrices))

@@ -36,7 +36,7 @@ class EntropicPath:
     @classmethod
     def of(cls, prior: CadPrior, coordinates: Coordinates, bounds: BodyBounds) -> EntropicPath:
         """Return the path of a robot, which begins at CAD or next to it within the bounds."""
-        return cls(EntropicProblem(prior, coordinates, bounds), _inside(prior, bounds))
+        return cls(EntropicProblem(prior, coordinates, bounds), _find_inside(prior, bounds))
 
     def descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
@@ -82,7 +82,7 @@ class EntropicPath:
         )
 
 
-def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
+def _find_inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     """Return parameters strictly inside the bounds: CAD if possible, else the nearest."""
     chi = prior.parameters.copy()
     lifted = prior.non_negative
@@ -90,7 +90,7 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     chi[lifted] = np.maximum(chi[lifted], 0.1 * prior.drive_scale[lifted - 10 * prior.n_links])
     if np.all(bounds.slack(chi) > 0):
         return chi
-    margin = np.minimum(1e-3 * np.linalg.norm(bounds.rows, axis=1), 0.25 * _widths(bounds))
+    margin = np.minimum(1e-3 * np.linalg.norm(bounds.rows, axis=1), 0.25 * _measure_widths(bounds))
     tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
     p = len(prior.parameters)
     nothing = np.zeros((p + 1, p + 1))
@@ -105,7 +105,7 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     )
 
 
-def _widths(bounds: BodyBounds) -> Array:
+def _measure_widths(bounds: BodyBounds) -> Array:
     """Return the width of every bound to its opposite, infinite without one."""
     opposite = np.all(bounds.rows[:, None] == -bounds.rows[None], axis=2)
     width = bounds.offsets[:, None] + bounds.offsets[None]

@@ -11,11 +11,11 @@ from scipy import sparse
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.bodies.cad_prior import CadPrior, smat
 from asbuilt.identification.bodies.cone_program import solve_cone_program
-from asbuilt.identification.bodies.conic_fit import near_one
-from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
+from asbuilt.identification.bodies.conic_fit import scale_near_one
+from asbuilt.tables import SIGNIFICANT_SIGMAS, format_plus_minus, round_significant
 
 FEW = 3
 """Parameters of a combination that is short enough."""
@@ -67,16 +67,17 @@ class Inconsistency:
         """What is inconsistent, and by how much."""
         total = " ".join(
             f"{'-' if c < 0 else '+'}"
-            f" {'' if (size := significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
+            f" {'' if (size := round_significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
             for c, name in zip(self.coefficients.tolist(), self.names, strict=True)
         )
         alone = self.value / self.std_error if self.std_error > 0 else -np.inf
         return (
-            f"{total.removeprefix('+ ')} is {plus_minus(self.value, self.std_error)} (base"
+            f"{total.removeprefix('+ ')} is {format_plus_minus(self.value, self.std_error)} (base"
             f" parameter{'s' if len(self.ids) > 1 else ''} {', '.join(map(str, self.ids))}),"
-            f" {significant(-alone, 2)} standard errors below zero, but at least zero for every"
+            f" {round_significant(-alone, 2)} standard errors below zero, but at least zero for"
+            " every"
             " physically consistent robot; all parameters together are"
-            f" {significant(self.sigmas, 2)} standard errors from the nearest consistent ones"
+            f" {round_significant(self.sigmas, 2)} standard errors from the nearest consistent ones"
         )
 
 
@@ -94,7 +95,7 @@ def find_inconsistency(
     problem = _Separation(
         base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     )
-    with one_blas_thread():
+    with use_one_blas_thread():
         surest = problem.solve(np.zeros(base.n_base))
         if surest is None:
             return None
@@ -127,7 +128,7 @@ class _Separation:
         self.beta = beta
         size = np.sqrt(np.diag(covariance))
         self.size = np.where(size > 0, size, size[size > 0].min(initial=1.0))
-        bodies, _ = near_one(prior)
+        bodies, _ = scale_near_one(prior)
         self.images = (base.regrouping @ bodies).T / self.size
         self.inertial = 10 * prior.n_links
         drives = np.arange(self.inertial, len(prior.parameters))

@@ -138,7 +138,7 @@ def with_known_masses(
         raise UsageError(problem.message, cure=Cure("name moving links, or the total")) from None
 
 
-def known_mass_notes(model: RobotModel) -> tuple[str, ...]:
+def describe_known_masses(model: RobotModel) -> tuple[str, ...]:
     """Return a note that states the known masses, none if there are none."""
     if not model.mass_ranges:
         return ()

@@ -6,9 +6,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.bodies.body_bounds import generous_bounds
+from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
@@ -21,13 +21,13 @@ CLOSE = 0.01
 MOST_HALVINGS = 20
 
 
-def plausible_parameters(
+def find_plausible_parameters(
     cad: CadPrior, base: BaseParameters, beta: Array, information_root: Array, limit: float
 ) -> tuple[Array, float] | None:
     """Return the standard parameters closest to CAD within the uncertainty, and their chi-square.
 
     They have the least divergence from CAD with `|R (K chi - beta)|^2 <= limit`, within the bounds
-    of `generous_bounds`. The entropic fit to R has the minimum of the divergence under this limit
+    of `bound_generously`. The entropic fit to R has the minimum of the divergence under this limit
     at the weight of CAD that meets the limit; bisection finds it.
 
     Parameters
@@ -53,9 +53,9 @@ def plausible_parameters(
     def chi_square(chi: Array) -> float:
         return float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
 
-    with one_blas_thread():
+    with use_one_blas_thread():
         try:
-            path = EntropicPath.of(cad, Coordinates.of(base), generous_bounds(cad))
+            path = EntropicPath.of(cad, Coordinates.of(base), bound_generously(cad))
             above, weight, found = np.inf, DESCENT[0], None
             while weight >= WEAKEST:
                 (chi,) = path.unbarred(factor[None], weight)

@@ -14,20 +14,24 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.body_bounds import (
     BodyBounds,
-    known_bounds,
-    non_negative_drives,
-    wide_bounds,
+    bound_known_masses,
+    bound_passive_drives,
+    bound_widely,
 )
-from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.cone_program import solve_cone_program
-from asbuilt.identification.bodies.conic_fit import SMALLEST_PART, fit_consistent_bodies, near_one
+from asbuilt.identification.bodies.conic_fit import (
+    SMALLEST_PART,
+    fit_consistent_bodies,
+    scale_near_one,
+)
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
-from asbuilt.identification.bodies.plausible import plausible_parameters
-from asbuilt.identification.information.random_motion import random_motion_rows
+from asbuilt.identification.bodies.plausible import find_plausible_parameters
+from asbuilt.identification.information.random_motion import build_random_motion_rows
 from asbuilt.identification.information.triangular import triangular_factor
 
 
@@ -147,7 +151,7 @@ class StandardParameters:
         )
 
 
-def standard_parameters(
+def find_standard_parameters(
     model: RobotModel,
     base: BaseParameters,
     beta: ArrayLike,
@@ -195,44 +199,44 @@ def standard_parameters(
             f"{base.robot} needs {base.n_base} finite base parameters, got shape {asked.shape}:"
             f" {asked.tolist()}"
         )
-    cad = cad_prior(model, base.drive)
+    cad = build_cad_prior(model, base.drive)
     coordinates = Coordinates.of(base)
-    drives = non_negative_drives(cad)
+    drives = bound_passive_drives(cad)
     moving = np.any(coordinates.dependent[cad.non_negative] != 0.0, axis=1)
     shared = BodyBounds(
         drives.rows[moving], drives.offsets[moving], tuple(np.array(drives.labels)[moving])
     )
     alone = drives.rows[~moving] @ (coordinates.kept @ asked)
-    motion = random_motion_rows(model, base)
-    of_motion = _joint_rms(motion @ asked, model.n_joints)
-    known = known_bounds(cad).wider(RULES.rounding, cad.parameters)
-    shared, passive = shared.and_also(known), drives.and_also(known_bounds(cad))
-    with one_blas_thread():
-        within = shared.and_also(wide_bounds(cad).wider(RULES.rounding, cad.parameters))
-        chi, part = deepest_inside(cad, coordinates, asked, within)
+    motion = build_random_motion_rows(model, base)
+    of_motion = _measure_joint_rms(motion @ asked, model.n_joints)
+    known = bound_known_masses(cad).wider(RULES.rounding, cad.parameters)
+    shared, passive = shared.and_also(known), drives.and_also(bound_known_masses(cad))
+    with use_one_blas_thread():
+        within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
+        chi, part = find_deepest_inside(cad, coordinates, asked, within)
         if part > RULES.exact_part:
             shared = within
         else:
-            chi, part = deepest_inside(cad, coordinates, asked, shared)
+            chi, part = find_deepest_inside(cad, coordinates, asked, shared)
         exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
         consistent = exact or nearest
         if not exact and nearest:
-            factor = _distance_factor(asked, motion, information)
+            factor = _factor_distance(asked, motion, information)
             chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=passive).chi
             least = (
                 RULES.least_share * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             )
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
-            chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
+            chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         plausible = None
         if exact and uncertainty_root is not None and not np.any(alone < 0.0):
-            plausible = _within(cad, base, asked, uncertainty_root)
+            plausible = _fit_within_uncertainty(cad, base, asked, uncertainty_root)
         chi = (
             plausible[0]
             if plausible is not None
-            else _closest_above(cad, coordinates, chi, part, shared)
+            else _find_closest_above(cad, coordinates, chi, part, shared)
             if consistent
-            else _closest_in_metric(cad, coordinates, asked)
+            else _find_closest_in_metric(cad, coordinates, asked)
         )
     kept = base.regrouping @ chi
     return StandardParameters(
@@ -245,7 +249,7 @@ def standard_parameters(
             np.linalg.eigvalsh(pseudo_inertias(chi[: 10 * cad.n_links].reshape(-1, 10))).min()
         ),
         divergence=cad.divergence(chi),
-        torque_rms=_joint_rms(motion @ (kept - asked), model.n_joints),
+        torque_rms=_measure_joint_rms(motion @ (kept - asked), model.n_joints),
         torque_rms_of_motion=of_motion,
         nearest_in="random motion" if information is None else "the data used",
         notes=cad.notes,
@@ -254,16 +258,16 @@ def standard_parameters(
     )
 
 
-def _within(
+def _fit_within_uncertainty(
     cad: CadPrior, base: BaseParameters, beta: Array, root: Array
 ) -> tuple[Array, float] | None:
     """Return parameters within the uncertainty, or None if that is as good as none."""
     if not len(root) or np.linalg.norm(root @ beta) > RULES.sharpest:
         return None
-    return plausible_parameters(cad, base, beta, root, LIMIT)
+    return find_plausible_parameters(cad, base, beta, root, LIMIT)
 
 
-def deepest_inside(
+def find_deepest_inside(
     cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds
 ) -> tuple[Array, float]:
     """Return parameters with `K chi = beta` and the largest t <= 1 with `P_i >= t P0_i`.
@@ -271,9 +275,9 @@ def deepest_inside(
     `bounds` hold with some t as slack. t is negative if beta is inconsistent. Raises
     `IdentifiabilityError` if the solver fails.
     """
-    bodies, q0 = near_one(cad)
+    bodies, q0 = scale_near_one(cad)
     inertial = 10 * cad.n_links
-    near = _closest_in_metric(cad, coordinates, beta)
+    near = _find_closest_in_metric(cad, coordinates, beta)
     whitened = np.linalg.solve(bodies, np.column_stack([near, coordinates.dependent]))
     along, triangle = np.linalg.qr(whitened[:, 1:])
     free = coordinates.dependent @ np.linalg.inv(triangle)
@@ -297,7 +301,7 @@ def deepest_inside(
     return near + free @ solution.x[:-1], float(solution.x[-1])
 
 
-def _closest_above(
+def _find_closest_above(
     cad: CadPrior, coordinates: Coordinates, chi: Array, part: float, bounds: BodyBounds
 ) -> Array:
     """Return the closest to CAD with the base parameters of chi and `P_i >= floor P0_i`.
@@ -315,9 +319,9 @@ def _closest_above(
     )
 
 
-def _closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> Array:
+def _find_closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> Array:
     """Return the closest to CAD with `K chi = beta` in the metric there, consistent or not."""
-    bodies, _ = near_one(cad)
+    bodies, _ = scale_near_one(cad)
     whitened = np.linalg.solve(
         bodies, np.column_stack([coordinates.kept @ beta - cad.parameters, coordinates.dependent])
     )
@@ -325,7 +329,7 @@ def _closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> 
     return np.asarray(coordinates.kept @ beta + coordinates.dependent @ d)
 
 
-def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) -> Array:
+def _factor_distance(beta: Array, motion: Array, information: ArrayLike | None) -> Array:
     """Return the triangular factor [R R beta] (p + 1, p + 1) of the distance from beta."""
     p = len(beta)
     if information is None:
@@ -341,5 +345,5 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
     )
 
 
-def _joint_rms(torque: Array, n_joints: int) -> Array:
+def _measure_joint_rms(torque: Array, n_joints: int) -> Array:
     return np.asarray(np.sqrt(np.mean(torque.reshape(-1, n_joints) ** 2, axis=0)))

@@ -12,7 +12,11 @@ from asbuilt.description.inertia import shift_matrix
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
-from asbuilt.identification.calibration.payload import FEWEST_BLOCKS, LARGEST_ERROR, payload_frame
+from asbuilt.identification.calibration.payload import (
+    FEWEST_BLOCKS,
+    LARGEST_ERROR,
+    choose_payload_frame,
+)
 from asbuilt.identification.calibration.payload_rows import PayloadRows
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -81,13 +85,13 @@ def identify_added_moments(
     IdentifiabilityError
         If there are too few time blocks, or the weight has no torque in any joint.
     """
-    name, link, placement = payload_frame(result.model, frame)
+    name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
     start = np.concatenate([result.estimates, np.zeros(10)])
     rows = PayloadRows.of(
         result, loaded, unloaded, link, shift_matrix(placement), start, block_seconds
     )
-    groups = _groups(rows)
+    groups = _group_blocks(rows)
     if len(groups) < FEWEST_BLOCKS:
         raise IdentifiabilityError(
             f"{len(groups)} time blocks are too few for errors, {FEWEST_BLOCKS} are needed",
@@ -95,7 +99,9 @@ def identify_added_moments(
         )
     offsets = [k for k, each in enumerate(result.base.names) if each.startswith("Fo")]
     chosen = [*range(p + 6, p + 10), *offsets]
-    blocks = [_columns(result, rows.blocks, of, chosen, again=bool(unloaded)) for of in groups]
+    blocks = [
+        _build_columns(result, rows.blocks, of, chosen, again=bool(unloaded)) for of in groups
+    ]
     solved = _Solution.of(np.asarray(sum(each.T @ each for each in blocks)))
     if not solved.seen[:4].any():
         raise IdentifiabilityError(
@@ -103,9 +109,9 @@ def identify_added_moments(
             " determined",
             cure=Cure("name the frame that carries it, or move the joints that lift it"),
         )
-    covariance = _jackknife(blocks, solved)[: len(chosen), : len(chosen)]
+    covariance = _jackknife_covariance(blocks, solved)[: len(chosen), : len(chosen)]
     if not unloaded:
-        covariance = covariance + _of_arm(result, rows, chosen, solved)
+        covariance = covariance + _propagate_arm_covariance(result, rows, chosen, solved)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     seen = solved.seen[:4]
     return AddedMoments(
@@ -143,7 +149,7 @@ Group = tuple[tuple[int, bool], ...]
 """Time blocks that are left out together, each with whether it is loaded."""
 
 
-def _groups(rows: PayloadRows) -> list[Group]:
+def _group_blocks(rows: PayloadRows) -> list[Group]:
     """Return the blocks by pairs, of one number in loaded and bare recordings alike."""
     n = rows.n_loaded
     own, bare = [(k, True) for k in range(n)], [(k, False) for k in range(n, len(rows.blocks))]
@@ -151,7 +157,7 @@ def _groups(rows: PayloadRows) -> list[Group]:
     return [*pairs, *((each,) for each in bare[n:])]
 
 
-def _columns(
+def _build_columns(
     result: IdentificationResult,
     blocks: Sequence[Array],
     group: Group,
@@ -169,7 +175,7 @@ def _columns(
     return np.vstack(found)
 
 
-def _jackknife(blocks: Sequence[Array], whole: _Solution) -> Array:
+def _jackknife_covariance(blocks: Sequence[Array], whole: _Solution) -> Array:
     """Return the covariance from leaving out one time block at a time."""
     n, total = len(blocks), sum(each.T @ each for each in blocks)
     found = np.array([_Solution.of(total - each.T @ each).x for each in blocks])
@@ -177,7 +183,7 @@ def _jackknife(blocks: Sequence[Array], whole: _Solution) -> Array:
     return np.asarray((n - 1) / n * apart.T @ apart)
 
 
-def _of_arm(
+def _propagate_arm_covariance(
     result: IdentificationResult, rows: PayloadRows, chosen: Sequence[int], solved: _Solution
 ) -> Array:
     """Return the covariance that the bare arm's covariance causes, along the present motion."""

@@ -12,15 +12,18 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.errors.delay_errors import DelayColumns, delay_columns
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification.errors.delay_errors import DelayColumns, build_delay_columns
 from asbuilt.identification.estimators.consistent_fit import fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import different_motions, held_out_errors
+from asbuilt.identification.information.held_out import (
+    group_different_motions,
+    measure_held_out_errors,
+)
 from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -59,7 +62,7 @@ def predicts_better(
     block_seconds
         Length of the time blocks [s].
     """
-    relief = relief_of_delays(model, base, weights, before, after, block_seconds=block_seconds)
+    relief = measure_delay_relief(model, base, weights, before, after, block_seconds=block_seconds)
     # Standard errors by which the error on other motions must fall. Own choice, from recordings of
     # four real robots, whole and two thirds of each: in ten sets delays of 18 to 62 ms exceeded 2
     # of their own standard errors. Eight sets fail here; applied, those delays change the error on
@@ -68,7 +71,7 @@ def predicts_better(
     return relief is not None and relief[0] > 2.0 * relief[1]
 
 
-def relief_of_delays(
+def measure_delay_relief(
     model: RobotModel,
     base: BaseParameters,
     weights: Array,
@@ -85,14 +88,16 @@ def relief_of_delays(
         accumulate_stream(model, base, samples, block_seconds=block_seconds)
         for samples in (before, after)
     )
-    with one_blas_thread():
-        groups = different_motions(shifted, weights)
+    with use_one_blas_thread():
+        groups = group_different_motions(shifted, weights)
         # Groups below which held-out errors have no usable standard error.
         if len(groups) < 3 or as_logged.n_blocks != shifted.n_blocks:
             return None
         try:
             errors = [
-                held_out_errors(each, lambda part: _fitted(model, part, weights), groups)[0]
+                measure_held_out_errors(each, lambda part: _fit_part(model, part, weights), groups)[
+                    0
+                ]
                 @ weights**2
                 for each in (as_logged, shifted)
             ]
@@ -103,9 +108,9 @@ def relief_of_delays(
     return float(relief.mean()), float(relief.std(ddof=1) / np.sqrt(len(relief)))
 
 
-def _fitted(model: RobotModel, part: SquareRootInformation, weights: Array) -> Array:
+def _fit_part(model: RobotModel, part: SquareRootInformation, weights: Array) -> Array:
     if model.has_every_mass:
-        prior = cad_prior(model, part.base.drive)
+        prior = build_cad_prior(model, part.base.drive)
         # Weight of CAD in the fits, as for a base tilt: ten times the usual design effect.
         return fit_toward_cad(part, prior, weight=100.0, weights=weights).beta
     design = design_values(model, part.base)
@@ -211,8 +216,8 @@ def find_delays(
     fits = _Fits(model, prepare, drive, count, block_seconds)
     n = model.n_joints
     # All joints of a recording share one delay.
-    common = _per_joint(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
-    lags = _friction(count, n)
+    common = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
+    lags = _build_friction_shares(count, n)
     together, columns = fits.settled(np.zeros(count), common)
     delays, std_errors = together, columns.solve(common).std_errors
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
@@ -223,7 +228,9 @@ def find_delays(
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
     std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
     lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
-    joints, errors = _joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error) or (
+    joints, errors = _estimate_joint_delays(
+        fits, delays, abs(lag) + RULES.significant * lag_error
+    ) or (
         None,
         None,
     )
@@ -289,7 +296,7 @@ class _Fits:
         bands = [each.parallel.cutoff for each in samples if each.parallel]
         self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
         rows = self._rows(samples)
-        return delay_columns(
+        return build_delay_columns(
             self.model,
             self._base,
             self._plain(rows),
@@ -313,7 +320,7 @@ class _Fits:
         return delays, columns
 
 
-def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array] | None:
+def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array] | None:
     """Return delays of the joints and their errors, (R, n) each, or None if they are alike.
 
     Friction lags by different times at different joints. So what the lag of a joint's friction
@@ -321,7 +328,7 @@ def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array]
     friction (`lag`) [s].
     """
     n, count = fits.model.n_joints, fits.count
-    columns, each = fits.columns(delays), _per_joint(count, n)
+    columns, each = fits.columns(delays), _build_joint_shares(count, n)
     wide = np.repeat(delays[:, None], n, axis=1)
     for _ in range(RULES.most_steps // 2):
         step = np.clip(columns.increments(each).reshape(count, n), -fits.longest, fits.longest)
@@ -330,14 +337,14 @@ def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array]
         if np.all(np.abs(step) < RULES.settled):
             break
     solved = columns.solve(each)
-    beside = columns.solve(np.concatenate([each, _friction(count, n)], axis=2))
+    beside = columns.solve(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
     moved = beside.increments[: count * n] - solved.increments
     errors = np.hypot(solved.std_errors, moved).reshape(count, n)
-    chance, spread = _alike(wide, errors, solved.n_blocks)
+    chance, spread = _test_equal_delays(wide, errors, solved.n_blocks)
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)
 
 
-def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
+def _test_equal_delays(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
     """Return the probability of such differences between joints, and the least of the largest."""
     weight = errors**-2.0
     total = weight.sum(axis=1, keepdims=True)
@@ -350,7 +357,7 @@ def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
     return chance, float(np.max(np.abs(off) - RULES.significant * errors))
 
 
-def _per_joint(count: int, n: int) -> Array:
+def _build_joint_shares(count: int, n: int) -> Array:
     """Return the shares of one delay per recording and joint, (R, 2 n, R n)."""
     shares = np.zeros((count, 2 * n, count, n))
     r, k = np.indices((count, n))
@@ -358,6 +365,6 @@ def _per_joint(count: int, n: int) -> Array:
     return shares.reshape(count, 2 * n, count * n)
 
 
-def _friction(count: int, n: int) -> Array:
+def _build_friction_shares(count: int, n: int) -> Array:
     """Return the shares of one lag of friction per joint, (R, 2 n, n)."""
     return np.tile(np.eye(2 * n)[:, n:], (count, 1, 1))

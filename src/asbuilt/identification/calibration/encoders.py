@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.experiment.quality.torque.torque_fit import BREAKAWAY
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.tables import plus_minus
+from asbuilt.tables import format_plus_minus
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +121,10 @@ class EncoderPair:
     def text(self) -> str:
         """Lag and stiffness as text."""
         unit = "N m/rad" if self.revolute else "N/m"
-        lag = f"lag {plus_minus(1e3 * self.lag, 1e3 * self.lag_error)} ms"
+        lag = f"lag {format_plus_minus(1e3 * self.lag, 1e3 * self.lag_error)} ms"
         if self.stiffness is None:
             return f"{self.joint} {lag}, stiffness not determined"
-        return f"{self.joint} {lag}, stiffness {plus_minus(*self.stiffness)} {unit}"
+        return f"{self.joint} {lag}, stiffness {format_plus_minus(*self.stiffness)} {unit}"
 
 
 def identify_encoders(
@@ -174,10 +174,15 @@ def identify_encoders(
             for _ in range(PASSES):
                 late = 0.0 if pair is None else pair.lag
                 parts = zip(given, taken, strict=True)
-                rows = np.concatenate([_rows(each, k, f[:, k], late) for each, f in parts])
-                forms = (rows[:, 0] - f for f in (rows[:, 1], _plain_friction(rows)))
-                pair = _closer(
-                    *(_pair(name, np.c_[s, rows[:, 2:]], sensor, revolute[k]) for s in forms)
+                rows = np.concatenate(
+                    [_stack_joint_rows(each, k, f[:, k], late) for each, f in parts]
+                )
+                forms = (rows[:, 0] - f for f in (rows[:, 1], _sum_plain_friction(rows)))
+                pair = _choose_friction_form(
+                    *(
+                        _identify_pair(name, np.c_[s, rows[:, 2:]], sensor, revolute[k])
+                        for s in forms
+                    )
                 )
                 pair = replace(pair, lag=pair.lag + late)
             assert pair is not None
@@ -185,12 +190,12 @@ def identify_encoders(
     return tuple(found)
 
 
-def encoders_text(pairs: Sequence[EncoderPair]) -> str:
+def describe_encoders(pairs: Sequence[EncoderPair]) -> str:
     """Return lags and stiffness of all joints in a sentence; empty without two encoders."""
     return f"Two encoders: {'; '.join(each.text for each in pairs)}." if pairs else ""
 
 
-def on_link(
+def refer_to_links(
     samples: Samples, pairs: Sequence[EncoderPair], friction: Callable[[Samples], Array]
 ) -> Samples:
     """Return samples of the robot as it were with stiff drives, at the position of the links.
@@ -207,7 +212,7 @@ def on_link(
         k = samples.joint_names.index(pair.joint)
         if not pair.determined:
             continue
-        motor, link = _sides(samples, k, pair.lag)
+        motor, link = _orient_sides(samples, k, pair.lag)
         q[:, k], qd[:, k], qdd[:, k] = link[0] + pair.zero, link[1], link[2]
         if pair.rotor is not None:
             tau[:, k] -= pair.rotor * (motor[2] - link[2])
@@ -234,12 +239,12 @@ def with_friction_errors(
 def _is_pair(samples: Samples, k: int) -> bool:
     """Return whether both encoders of a joint move together."""
     assert samples.encoder is not None
-    motor, link = _sides(samples, k)
+    motor, link = _orient_sides(samples, k)
     wide, apart = float(np.ptp(motor[0])), float(np.std(motor[0] - link[0]))
     return wide > 0.0 and apart < RULES.apart * wide
 
 
-def _sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Array]:
+def _orient_sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Array]:
     """Return the motion of motor and link (3, N), in one direction.
 
     The link's is put forward by a lag [s].
@@ -261,12 +266,12 @@ def _sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Array]:
     return motor, link
 
 
-def _rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
+def _stack_joint_rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
     """Return torque, friction, columns and, last, the difference of the encoders, filtered, (M, 9).
 
     The link's is put forward by a lag [s].
     """
-    motor, link = _sides(samples, k, lag)
+    motor, link = _orient_sides(samples, k, lag)
     apart = motor - link
     columns = (
         samples.tau[:, k],
@@ -282,7 +287,7 @@ def _rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
     return samples.filtered(np.stack(columns, axis=1))
 
 
-def _closer(identified: EncoderPair, plain: EncoderPair) -> EncoderPair:
+def _choose_friction_form(identified: EncoderPair, plain: EncoderPair) -> EncoderPair:
     """Return the pair by plain friction where that identified is of a form that the drive lacks.
 
     Such does harm where the motion reverses. Lag and hysteresis, which friction is part of, remain
@@ -299,13 +304,13 @@ def _closer(identified: EncoderPair, plain: EncoderPair) -> EncoderPair:
     )
 
 
-def _plain_friction(rows: Array) -> Array:
+def _sum_plain_friction(rows: Array) -> Array:
     """Return the part of friction that is viscous, dry and constant, (M,)."""
     plain = rows[:, [4, 5, 7]]
     return np.asarray(plain @ np.linalg.lstsq(plain, rows[:, 1], rcond=None)[0])
 
 
-def _pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
+def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
     """Return what the rows of a joint say."""
     used = np.array([True, not sensor, True, True, True, True, True])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)
@@ -318,8 +323,8 @@ def _pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
         values[used] = np.linalg.lstsq(inner, right, rcond=1e-12)[0]
         return np.asarray(values * scale[-1] / scale[:-1])
 
-    value = _physical(coefficients(whole))
-    parts = np.array([_physical(coefficients(whole - each)) for each in squares])
+    value = _derive_physical_values(coefficients(whole))
+    parts = np.array([_derive_physical_values(coefficients(whole - each)) for each in squares])
     error = np.sqrt((len(parts) - 1) * np.mean((parts - parts.mean(axis=0)) ** 2, axis=0))
     raw = coefficients(whole)
     left = rows[:, -1] - rows[:, :-1] @ raw
@@ -343,7 +348,7 @@ def _pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
     )
 
 
-def _physical(values: Array) -> Array:
+def _derive_physical_values(values: Array) -> Array:
     """Return lag, compliance, damping over stiffness, rotor and hysteresis of coefficients (7,)."""
     c = values[0]
     rotor = -values[1] / c if c else 0.0

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.identification.information.random_motion import random_positions
+from asbuilt.identification.information.random_motion import draw_positions
 from asbuilt.identification.result.result import IdentificationResult
 
 
@@ -27,7 +27,7 @@ def gravity_scales(result: IdentificationResult) -> Array:
     design = np.array([parameter.cad for parameter in result.parameters], dtype=np.float64)
     if not result.model.has_every_mass or not np.all(np.isfinite(design[links])):
         return scales
-    q = random_positions(result.model, np.random.default_rng(0))
+    q = draw_positions(result.model, np.random.default_rng(0))
     still = np.zeros_like(q)
     rows = observation_matrix(
         result.model, q, still, still, drive=result.base.drive, columns=result.base.columns
@@ -45,7 +45,7 @@ def gravity_scales(result: IdentificationResult) -> Array:
     return scales
 
 
-def doubted_gains(scales: Array) -> Array:
+def derive_gain_doubt(scales: Array) -> Array:
     """Return the part of a gain's error (n,) that CAD does not explain; 0 where scales are unknown.
 
     `|s - 1|` of the gravity torque beyond the tolerance of CAD.
@@ -66,9 +66,9 @@ USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
 Currents: data sheets usually state the torque constant to +-10 % (limits: 5.8 % as a standard
 deviation), and neodymium magnets lose about 0.1 % of their field per kelvin, 4 % over 40 K of
 warming; together 7 %. Torques that a controller computes from currents have been calibrated once,
-and warm up too: 5 %, if gravity torques show that the calibration holds (`gain_errors_of`). Joint
-torque sensors are calibrated at the joint. These are assumptions: the published gains of a UR10e
-are 3 to 11 % high.
+and warm up too: 5 %, if gravity torques show that the calibration holds (`derive_gain_errors`).
+Joint torque sensors are calibrated at the joint. These are assumptions: the published gains of a
+UR10e are 3 to 11 % high.
 """
 UNCALIBRATED = 0.1
 """Standard deviation of the gain of a motor's torque of which nothing shows that it is calibrated.
@@ -102,7 +102,7 @@ def relative_gain_errors(
     return np.broadcast_to(values, (n_joints,)).copy()
 
 
-def gain_errors_of(
+def derive_gain_errors(
     result: IdentificationResult, source: TorqueSource, stated: ArrayLike | None = None
 ) -> Array:
     """Return the standard deviation of each joint's gain as fractions, (n,), by all that is known.
@@ -121,13 +121,13 @@ def gain_errors_of(
     if source == "unknown":
         return usual
     scales = gravity_scales(result)
-    doubted = doubted_gains(scales)
+    doubted = derive_gain_doubt(scales)
     if source == "motor" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
         usual = np.maximum(usual, UNCALIBRATED)
     return np.minimum(np.hypot(usual, doubted), MOST)
 
 
-def gains_in_doubt(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
+def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
     """Return the joints whose gravity torque differs from CAD's beyond its tolerance.
 
     All of them where the description has no masses, so that nothing shows the scale of torques
@@ -137,7 +137,7 @@ def gains_in_doubt(result: IdentificationResult, source: TorqueSource) -> tuple[
         return result.model.joint_names
     if source not in ("motor", "current"):
         return ()
-    doubted = doubted_gains(gravity_scales(result))
+    doubted = derive_gain_doubt(gravity_scales(result))
     return tuple(result.model.joint_names[k] for k in np.flatnonzero(doubted > 0.0))
 
 
@@ -163,7 +163,9 @@ def parse_gain_uncertainty(text: str | None) -> list[float] | None:
         ) from None
 
 
-def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weights: Array) -> Array:
+def split_by_joint(
+    result: IdentificationResult, stand_in: Sequence[Array], weights: Array
+) -> Array:
     """Return the contribution of each joint's torque to the arm's base parameters, (p, n).
 
     `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction

@@ -18,7 +18,7 @@ from scipy import sparse
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.samples import Samples
@@ -26,19 +26,19 @@ from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.calibration.gain_uncertainty import (
-    arm_by_joint,
+    derive_gain_errors,
     gain_covariance,
-    gain_errors_of,
-    gains_in_doubt,
+    name_doubtful_gains,
+    split_by_joint,
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows
 from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.known_information import determined_directions
+from asbuilt.identification.information.known_information import find_determined_directions
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import predict_torque
-from asbuilt.tables import Column, Table, plus_minus, rounded
+from asbuilt.tables import Column, Table, format_plus_minus, round_with_error
 
 Arm = Literal["refined", "frozen"]
 
@@ -135,7 +135,7 @@ class Payload:
 
     def __repr__(self) -> str:
         shown = ", ".join(
-            f"{name} {plus_minus(value, error)}"
+            f"{name} {format_plus_minus(value, error)}"
             for name, value, error in zip(
                 self.names[:4], self.values.tolist(), self.std_errors.tolist(), strict=False
             )
@@ -146,7 +146,7 @@ class Payload:
         """Return a table of all values with their standard errors for notebooks."""
         rows = zip(self.names, self.values.tolist(), self.std_errors.tolist(), strict=True)
         cells = tuple(
-            (name, *rounded(value, error), "yes" if name in self.determined else "NO")
+            (name, *round_with_error(value, error), "yes" if name in self.determined else "NO")
             for name, value, error in rows
         )
         heads = (
@@ -163,7 +163,7 @@ class Payload:
         return LinkInertia(self.parameters)
 
 
-def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int, Array]:
+def choose_payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int, Array]:
     """Return name, link and placement of the frame that carries the payload.
 
     By default the flange, or the link that carries a tool (`RobotModel.tool_link`). Raises
@@ -246,20 +246,20 @@ def identify_payload_samples(
             f"no samples of {result.robot} under load are given; expected at least one recording"
         )
     source = batches[0].torque_source
-    uncertainty = gain_errors_of(result, source, gain_uncertainty)
-    name, link, placement = payload_frame(result.model, frame)
+    uncertainty = derive_gain_errors(result, source, gain_uncertainty)
+    name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
-    prior, vague = _prior(result), _vague(result.model)
+    prior, vague = _build_prior(result), _build_vague_prior(result.model)
     x = np.concatenate([result.estimates, np.zeros(10)])
     for _ in range(RULES.load_iterations if result.base.drive.needs_load else 1):
         rows = PayloadRows.of(
             result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds
         )
-        with one_blas_thread():
-            x, carried = _solved(rows.blocks, prior, vague, result.estimates, arm)
-    with one_blas_thread():
+        with use_one_blas_thread():
+            x, carried = _solve_payload(rows.blocks, prior, vague, result.estimates, arm)
+    with use_one_blas_thread():
         noise = _jackknife(rows.blocks, prior, vague, result.estimates, arm) + carried
-        slopes = _gain_slopes(result, rows, prior, vague, arm)
+        slopes = _derive_gain_slopes(result, rows, prior, vague, arm)
     gains = slopes @ gain_covariance(uncertainty) @ slopes.T
     beta, estimate = x[:p], x[p:]
     if not estimate[9] > 0:
@@ -271,13 +271,13 @@ def identify_payload_samples(
                 " with the arm's result"
             ),
         )
-    parameters, projected = _nearest_body(estimate, noise + gains)
-    values, reported = _reported(parameters, noise + gains)
+    parameters, projected = _find_nearest_body(estimate, noise + gains)
+    values, reported = _derive_reported_values(parameters, noise + gains)
     errors, noise_errors, gain_errors = (
         np.sqrt(np.maximum(np.diag(reported @ part @ reported.T), 0.0))
         for part in (noise + gains, noise, gains)
     )
-    determined = _determined(values, errors)
+    determined = _find_determined(values, errors)
     added = np.zeros(10 * result.model.n_links)
     added[10 * link : 10 * link + 10] = shift_matrix(placement) @ parameters
     tested = list(validation) or batches
@@ -295,7 +295,7 @@ def identify_payload_samples(
         gain_slopes=reported @ slopes,
         gain_uncertainty=uncertainty,
         gains_by_evidence=result.cause_data is not None,
-        gains_in_doubt=gains_in_doubt(result, source) if gain_uncertainty is None else (),
+        gains_in_doubt=name_doubtful_gains(result, source) if gain_uncertainty is None else (),
         projected=projected,
         determined=tuple(
             item for item, well in zip(PAYLOAD_NAMES, determined, strict=True) if well
@@ -306,12 +306,14 @@ def identify_payload_samples(
         arm=beta,
         n_samples=rows.n_samples,
         torque_source=source,
-        metrics=tuple(_metrics(result, samples, beta, added) for samples in tested),
-        metrics_bare=tuple(_metrics(result, samples, result.estimates, None) for samples in tested),
+        metrics=tuple(_measure_torque_error(result, samples, beta, added) for samples in tested),
+        metrics_bare=tuple(
+            _measure_torque_error(result, samples, result.estimates, None) for samples in tested
+        ),
     )
 
 
-def _gain_slopes(
+def _derive_gain_slopes(
     result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm
 ) -> Array:
     """Return the change of pi (10, n) per relative change of each joint's torque everywhere.
@@ -319,38 +321,38 @@ def _gain_slopes(
     pi is linear in all torques; joint k's enters the result's beta, and the rows of joint k.
     """
     p = result.n_base
-    of_arm = arm_by_joint(result, rows.joints, result.weights)
+    of_arm = split_by_joint(result, rows.joints, result.weights)
     sides = np.column_stack([joint[:, :-1].T @ joint[:, -1] for joint in rows.joints])
     matrix = sum(
         (block[:, :-1].T @ block[:, :-1] for block in rows.blocks), start=np.zeros((p + 10, p + 10))
     )
     matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]
     if arm == "frozen":
-        return np.asarray(_solved_symmetric(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm))
+        return np.asarray(_solve_symmetric(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm))
     held = prior[:, :-1].T @ prior[:, :-1]
-    return np.asarray(_solved_symmetric(matrix + held, sides + held[:, :p] @ of_arm)[p:])
+    return np.asarray(_solve_symmetric(matrix + held, sides + held[:, :p] @ of_arm)[p:])
 
 
-def _solved_symmetric(matrix: Array, sides: Array) -> Array:
-    scale = _lengths(matrix)
+def _solve_symmetric(matrix: Array, sides: Array) -> Array:
+    scale = _measure_columns(matrix)
     return np.asarray(
         np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-14)[0]
         / scale[:, None]
     )
 
 
-def _lengths(gram: Array) -> Array:
+def _measure_columns(gram: Array) -> Array:
     """Return the column lengths of a Gram matrix, 1 for zero columns."""
     length = np.sqrt(np.diag(gram))
     return np.where(length > 0.0, length, 1.0)
 
 
-def _prior(result: IdentificationResult) -> Array:
+def _build_prior(result: IdentificationResult) -> Array:
     """Return rows (m, p + 11) of the result as prior of beta, in units of its standard errors.
 
     Dropped parameters, whose columns are zero elsewhere, are held at zero.
     """
-    scale, variances, directions = determined_directions(result)
+    scale, variances, directions = find_determined_directions(result)
     root = np.vstack(
         [(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]]
     )
@@ -359,7 +361,7 @@ def _prior(result: IdentificationResult) -> Array:
     )
 
 
-def _vague(model: RobotModel) -> Array:
+def _build_vague_prior(model: RobotModel) -> Array:
     """Return rows (10, 11) of a vague prior: zero +- the arm's mass at half a metre.
 
     It matters only in undetermined directions, whose errors become as large.
@@ -371,13 +373,13 @@ def _vague(model: RobotModel) -> Array:
     return np.column_stack([np.diag(1.0 / size), np.zeros(10)])
 
 
-def _arm_taken_out(factor: Array, beta: Array) -> Array:
+def _subtract_arm(factor: Array, beta: Array) -> Array:
     """Return a factor's rows (m, 11) of the payload alone, the torque of the arm subtracted."""
     p = len(beta)
     return np.column_stack([factor[:, p:-1], factor[:, -1] - factor[:, :p] @ beta])
 
 
-def _solved(
+def _solve_payload(
     blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
 ) -> tuple[Array, Array]:
     """Return [beta, pi], and the covariance (10, 10) of pi by the priors.
@@ -390,7 +392,7 @@ def _solved(
     if arm == "frozen":
         root, beta = np.linalg.pinv(prior[:, :p]), estimates
         _demand_known_arm(data[:, :p], prior[:, :p])
-        own = _arm_taken_out(data, beta)
+        own = _subtract_arm(data, beta)
         _demand(solve_factor(triangular_factor(own), len(own)).rank)
         solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
         spread = solution.inverse_root @ solution.inverse_root.T
@@ -454,14 +456,14 @@ def _jackknife(
             cure=Cure("record longer"),
         )
     if arm == "frozen":
-        rows, held = [_arm_taken_out(block, estimates) for block in blocks], vague
+        rows, held = [_subtract_arm(block, estimates) for block in blocks], vague
     else:
         rows, held = (
             list(blocks),
             np.vstack([prior, np.concatenate([np.zeros((10, p)), vague], axis=1)]),
         )
     total = sum((row.T @ row for row in rows), start=held.T @ held)
-    scale = _lengths(total)[:-1]
+    scale = _measure_columns(total)[:-1]
     found = []
     for row in rows:
         rest = total - row.T @ row
@@ -476,7 +478,7 @@ def _jackknife(
     return np.asarray((n - 1) / n * deviations.T @ deviations, dtype=np.float64)
 
 
-def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
+def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
     """Return the nearest consistent parameters by the covariance, and whether they differ."""
     if LinkInertia(estimate).is_consistent:
         return estimate, False
@@ -498,7 +500,7 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
     return solution.x * scale, True
 
 
-def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
+def _derive_reported_values(parameters: Array, covariance: Array) -> tuple[Array, Array]:
     """Return mass, centre and inertia about it (10,), and their derivatives (10, 10)."""
 
     def report(pi: Array) -> Array:
@@ -516,14 +518,14 @@ def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
     return report(parameters), slope
 
 
-def _determined(values: Array, errors: Array) -> NDArray[np.bool_]:
+def _find_determined(values: Array, errors: Array) -> NDArray[np.bool_]:
     centre = np.maximum(np.linalg.norm(values[1:4]), RULES.com_scale)
     principal = np.max(np.abs(values[[4, 7, 9]]))
     size = np.concatenate([[values[0]], np.full(3, centre), np.full(6, principal)])
     return errors <= LARGEST_ERROR * size
 
 
-def _metrics(
+def _measure_torque_error(
     result: IdentificationResult, samples: Samples, beta: Array, added: Array | None
 ) -> TorqueMetrics:
     """Return the torque error of an arm (and of parameters added to its links) on a recording."""

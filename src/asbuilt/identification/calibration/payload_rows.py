@@ -14,9 +14,9 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
-from asbuilt.identification.information.triangular import widened
+from asbuilt.identification.information.triangular import widen_factor
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import carrying
+from asbuilt.identification.result.torque_prediction import set_link_parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class PayloadRows:
             np.searchsorted(columns, link_columns),
         )
         kept = ~result.dropped
-        arm_model = carrying(result.model, result.base, x[:p])
+        arm_model = set_link_parameters(result.model, result.base, x[:p])
         chi = arm_model.parameters.copy()
         chi[link_columns] += shift @ x[p:]
         under = accumulate_stream(
@@ -73,27 +73,30 @@ class PayloadRows:
         blocks = [with_payload(under.block_stacked(b, weights)) for b in range(under.n_blocks)]
         joints = [
             with_payload(weight * factor)
-            for weight, factor in zip(weights, _whole(under), strict=True)
+            for weight, factor in zip(weights, _widen_factors(under), strict=True)
         ]
         if unloaded:
             bare = accumulate_stream(arm_model, result.base, unloaded, block_seconds=block_seconds)
-            blocks += [_widened(bare.block_stacked(b, weights), kept) for b in range(bare.n_blocks)]
+            blocks += [
+                _insert_payload_columns(bare.block_stacked(b, weights), kept)
+                for b in range(bare.n_blocks)
+            ]
             joints = [
-                np.vstack([rows, _widened(weight * factor, kept)])
-                for rows, weight, factor in zip(joints, weights, _whole(bare), strict=True)
+                np.vstack([rows, _insert_payload_columns(weight * factor, kept)])
+                for rows, weight, factor in zip(joints, weights, _widen_factors(bare), strict=True)
             ]
         return cls(blocks, joints, under.n_samples, under.n_blocks)
 
 
-def _whole(information: SquareRootInformation) -> list[Array]:
+def _widen_factors(information: SquareRootInformation) -> list[Array]:
     """Return the factor of each joint with a column for every base parameter and the torque."""
     return [
-        widened(factor, support, information.base.n_base)
+        widen_factor(factor, support, information.base.n_base)
         for support, factor in zip(information.support, information.joint_factors, strict=True)
     ]
 
 
-def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:
+def _insert_payload_columns(factor: Array, kept: NDArray[np.bool_]) -> Array:
     """Return a factor of the bare arm with ten zero columns of the payload, others if `kept`."""
     return np.concatenate(
         [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1

@@ -14,18 +14,18 @@ from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import usual_drive
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.drives.torque import choose_usual_drive
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.errors.common_growth import BlockScores
-from asbuilt.identification.errors.uncertainty import scatter_of
-from asbuilt.identification.information.held_out import motions_of
-from asbuilt.identification.information.rows import TimeBlock, sample_blocks
+from asbuilt.identification.errors.uncertainty import estimate_scatter
+from asbuilt.identification.information.held_out import group_motions
+from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
 
 
@@ -154,9 +154,9 @@ class TorqueGains:
         return f"mass {body.mass:.4g} kg, centre ({centre}) m in {self.frame}"
 
 
-def gains_in_use(recordings: Sequence[Recording]) -> Array:
+def find_gains_in_use(recordings: Sequence[Recording]) -> Array:
     """Return the gains (n,) in use in all recordings; raises `UsageError` if they differ."""
-    each = [_gains_of(recording) for recording in recordings]
+    each = [_read_gains(recording) for recording in recordings]
     for recording, gains in zip(recordings, each, strict=True):
         if not np.array_equal(gains, each[0]):
             listed = ", ".join(f"{gain:g}" for gain in each[0])
@@ -168,7 +168,7 @@ def gains_in_use(recordings: Sequence[Recording]) -> Array:
     return each[0]
 
 
-def _gains_of(recording: Recording) -> Array:
+def _read_gains(recording: Recording) -> Array:
     """Return the gains (n,) of a recording, or the stiffness of its servo, 1 where unknown."""
     if recording.torque_source == "command" and recording.servo is not None:
         return np.asarray(np.nan_to_num(recording.servo.kp, nan=1.0), dtype=np.float64)
@@ -212,7 +212,7 @@ def identify_gains(
     frame
         Frame that carries the payload, by default the flange.
     in_use
-        Gains that the samples were multiplied by (`gains_in_use`), which the new ones replace.
+        Gains that the samples were multiplied by (`find_gains_in_use`), which the new ones replace.
     of_command
         Whether position servos gave the torques.
 
@@ -231,7 +231,7 @@ def identify_gains(
     without, under = (
         list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded)
     )
-    terms = drive if drive is not None else usual_drive(model, "current")
+    terms = drive if drive is not None else choose_usual_drive(model, "current")
     if not without or not under:
         raise UsageError(
             f"gains of {model.name} need recordings without and with the payload, got"
@@ -250,7 +250,7 @@ def identify_gains(
             " joint, none of them 0"
         )
     used = np.broadcast_to(used, (model.n_joints,)).copy()
-    name, link, placement = payload_frame(model, frame)
+    name, link, placement = choose_payload_frame(model, frame)
     problem = _Problem(model, terms, without, under, link, shift_matrix(placement))
     centre = np.zeros(3) if com is None else np.asarray(com, dtype=np.float64)
     tensor = (
@@ -260,7 +260,7 @@ def identify_gains(
     )
     given = LinkInertia.from_com(mass, centre, tensor).parameters
     known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
-    with one_blas_thread():
+    with use_one_blas_thread():
         solution = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.std_errors(solution, known)
     gains, payload = 1.0 / solution.inverse, solution.theta[-10:]
@@ -326,7 +326,7 @@ class _Problem:
         self.times: list[TimeBlock] = []
         loads: set[bool] = set()
         for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
-            for part in sample_blocks(model, [samples]):
+            for part in divide_into_blocks(model, [samples]):
                 growing = [GrowingFactor(len(support) + 1) for support in plan.support]
                 for chunk in part.chunks(plan):
                     for factor, rows in zip(growing, chunk, strict=True):
@@ -363,11 +363,11 @@ class _Problem:
             if iteration == 0:
                 every = np.vstack([r * g for r, g in zip(rows, inverse, strict=True)])
                 target = np.concatenate([r[:, -1] for r in rows])
-                theta[free] = _least_squares(
+                theta[free] = _solve_least_squares(
                     every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
                 )
             matrix, errors = self._linear(rows, _Solution(theta, inverse, sigma), free)
-            step = _least_squares(matrix, errors)
+            step = _solve_least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
             theta[free] += step[: -self._n]
             inverse = inverse + change
@@ -408,7 +408,9 @@ class _Problem:
             matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
             target.append(-r[:, :-1] @ theta / size)
         return np.where(
-            _least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0, -1.0, 1.0
+            _solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0,
+            -1.0,
+            1.0,
         )
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
@@ -436,7 +438,7 @@ class _Problem:
         free, p = self._free(known), self._p
         parts = [self._linear(block, solution, free) for block in self.blocks]
         whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
-        root, lost = _inverse_root(whole)
+        root, lost = _invert_root(whole)
         grams = np.array([matrix.T @ matrix for matrix, _ in parts])
         n_rows = self._n * sum(block.n_samples for block in self.times)
         variance = float(errors @ errors) / max(n_rows - root.shape[1], 1)
@@ -444,16 +446,16 @@ class _Problem:
             root.T @ grams @ root,
             np.array([error @ matrix for matrix, error in parts]) @ root,
             self.times,
-            motions_of(grams[:, :p, :p], np.array([block.n_samples for block in self.times])),
+            group_motions(grams[:, :p, :p], np.array([block.n_samples for block in self.times])),
             n_rows,
             variance,
         )
         own = root[-self._n :]
-        found = np.maximum(scatter_of(data, own).variance, variance * np.sum(own**2, axis=1))
+        found = np.maximum(estimate_scatter(data, own).variance, variance * np.sum(own**2, axis=1))
         return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / solution.inverse**2
 
 
-def _inverse_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return L (p, r) with `L L^T = (A^T A)^+` in scaled columns, and which unknowns are lost."""
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0.0] = 1.0
@@ -464,7 +466,7 @@ def _inverse_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
     return (axes[kept] / s[kept, None]).T / sizes[:, None], lost
 
 
-def _least_squares(matrix: Array, target: Array) -> Array:
+def _solve_least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0.0] = 1.0

@@ -13,15 +13,15 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.base.identifiability import StandardParameter
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import coupled_motor_terms
+from asbuilt.dynamics.drives.torque import list_coupled_motor_terms
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, joined
-from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
+from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.rows import sample_blocks
+from asbuilt.identification.information.rows import divide_into_blocks
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import GrowingFactor
 
@@ -101,7 +101,7 @@ class TwoChannelEstimate:
             return ()
         message = (
             "motor torques have another scale than the sensors', friction and armature of the"
-            f" motors apart: {joined(listed)} times"
+            f" motors apart: {join_names(listed)} times"
         )
         cure = Cure("divide the motor gains by this, or look for friction that grows with load")
         return (Finding("motor_scale", "warning", message, cure=cure),)
@@ -166,7 +166,7 @@ def identify_two_channels(
                 " the same signal chain"
             )
     ahead = (
-        DriveSet((*MOTOR_SIDE.terms, *coupled_motor_terms(model).terms))
+        DriveSet((*MOTOR_SIDE.terms, *list_coupled_motor_terms(model).terms))
         if motor_side is None
         else motor_side
     )
@@ -179,10 +179,10 @@ def identify_two_channels(
             )
     if link_side.needs_load or ahead.needs_load:
         raise UsageError("two channels need drive terms that do not depend on load")
-    acting = _acting(model, ahead)
+    acting = _find_acting(model, ahead)
     base = find_base_parameters(model, link_side)
     joint_fit = _JointFit(model, base, link_side, ahead, acting, tuple(sensors), tuple(motors))
-    scales, errors, (both, information, estimate, uncertainty) = _scaled_fit(joint_fit)
+    scales, errors, (both, information, estimate, uncertainty) = _fit_scales(joint_fit)
     rms = np.sqrt(information.residual_energy(estimate.beta) / information.n_samples)
     n, kept = model.n_joints, base.n_base + len(acting)
     return TwoChannelEstimate(
@@ -219,11 +219,11 @@ class _JointFit:
     motors: tuple[Samples, ...]
 
     def solved(self, scales: Array, scaled: Sequence[int], links: Array | None) -> _Fitted:
-        both = _both_sides(self.model, self.base, self.motor_side, self.acting, scaled)
+        both = _combine_sides(self.model, self.base, self.motor_side, self.acting, scaled)
         divided = [replace(each, tau=each.tau / scales) for each in self.motors]
         information = self._joined(both, divided, scaled, links)
         estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
-        return both, information, estimate, block_uncertainty(information, estimate)
+        return both, information, estimate, estimate_block_uncertainty(information, estimate)
 
     def _joined(
         self,
@@ -250,7 +250,7 @@ class _JointFit:
         factors: list[list[Array]] = [[] for _ in support]
         sums, times = [], []
         for seen, driven in zip(
-            sample_blocks(model, sensors), sample_blocks(model, motors), strict=True
+            divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
         ):
             growing = [GrowingFactor(len(columns) + 1) for columns in support]
             total = np.zeros(2 * n)
@@ -284,7 +284,7 @@ class _JointFit:
         )
 
 
-def _scaled_fit(fit: _JointFit) -> tuple[Array, Array, _Fitted]:
+def _fit_scales(fit: _JointFit) -> tuple[Array, Array, _Fitted]:
     """Return scales of the motors, their errors, and the fit in which those that differ are free.
 
     The scale of a motor multiplies the torque behind it, which is linearised about the links of
@@ -311,7 +311,7 @@ def _differs(scale: float, error: float) -> bool:
     return abs(scale - 1.0) > max(SCALE.sigmas * error, SCALE.smallest)
 
 
-def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
+def _find_acting(model: RobotModel, motor_side: DriveSet) -> Indices:
     """Return which drive parameters of the motor side act; single motors have no coupled terms."""
     coupled = np.any(model.motor_shares != 0.0, axis=1)
     acts = [
@@ -323,7 +323,7 @@ def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
     return np.flatnonzero(acts)
 
 
-def _both_sides(
+def _combine_sides(
     model: RobotModel,
     base: BaseParameters,
     motor_side: DriveSet,

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.torque import on_driven_joints, usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive, keep_driven_joints
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
@@ -22,7 +22,7 @@ from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.held_out import held_out_errors, neighbours
+from asbuilt.identification.information.held_out import group_neighbours, measure_held_out_errors
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 AUTO = "auto"
@@ -87,17 +87,17 @@ def settle_drive(
 ) -> DriveChoice:
     """Return the drive terms to identify with, their nonlinear parameters fitted.
 
-    `drive` is as in `stated_drive`; "auto" adds the terms that the samples show.
+    `drive` is as in `select_stated_drive`; "auto" adds the terms that the samples show.
     """
-    stated = stated_drive(model, samples, drive)
+    stated = select_stated_drive(model, samples, drive)
     if not isinstance(drive, str):
         return settle_nonlinear(model, samples, stated)
-    found = find_effects(model, stated, samples, keys=drive_effects())
+    found = find_effects(model, stated, samples, keys=list_drive_effects())
     choice = settle_nonlinear(model, samples, found.drive)
     return replace(choice, fitted=(*found.fitted, *choice.fitted))
 
 
-def stated_drive(
+def select_stated_drive(
     model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None
 ) -> DriveSet:
     """Return the drive terms that are stated.
@@ -116,8 +116,8 @@ def stated_drive(
         If a text does not contain "auto".
     """
     if isinstance(drive, DriveSet):
-        return on_driven_joints(model, drive)
-    usual = usual_drive(model, samples[0].torque_source)
+        return keep_driven_joints(model, drive)
+    usual = choose_usual_drive(model, samples[0].torque_source)
     if drive is None:
         return usual
     parts = [part.strip() for part in drive.split(",")]
@@ -128,10 +128,10 @@ def stated_drive(
         )
     for term in DriveSet.parse(others).terms:
         usual = usual.with_term(term)
-    return on_driven_joints(model, usual)
+    return keep_driven_joints(model, usual)
 
 
-def drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:
+def list_drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:
     """Return the keys of the effects that are drive terms, with those over position if asked."""
     return tuple(
         key
@@ -151,14 +151,15 @@ def settle_nonlinear(model: RobotModel, samples: Sequence[Samples], drive: Drive
             plain = plain.with_term(available_terms()[term.stands_for])
     found = fit_nonlinear(model, drive, samples)
     findings = found.findings(model.joint_names)
-    both = [_held_out(model, samples, each) for each in (plain, found.drive)]
+    both = [_predict_held_out(model, samples, each) for each in (plain, found.drive)]
     if both[0] is None or both[1] is None:
         return DriveChoice(
             found.drive, found.sentences(model.joint_names), findings, fitted=found.places
         )
     gain = Gain.between(both[0], both[1])
     change = (
-        f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against {_named(plain)}"
+        f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against"
+        f" {_name_terms(plain)}"
     )
     if gain.fraction < 0:
         listed = ", ".join(term.key for term in nonlinear)
@@ -178,21 +179,23 @@ def settle_nonlinear(model: RobotModel, samples: Sequence[Samples], drive: Drive
     )
 
 
-def _held_out(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:
+def _predict_held_out(
+    model: RobotModel, samples: Sequence[Samples], drive: DriveSet
+) -> Array | None:
     """Return squared errors per held-out sample (folds, n); None with too few blocks."""
     information = accumulate_stream(model, find_base_parameters(model, drive), samples)
     if information.n_blocks < FEWEST_BLOCKS:
         return None
     prior = np.zeros(information.base.n_base)
     weights = 1.0 / fit_least_squares(information, weights="joint", prior=prior).sigma
-    return held_out_errors(
+    return measure_held_out_errors(
         information,
         lambda part: fit_least_squares(part, weights=weights, prior=prior).beta,
-        neighbours(information.n_blocks),
+        group_neighbours(information.n_blocks),
     )[0]
 
 
-def _named(drive: DriveSet) -> str:
+def _name_terms(drive: DriveSet) -> str:
     """Return the keys of a set, with the joints of terms that only some have."""
     return ", ".join(
         term.key

@@ -13,13 +13,13 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
-from asbuilt.identification.information.rows import SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import SampleBlock, divide_into_blocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,14 +147,14 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
     found: dict[tuple[str, str], FittedNonlinear] = {}
     current = drive
     free = [(term.key, parameter) for term in drive.terms for parameter in term.free_nonlinear]
-    chosen = thinned(model, samples)
+    chosen = thin_blocks(model, samples)
     if not chosen:
         raise IdentifiabilityError(
             f"no samples of {model.name} are left to fit the nonlinear parameters of {drive}: every"
             " contiguous segment is shorter than the filter needs",
             cure=Cure("record longer, raise the cutoff, or state the nonlinear parameters"),
         )
-    with one_blas_thread():
+    with use_one_blas_thread():
         for _ in range(SEARCH.cycles if len(free) > 1 else 1):
             before = {place: np.array(each.values) for place, each in found.items()}
             for key, parameter in free:
@@ -173,9 +173,9 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
     return NonlinearFit(current, tuple(found.values()))
 
 
-def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
+def thin_blocks(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
     """Return the time blocks for fits of drive terms, evenly spread if there are many."""
-    every = list(sample_blocks(model, samples))
+    every = list(divide_into_blocks(model, samples))
     step = max(1, -(-sum(each.n_outputs for each in every) // SEARCH.most_samples))
     return every[::step]
 
@@ -278,7 +278,7 @@ class _Remaining:
         self._model, self._chosen = model, chosen
         base = find_base_parameters(model, others)
         plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
-        rows = _joined(plan, chosen)
+        rows = _stack_rows(plan, chosen)
         self._bases, self._torques = [], []
         for joint in rows:
             columns, torque = joint[:-1], joint[-1]
@@ -299,7 +299,7 @@ class _Remaining:
         )
         left = []
         for rows, basis, torque in zip(
-            _joined(plan, self._chosen), self._bases, self._torques, strict=True
+            _stack_rows(plan, self._chosen), self._bases, self._torques, strict=True
         ):
             columns = rows[:-1]
             rest = columns - (columns @ basis.T) @ basis
@@ -313,7 +313,7 @@ class _Remaining:
         return np.array(left)
 
 
-def _joined(plan: RegressorPlan, chosen: Sequence[SampleBlock]) -> list[Array]:
+def _stack_rows(plan: RegressorPlan, chosen: Sequence[SampleBlock]) -> list[Array]:
     chunks: Iterator[tuple[Array, ...]] = (
         tuple(rows.copy() for rows in chunk) for each in chosen for chunk in each.chunks(plan)
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
-from asbuilt.identification.effects.found_effect import FoundEffect, found_text
+from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
@@ -32,5 +32,5 @@ def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffe
     size, error, _ = effect.size(values, covariance, revolute=revolute)
     text = effect.size_text(values, covariance, revolute=revolute)
     before, after = found.error_before, found.error_after
-    text = found_text(effect.title, found.joint, text, before, after)
+    text = describe_found_effect(effect.title, found.joint, text, before, after)
     return replace(found, estimate=size, std_error=error, text=text)

@@ -18,7 +18,7 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.torque_prediction import parameter_torque
 from asbuilt.registry import Registry
-from asbuilt.tables import plus_minus, significant
+from asbuilt.tables import format_plus_minus, round_significant
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -148,7 +148,9 @@ class Effect(ABC):
         """Return a size with its standard error, else with two digits, and unit as text."""
         scale, unit = self.shown_in(revolute)
         size *= scale
-        text = significant(size, 2) if error is None else plus_minus(size, scale * error)
+        text = (
+            round_significant(size, 2) if error is None else format_plus_minus(size, scale * error)
+        )
         return f"{text} {unit}".rstrip()
 
     def shown_in(self, revolute: bool) -> tuple[float, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from asbuilt.tables import significant
+from asbuilt.tables import round_significant
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +44,20 @@ class FoundEffect:
     @property
     def improvement(self) -> str:
         """The torque error without and with it, as text."""
-        return improvement(self.error_before, self.error_after)
+        return describe_improvement(self.error_before, self.error_after)
 
 
-def found_text(title: str, joint: str | None, size: str, before: float, after: float) -> str:
+def describe_found_effect(
+    title: str, joint: str | None, size: str, before: float, after: float
+) -> str:
     """Return the sentence on an effect of a size, with the torque errors without and with it."""
     where = f"{title} at {joint}" if joint else title
-    return f"{where} {size}: {improvement(before, after)}"
+    return f"{where} {size}: {describe_improvement(before, after)}"
 
 
-def improvement(before: float, after: float) -> str:
+def describe_improvement(before: float, after: float) -> str:
     """Return relative torque errors without and with an effect as text."""
-    return f"torque error {significant(100 * before, 2)} -> {significant(100 * after, 2)} %"
+    return (
+        f"torque error {round_significant(100 * before, 2)} ->"
+        f" {round_significant(100 * after, 2)} %"
+    )

@@ -12,10 +12,10 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
-from asbuilt.identification.information.rows import ROWS, SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import ROWS, SampleBlock, divide_into_blocks
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -126,15 +126,15 @@ def gather_equations(
     variants.sort(key=lambda each: not each.local)  # local columns first
     slots = [variant for variant in variants for _ in range(variant.n_columns)]
     plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=len(slots) + 1)
-    candidates, own, size = _placed(variants, n, base)
+    candidates, own, size = _place_candidates(variants, n, base)
     support = [np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n)]
     # a joint has not every slot, but torque
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
     grams: list[list[Array]] = [[] for _ in range(n)]
     counts: list[int] = []
     columns = _Columns(robot, variants)
-    with one_blas_thread():
-        for part in sample_blocks(robot.model, samples, block_seconds):
+    with use_one_blas_thread():
+        for part in divide_into_blocks(robot.model, samples, block_seconds):
             block = [np.zeros((len(s) + 1,) * 2) for s in support]
             for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):
@@ -153,7 +153,7 @@ def gather_equations(
     )
 
 
-def _placed(
+def _place_candidates(
     variants: Sequence[Variant], n: int, base: BaseParameters
 ) -> tuple[list[Candidate], list[Indices], int]:
     """Return the candidates, and the parameter of each slot at each joint (-1: none)."""
@@ -174,7 +174,9 @@ def _placed(
                 places = np.arange(size, size + m)
                 simpler = variant.term.stands_for if variant.term else None
                 candidates.append(
-                    Candidate(variant.effect, k, places, variant.term, _places_of(base, simpler, k))
+                    Candidate(
+                        variant.effect, k, places, variant.term, _find_places(base, simpler, k)
+                    )
                 )
                 own[k].extend(places.tolist())
                 size += m
@@ -183,7 +185,7 @@ def _placed(
     return candidates, [np.array(each, dtype=np.int64) for each in own], size
 
 
-def _places_of(base: BaseParameters, key: str | None, k: int) -> Indices:
+def _find_places(base: BaseParameters, key: str | None, k: int) -> Indices:
     """Return the positions of a drive term's base parameters at a joint."""
     symbols = [s for term in base.drive.terms if term.key == key for s in term.symbols]
     names = {f"{symbol}{k + 1}" for symbol in symbols}

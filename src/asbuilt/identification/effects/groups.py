@@ -16,25 +16,25 @@ GROUPS: dict[str, str] = {
 """Names of effects that are no family of their own, but parameters that every model has."""
 
 
-def group_title(key: str) -> str:
+def name_group(key: str) -> str:
     """Return the name of a group or an effect in sentences.
 
-    >>> group_title("links"), group_title("tilt")
+    >>> name_group("links"), name_group("tilt")
     ('mass distribution of the links', 'base tilt')
     """
     return GROUPS[key] if key in GROUPS else EFFECTS[key].title if key in EFFECTS else key
 
 
-def group_of(term: DriveTerm) -> str:
+def find_group(term: DriveTerm) -> str:
     """Return the group of a drive term: what acts over position is an effect of its own."""
     return term.cause or (term.key if term.by_position else "friction")
 
 
-def drive_places(base: BaseParameters, joint: int) -> dict[str, list[int]]:
+def locate_drive_parameters(base: BaseParameters, joint: int) -> dict[str, list[int]]:
     """Return where the drive parameters of a joint (from 0) are among the base parameters."""
     names = {name: i for i, name in enumerate(base.names)}
     groups: dict[str, list[int]] = {}
     for term in base.drive.terms:
         found = [names.get(f"{symbol}{joint + 1}") for symbol in term.symbols]
-        groups.setdefault(group_of(term), []).extend(j for j in found if j is not None)
+        groups.setdefault(find_group(term), []).extend(j for j in found if j is not None)
     return {group: places for group, places in groups.items() if places}

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 from asbuilt.identification.effects.selection import Selection
-from asbuilt.identification.errors.bias import OmittedBias, moved_estimate, shrunken
+from asbuilt.identification.errors.bias import OmittedBias, derive_estimate_moves, shrink_effects
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 
 if TYPE_CHECKING:
@@ -59,10 +59,10 @@ class Lacking:
             start = span.stop
             if each.at in removed:
                 values[span] = 0.0 if _is_constant(each, selection) else removed[each.at]
-        text = _listed([e for e in own if not _is_constant(e, selection)], selection)
+        text = _word_candidates([e for e in own if not _is_constant(e, selection)], selection)
         return cls(
             selection.equations,
-            _names(selection),
+            _list_names(selection),
             np.concatenate([each.places for each in own]),
             values,
             covariance,
@@ -79,7 +79,7 @@ class Lacking:
         if fit.uncertainty.basis.asked == "textbook":
             return None
         mean, spread = self._shrunken()
-        own = moved_estimate(fit.information, fit.estimate) @ self._follows(
+        own = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
             fit, fit.estimate.weights
         )
         plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
@@ -110,7 +110,7 @@ class Lacking:
 
     def _shrunken(self) -> tuple[Array, Array]:
         """Return mean and covariance of the values; constants in the model keep their errors."""
-        mean, spread = shrunken(self.values, self.covariance, np.abs(self.values))
+        mean, spread = shrink_effects(self.values, self.covariance, np.abs(self.values))
         constant = self.values == 0.0
         spread[np.ix_(constant, constant)] = self.covariance[np.ix_(constant, constant)]
         return mean, spread
@@ -120,7 +120,7 @@ def _is_constant(candidate: Candidate, selection: Selection) -> bool:
     return candidate.effect.removable and candidate.effect.key in selection.applied
 
 
-def _names(selection: Selection) -> tuple[str, ...]:
+def _list_names(selection: Selection) -> tuple[str, ...]:
     """Return the names of the model's parameters in the equations, with those of terms added."""
     equations = selection.equations
     names = [*equations.base.names, *[""] * (equations.n_parameters - equations.n_base)]
@@ -137,10 +137,12 @@ def _names(selection: Selection) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _listed(candidates: Sequence[Candidate], selection: Selection) -> str:
+def _word_candidates(candidates: Sequence[Candidate], selection: Selection) -> str:
     names = selection.equations.robot.model.joint_names
     joints: dict[str, list[str]] = {}
     for each in candidates:
         own = joints.setdefault(each.effect.title, [])
         own += [] if each.joint is None else [names[each.joint]]
-    return joined([f"{what} at {joined(at, 4)}" if at else what for what, at in joints.items()])
+    return join_names(
+        [f"{what} at {join_names(at, 4)}" if at else what for what, at in joints.items()]
+    )

@@ -14,14 +14,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
-from asbuilt.findings import Cure, joined
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.findings import Cure, join_names
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
-from asbuilt.identification.effects.found_effect import FoundEffect, found_text
+from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
 from asbuilt.identification.effects.lacking import Lacking
 from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial
@@ -29,7 +29,7 @@ from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.held_out import different_motions
+from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 if TYPE_CHECKING:
@@ -125,9 +125,9 @@ def find_effects(
     """
     wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
     own = {e.key for e in wanted if e.in_model and (applied is None or e.key in applied)}
-    search = _Search(model, drive, _thinned(samples, LIMITS.samples), wanted, own, stated)
+    search = _Search(model, drive, _thin_samples(samples, LIMITS.samples), wanted, own, stated)
     try:
-        with one_blas_thread():
+        with use_one_blas_thread():
             return search.run()
     except (AsbuiltError, np.linalg.LinAlgError) as problem:
         if stated:
@@ -184,7 +184,10 @@ class _Search:
                 selection.taken = [selection.own(each.at) for each in removed]
                 path = selection.run()
                 continue
-            values, around = _whole(first.values, own, selection), _errors(selection, path)[own.at]
+            values, around = (
+                _expand_values(first.values, own, selection),
+                _collect_errors(selection, path)[own.at],
+            )
             new = _Removed(own.at, values, around, first.alternatives)
             settled, beside = self._settled([*removed, new])
             robot = selection.equations.robot
@@ -194,9 +197,9 @@ class _Search:
                 self.impossible.add(own.at)
                 selection.taken = [selection.own(each.at) for each in removed]
             path = selection.run()
-        errors = _errors(selection, path)
-        removed = [_advanced(each, selection) for each in removed]
-        taken = [(_trial_of(each, selection), each.errors) for each in removed]
+        errors = _collect_errors(selection, path)
+        removed = [_advance_values(each, selection) for each in removed]
+        taken = [(_make_trial(each, selection), each.errors) for each in removed]
         taken += [(each, errors[each.candidate.at]) for each in path]
         added = [each.candidate for each in path if each.candidate.effect.key in self.applied]
         turned, _ = self._without([each for each in removed if each.at[0] in self.applied])
@@ -207,7 +210,7 @@ class _Search:
             if trial.candidate.at not in undetermined and self._matters(trial, of_trial)
         )
         out = [each for each in selection.taken if each not in added]
-        known = {each.at: _acting(each, selection) for each in removed}
+        known = {each.at: _select_acting(each, selection) for each in removed}
         lacking = Lacking.of(selection, out, known)
         unseen = {
             each.at: max(selection.smallest_seen(each), each.effect.least)
@@ -253,7 +256,7 @@ class _Search:
         acting = {each.at: len(each.places) for each in selection.equations.candidates}
         if missing := [each.effect.title for each in own if each.at not in acting]:
             raise UsageError(
-                f"{self.model.name} can have no {joined(missing)}: its gravity is"
+                f"{self.model.name} can have no {join_names(missing)}: its gravity is"
                 f" {self.model.gravity}"
             )
         found, beside = self._settled(
@@ -266,7 +269,7 @@ class _Search:
     def _is_sure(self, removed: _Removed, selection: Selection) -> bool:
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
         own = selection.own(removed.at)
-        values, covariance = _acting(removed, selection), selection.values_of([own])[1]
+        values, covariance = _select_acting(removed, selection), selection.values_of([own])[1]
         square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
         possible = removed.effect.is_possible(removed.values, None, selection.equations.robot)
         return possible and float(chdtrc(len(values), square)) < RULES.level
@@ -291,7 +294,7 @@ class _Search:
 
     def _best_start(self) -> _Removed | None:
         """Return the effect at the start that fits some of the samples best, if it does better."""
-        few = _thinned(self.samples, LIMITS.tried)
+        few = _thin_samples(self.samples, LIMITS.tried)
         base = find_base_parameters(self.model, self.drive)
         bound = min(each.clock_bound for each in self.samples)
 
@@ -317,12 +320,12 @@ class _Search:
         """Return effects with values that leave next to nothing, and the selection about these.
 
         All others are asked again beside columns that stay free, so that none takes what the first
-        linearisation has left. The last step, about the same values, is for `_advanced`.
+        linearisation has left. The last step, about the same values, is for `_advance_values`.
         """
         nearer = list(removed)
         for _ in range(LIMITS.rounds):
             own, selection = nearer, self._selection(nearer)
-            nearer = [_advanced(each, selection) for each in own]
+            nearer = [_advance_values(each, selection) for each in own]
             moved = [np.linalg.norm(a.values - b.values) for a, b in zip(nearer, own, strict=True)]
             if all(step < each.effect.settled for step, each in zip(moved, own, strict=True)):
                 break
@@ -364,16 +367,16 @@ class _Search:
     def _selection(self, removed: Sequence[_Removed]) -> Selection:
         """Return the selection on a robot without effects, whose columns are taken."""
         model, samples = self._without(removed)
-        base, prior = find_base_parameters(model, self.drive), cad_prior(model, self.drive)
+        base, prior = find_base_parameters(model, self.drive), build_cad_prior(model, self.drive)
         seen = accumulate_stream(model, base, samples, block_seconds=self.seconds)
         fit = fit_consistent(seen, prior)
-        groups = different_motions(seen, fit.weights)
+        groups = group_different_motions(seen, fit.weights)
         if len(groups) < LIMITS.fewest_groups:
             raise IdentifiabilityError(
                 f"{len(groups)} groups of motion of {model.name} are too few"
             )
         effect = design_effect(seen, fit)
-        robot = _described(model, self.drive, fit.standard, samples)
+        robot = _describe_robot(model, self.drive, fit.standard, samples)
         equations = gather_equations(
             robot, base, samples, effects=self.wanted, block_seconds=self.seconds
         )
@@ -409,7 +412,7 @@ class _Search:
             error_before=before,
             error_after=after,
             alternatives=others,
-            text=found_text(
+            text=describe_found_effect(
                 effect.title,
                 joint,
                 effect.size_text(trial.values, trial.covariance, revolute=revolute),
@@ -419,7 +422,7 @@ class _Search:
         )
 
 
-def _errors(selection: Selection, path: Sequence[Trial]) -> dict[At, tuple[float, float]]:
+def _collect_errors(selection: Selection, path: Sequence[Trial]) -> dict[At, tuple[float, float]]:
     """Return the held-out errors before and after each effect was taken."""
     added = [each.candidate for each in path]
     given = [each for each in selection.taken if each not in added]
@@ -427,10 +430,10 @@ def _errors(selection: Selection, path: Sequence[Trial]) -> dict[At, tuple[float
     return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(added)}
 
 
-def _advanced(removed: _Removed, selection: Selection) -> _Removed:
+def _advance_values(removed: _Removed, selection: Selection) -> _Removed:
     """Return an effect with the values that leave nothing of it, to first order."""
     own = selection.own(removed.at)
-    step = _whole(selection.values()[own.places], own, selection)
+    step = _expand_values(selection.values()[own.places], own, selection)
     found = replace(removed, values=removed.effect.advanced(removed.values, step))
     effect = removed.effect
     if effect.in_model and np.linalg.norm(found.values) > effect.farthest:
@@ -443,17 +446,17 @@ def _advanced(removed: _Removed, selection: Selection) -> _Removed:
     return found
 
 
-def _acting(removed: _Removed, selection: Selection) -> Array:
+def _select_acting(removed: _Removed, selection: Selection) -> Array:
     """Return the values of an effect that act on this robot."""
     own = selection.own(removed.at)
     return removed.values[np.isin(selection.every_place(own), own.places)]
 
 
-def _trial_of(removed: _Removed, selection: Selection) -> Trial:
+def _make_trial(removed: _Removed, selection: Selection) -> Trial:
     """Return an effect that is taken out, with its errors as beside all others."""
     own = selection.own(removed.at)
     covariance = np.zeros((len(removed.values),) * 2)
-    acts = np.flatnonzero(_whole(np.ones(len(own.places)), own, selection))
+    acts = np.flatnonzero(_expand_values(np.ones(len(own.places)), own, selection))
     slope = 1.0 + float(removed.values[0]) if removed.effect.of_shares else 1.0
     covariance[np.ix_(acts, acts)] = slope**2 * selection.values_of([own])[1]
     return Trial(
@@ -464,7 +467,7 @@ def _trial_of(removed: _Removed, selection: Selection) -> Trial:
     )
 
 
-def _whole(values: Array, own: Candidate, selection: Selection) -> Array:
+def _expand_values(values: Array, own: Candidate, selection: Selection) -> Array:
     """Return the values of all parameters of an effect, 0 for what does not act on this robot."""
     places = selection.every_place(own)
     found = np.zeros(len(places))
@@ -472,7 +475,7 @@ def _whole(values: Array, own: Candidate, selection: Selection) -> Array:
     return found
 
 
-def _described(
+def _describe_robot(
     model: RobotModel, drive: DriveSet, chi: Array, samples: Sequence[Samples]
 ) -> Described:
     """Return what columns of effects are made of."""
@@ -497,12 +500,14 @@ def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) 
         term = effect.term
         had = next((each for each in drive.terms if each.key == term.key), None)
         joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
-        drive = drive.with_term(_at(_formed(had or term, found, n_joints), joints, n_joints))
+        drive = drive.with_term(
+            _place_term(_formed(had or term, found, n_joints), joints, n_joints)
+        )
         simple = next((each for each in drive.terms if each.key == term.stands_for), None)
         if simple is not None:
             left = {k for k in range(n_joints) if simple.is_at(k)} - own
             drive = drive.without(simple.key)
-            drive = drive.with_term(_at(simple, left, n_joints)) if left else drive
+            drive = drive.with_term(_place_term(simple, left, n_joints)) if left else drive
     return drive
 
 
@@ -515,12 +520,12 @@ def _formed(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: in
     return term
 
 
-def _at(term: DriveTerm, joints: Collection[int], n_joints: int) -> DriveTerm:
+def _place_term(term: DriveTerm, joints: Collection[int], n_joints: int) -> DriveTerm:
     numbers = tuple(sorted(k + 1 for k in joints))
     return replace(term, joints=None if len(numbers) == n_joints else numbers)
 
 
-def _thinned(samples: Sequence[Samples], most: int) -> list[Samples]:
+def _thin_samples(samples: Sequence[Samples], most: int) -> list[Samples]:
     """Return spans of all recordings with at most about so many samples."""
     every = -(-sum(each.n_samples for each in samples) // most)
     if every <= 1:

@@ -96,12 +96,12 @@ class Trial:
     @property
     def relief_error(self) -> float:
         """Standard error of the mean relief."""
-        return _error_of_mean(self.relief)
+        return _estimate_mean_error(self.relief)
 
     @property
     def worth(self) -> float:
         """Fall of the cost less what as many columns take away by chance."""
-        return worth_of(self.gain, len(self.values))
+        return evaluate_worth(self.gain, len(self.values))
 
     def is_sure(self, n_candidates: int, robot: Described) -> bool:
         """Return whether the effect is no chance, is felt, and has a size that robots have."""
@@ -376,7 +376,7 @@ class Selection:
         both = np.column_stack([whole.residual, whole.moves])
         blocks = [whole.moves.T @ gram @ both for gram in self._blocks]
         left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
-        return d, _scatter(whole.schur, left, d)[0]
+        return d, _estimate_scatter(whole.schur, left, d)[0]
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""
@@ -507,11 +507,11 @@ class Selection:
             own = whole.schur[np.ix_(c, c)]
             d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
             left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
-            covariance, p_value = _scatter(own, left, d)
+            covariance, p_value = _estimate_scatter(own, left, d)
             if len(each.replaces):
                 # That a term in place of another one is zero is no question: its gain is one.
                 p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
-            held_after = np.array([_left_out(part, c, size[each.places]) for part in parts])
+            held_after = np.array([_score_left_out(part, c, size[each.places]) for part in parts])
             ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
             relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
             distance = self._distance(whole.residual + whole.moves[:, c] @ d)
@@ -554,7 +554,7 @@ class Selection:
         return found
 
 
-def worth_of(gain: float, n_columns: int) -> float:
+def evaluate_worth(gain: float, n_columns: int) -> float:
     """Return a fall of the cost less what as many columns take away by chance."""
     return gain - n_columns * float(np.log(max(gain, 1.0)))
 
@@ -588,10 +588,10 @@ def _is_same(candidate: Candidate, other: Candidate) -> bool:
 
 def _exceeds(excess: Array, standard_errors: float) -> bool:
     """Return whether the mean of differences is beyond so many standard errors."""
-    return bool(excess.mean() > standard_errors * _error_of_mean(excess))
+    return bool(excess.mean() > standard_errors * _estimate_mean_error(excess))
 
 
-def _error_of_mean(values: Array) -> float:
+def _estimate_mean_error(values: Array) -> float:
     """Return the standard error of a mean."""
     return float(values.std(ddof=1) / np.sqrt(len(values)))
 
@@ -606,7 +606,7 @@ def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Tr
     return replace(taken, alternatives=tuple(found.values()))
 
 
-def _scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
+def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     """Return the covariance by scores of blocks (B, m), and the p value of all values being 0.
 
     Hotelling's T^2 of m values with B - 1 degrees of freedom.
@@ -622,7 +622,7 @@ def _scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _left_out(part: _HeldOut, c: Indices, size: Array) -> Array:
+def _score_left_out(part: _HeldOut, c: Indices, size: Array) -> Array:
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
     own = part.fit.schur[np.ix_(c, c)]
     d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), part.fit.score[c])

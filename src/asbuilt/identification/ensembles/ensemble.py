@@ -10,18 +10,18 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
 from asbuilt.errors import IdentifiabilityError, InertiaError, UsageError
-from asbuilt.executor import Workers, results_in_order
-from asbuilt.findings import Cure, joined
-from asbuilt.identification.bodies.body_bounds import generous_bounds
-from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.executor import Workers, run_in_order
+from asbuilt.findings import Cure, join_names
+from asbuilt.identification.bodies.body_bounds import bound_generously
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
 from asbuilt.identification.bodies.plausible import WEAKEST
 from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_degrees, widening
-from asbuilt.identification.information.known_information import determined_directions
+from asbuilt.identification.information.known_information import find_determined_directions
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
@@ -41,7 +41,7 @@ UNLIKE = 2.5
 MOST = 100_000
 
 
-def consistent_draws(
+def make_draws_consistent(
     cad: CadPrior,
     base: BaseParameters,
     drawn: Array,
@@ -78,22 +78,22 @@ def consistent_draws(
         If no fit converges.
     """
     parts = [drawn[first : first + AT_ONCE] for first in range(0, len(drawn), AT_ONCE)]
-    fit = partial(_fitted, cad, base, information_root)
-    chi, chi_square = zip(*results_in_order(fit, parts, workers), strict=True)
+    fit = partial(_fit_draws, cad, base, information_root)
+    chi, chi_square = zip(*run_in_order(fit, parts, workers), strict=True)
     return np.concatenate(chi), np.concatenate(chi_square)
 
 
-def _fitted(
+def _fit_draws(
     cad: CadPrior, base: BaseParameters, information_root: Array, drawn: Array
 ) -> tuple[Array, Array]:
     """Return the consistent parameters next to the draws of a part, and their chi-squares."""
-    factors = np.stack([_factor(information_root, beta) for beta in drawn])
+    factors = np.stack([_build_factor(information_root, beta) for beta in drawn])
     weights = [*DESCENT]
     while weights[-1] > WEAKEST * 1.5:
         weights.append(weights[-1] / 10.0)
     fits, distances = list[Array](), list[Array]()
-    with one_blas_thread():
-        path = EntropicPath.of(cad, Coordinates.of(base), generous_bounds(cad))
+    with use_one_blas_thread():
+        path = EntropicPath.of(cad, Coordinates.of(base), bound_generously(cad))
         for weight in weights:
             try:
                 chi = path.unbarred(factors, weight)
@@ -115,7 +115,7 @@ def _fitted(
     return np.stack(fits)[first, every], distance[first, every] ** 2
 
 
-def _factor(root: Array, beta: Array) -> Array:
+def _build_factor(root: Array, beta: Array) -> Array:
     """Return the triangular factor of [R | R beta], shape (p + 1, p + 1)."""
     rows = np.column_stack([root, root @ beta])
     return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
@@ -225,7 +225,8 @@ def draw_ensemble(
     that was identified is drawn with its error, and parameters follow the torque scale that it
     gives: all of them if the joints share one stiffness, else the parameters of the joint's drive,
     since the links have their scale from CAD. The delay is drawn with its error. Every draw becomes
-    a physically consistent robot (`consistent_draws`), with friction and armature not below zero.
+    a physically consistent robot (`make_draws_consistent`), with friction and armature not below
+    zero.
 
     Parameters
     ----------
@@ -260,22 +261,22 @@ def draw_ensemble(
             cure=Cure("identify with physical consistency", {"method": "consistent"}),
         )
     random = np.random.default_rng(rng)
-    scale, variances, directions = determined_directions(result)
+    scale, variances, directions = find_determined_directions(result)
     size = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    drawn = result.estimates + size * _tails(result, n, random)[:, None] * (
+    drawn = result.estimates + size * _draw_tails(result, n, random)[:, None] * (
         random.normal(size=(n, len(variances))) * np.sqrt(variances) @ directions.T
     )
     kp, kd, delay, notes = None, None, None, list[str]()
     if result.servo is not None:
-        kp, factors, notes = _stiffness(result, n, random)
-        drawn = _following(result, drawn, factors)
+        kp, factors, notes = _draw_stiffness(result, n, random)
+        drawn = _scale_draws(result, drawn, factors)
         kd = np.tile(np.nan_to_num(np.array(result.servo.kd)), (n, 1))
         error = 0.0 if result.servo_errors is None else result.servo_errors.delay
         delay = np.maximum((result.servo.delay or 0.0) + error * random.normal(size=n), 0.0)
     root = (directions / np.sqrt(variances)).T * scale
-    prior = cad_prior(result.model, result.base.drive)
+    prior = build_cad_prior(result.model, result.base.drive)
     asked = np.vstack([result.estimates, drawn])
-    chi, chi_square = consistent_draws(prior, result.base, asked, root, workers=workers)
+    chi, chi_square = make_draws_consistent(prior, result.base, asked, root, workers=workers)
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
     far = chi_square > 1.0
     lead = 0.0 if result.servo_errors is None else result.servo_errors.lead
@@ -296,11 +297,11 @@ def draw_ensemble(
         ),
     )
     notes += [note for holds, note in possible if holds]
-    notes += _heavy(result, chi)
+    notes += _note_odd_masses(result, chi)
     return Ensemble(result, chi, centre, kp, kd, delay, chi_square, tuple(notes))
 
 
-def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
+def _note_odd_masses(result: IdentificationResult, drawn: Array) -> list[str]:
     """Return a note on links whose mass in the draws (N, n_standard) is far from its CAD value."""
     masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
     cad = [link.inertia.mass for link in result.model.links]
@@ -317,7 +318,7 @@ def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     ]
 
 
-def _tails(result: IdentificationResult, n: int, random: np.random.Generator) -> Array:
+def _draw_tails(result: IdentificationResult, n: int, random: np.random.Generator) -> Array:
     """Return the factor of each draw (N,) that makes a normal distribution Student's.
 
     Standard errors of nu degrees of freedom are wider than the estimate's, so that 1.96 of them
@@ -332,7 +333,7 @@ def _tails(result: IdentificationResult, n: int, random: np.random.Generator) ->
     return np.asarray(np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu])))
 
 
-def _stiffness(
+def _draw_stiffness(
     result: IdentificationResult, n: int, random: np.random.Generator
 ) -> tuple[Array, Array, list[str]]:
     """Return stiffnesses (N, n_joints), their factors, and notes."""
@@ -351,13 +352,13 @@ def _stiffness(
     if np.any(unknown):
         names = [name for name, each in zip(result.joint_names, unknown, strict=True) if each]
         notes.append(
-            f"the stiffness of the servo of {joined(names)} is undetermined: every draw has the"
+            f"the stiffness of the servo of {join_names(names)} is undetermined: every draw has the"
             " same one, and only ratios to it mean something"
         )
     return kp * factors, factors, notes
 
 
-def _following(result: IdentificationResult, drawn: Array, factors: Array) -> Array:
+def _scale_draws(result: IdentificationResult, drawn: Array, factors: Array) -> Array:
     """Return draws of base parameters that follow the torque scale of the joints."""
     if np.all(factors == factors[:, :1]):
         return drawn * factors[:, :1]

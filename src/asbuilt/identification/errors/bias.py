@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.result import IdentificationResult
@@ -52,14 +52,14 @@ class OmittedBias:
         return f"Standard errors include the bias by what the model may lack: {self.effects}."
 
 
-def shrunken(effects: Array, covariance: Array, size: Array) -> tuple[Array, Array]:
+def shrink_effects(effects: Array, covariance: Array, size: Array) -> tuple[Array, Array]:
     """Return mean (m,) and covariance (m, m) of effects of a usual size (m,).
 
     Effects are normal around zero with that standard deviation: `T (V + T)^-1 g` and `V - V (V +
     T)^-1 V` for the estimates g with covariance V (Efron and Morris, J. American Statistical
     Association 70, 1975).
 
-    >>> mean, spread = shrunken(np.array([2.0]), np.array([[1.0]]), np.array([1.0]))
+    >>> mean, spread = shrink_effects(np.array([2.0]), np.array([[1.0]]), np.array([1.0]))
     >>> mean.tolist(), spread.tolist()
     ([1.0], [[0.5]])
     """
@@ -69,7 +69,7 @@ def shrunken(effects: Array, covariance: Array, size: Array) -> tuple[Array, Arr
     return np.asarray(effects - gain @ effects), np.asarray(0.5 * (spread + spread.T))
 
 
-def moved_estimate(information: SquareRootInformation, estimate: Estimate) -> Array:
+def derive_estimate_moves(information: SquareRootInformation, estimate: Estimate) -> Array:
     """Return how an estimate moves (p, p) where weighted least squares moves.
 
     An estimate with inverse root S moves by `S S^T W^T W b` where weighted least squares moves by
@@ -120,7 +120,7 @@ def position_noise_bias(
     )
 
 
-def position_noise_findings(
+def report_position_noise(
     result: IdentificationResult,
     training: Sequence[Samples],
     densities: Sequence[Sequence[float]],
@@ -158,7 +158,8 @@ def position_noise_findings(
             "position_noise_bias",
             "warning",
             f"Noise of the positions biases {found.size} of {len(bias)} parameters by more than"
-            f" {TOO_MUCH:g} standard errors ({joined(named)} standard errors): their intervals are"
+            f" {TOO_MUCH:g} standard errors ({join_names(named)} standard errors): their"
+            " intervals are"
             " too narrow",
             Cure("lower the cutoff, log positions with finer steps"),
         ),

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
 
 from asbuilt.arrays import Array
-from asbuilt.codec import stored
+from asbuilt.codec import store_as
 from asbuilt.errors import ResultError
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 
 ErrorKind = Literal["blocks", "bootstrap", "textbook"]
 ERROR_KINDS: tuple[ErrorKind, ...] = ("blocks", "bootstrap", "textbook")
@@ -66,7 +66,7 @@ class ErrorBasis:
         blocks = f"{self.n_blocks} time blocks" + (
             f" of {self.block_seconds:.3g} s" if self.block_seconds else ""
         )
-        held = f", with {joined(self.held_fixed)} held fixed" if self.held_fixed else ""
+        held = f", with {join_names(self.held_fixed)} held fixed" if self.held_fixed else ""
         sentences = {
             "blocks": f"Standard errors (blocks): by formula from {blocks}, allowing for residual"
             f" correlation within them ({worth}).",
@@ -92,12 +92,12 @@ class ErrorBasis:
         return f"so TOO SMALL: errors from time blocks are {self.growth:.2g} times as large"
 
 
-def _packed(matrix: Array) -> dict[str, object]:
+def _pack_matrix(matrix: Array) -> dict[str, object]:
     text = base64.b64encode(np.ascontiguousarray(matrix, dtype="<f8").tobytes()).decode("ascii")
     return {"shape": list(matrix.shape), "values": text}
 
 
-def _unpacked(document: dict[str, object]) -> Array:
+def _unpack_matrix(document: dict[str, object]) -> Array:
     values = np.frombuffer(base64.b64decode(str(document["values"])), dtype="<f8")
     shape = document["shape"]
     if not isinstance(shape, list) or not np.all(np.isfinite(values)):
@@ -123,7 +123,7 @@ class BlockScatter:
         difference of two estimates it is the difference of both.
     """
 
-    moves: Array = field(metadata=stored(encode=_packed, decode=_unpacked))
+    moves: Array = field(metadata=store_as(encode=_pack_matrix, decode=_unpack_matrix))
     degrees_alone: Array
     common_variance: float = 0.0
     bias: Array | None = None
@@ -196,12 +196,12 @@ def student_probability(sigmas: Array, degrees_of_freedom: Array) -> Array:
     return np.asarray(2.0 * stdtr(np.where(np.isfinite(freedom), freedom, 1e12), -deviation))
 
 
-def summed_degrees(*parts: tuple[Array, Array]) -> Array:
+def sum_degrees(*parts: tuple[Array, Array]) -> Array:
     """Return the degrees of freedom of sums of variances, each given with its own.
 
     `(sum v)^2 / sum (v^2 / nu)` (Satterthwaite 1946; Welch 1947).
 
-    >>> summed_degrees((np.array([1.0]), np.array([9.0])), (np.array([1.0]), np.array([9.0])))
+    >>> sum_degrees((np.array([1.0]), np.array([9.0])), (np.array([1.0]), np.array([9.0])))
     array([18.])
     """
     total = np.sum([variance for variance, _ in parts], axis=0)

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.findings import Cure
 from asbuilt.identification.errors.block_scatter import COVERED
 from asbuilt.identification.errors.uncertainty import (
     FEWEST_BLOCKS,
     Uncertainty,
-    basis_of,
     block_scores,
+    choose_error_basis,
 )
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
 from asbuilt.identification.information.estimate import Estimate, Refit
@@ -103,11 +103,11 @@ def redraw(
     linear = estimate.refit is None
     draws = (DRAWS.linear_draws if linear else DRAWS.refitted_draws) if n_draws is None else n_draws
     counts = np.random.default_rng(rng).multinomial(n, np.full(n, 1.0 / n), size=draws)
-    with one_blas_thread():
+    with use_one_blas_thread():
         estimates = (
-            _stepped(information, estimate, counts)
+            _step_estimates(information, estimate, counts)
             if estimate.refit is None
-            else _refitted(information, estimate.weights, estimate.refit, counts)
+            else _refit_draws(information, estimate.weights, estimate.refit, counts)
         )
     refused = draws - len(estimates)
     if refused > DRAWS.most_failures * draws or len(estimates) < 2:
@@ -122,7 +122,7 @@ def redraw(
     return Bootstrap(np.array(estimates))
 
 
-def _stepped(
+def _step_estimates(
     information: SquareRootInformation, estimate: Estimate, counts: NDArray[np.int64]
 ) -> list[Array]:
     root = estimate.solution.inverse_root
@@ -136,7 +136,7 @@ def _stepped(
     return estimates
 
 
-def _refitted(
+def _refit_draws(
     information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]
 ) -> list[Array]:
     blocks = [information.block_stacked(b, weights) for b in range(information.n_blocks)]
@@ -159,7 +159,7 @@ def _refitted(
     return estimates
 
 
-def bootstrap_uncertainty(
+def estimate_bootstrap_uncertainty(
     information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap
 ) -> Uncertainty:
     """Return the scatter of the draws as standard errors, at least the textbook ones.
@@ -186,16 +186,16 @@ def bootstrap_uncertainty(
     covariance = covariance * np.outer(swell, swell)
     ratio = np.diag(covariance)[determined] / textbook[determined]
     basis = replace(
-        basis_of(information, "bootstrap"),
+        choose_error_basis(information, "bootstrap"),
         n_draws=len(drawn.estimates),
-        held_fixed=held_fixed(estimate),
+        held_fixed=list_fixed_choices(estimate),
         growth=float(np.sqrt(np.median(ratio))) if determined.any() else None,
     )
     share = float(np.exp(-np.mean(np.log(ratio)))) if determined.any() else 1.0
     return Uncertainty(covariance, information.n_samples * share, basis)
 
 
-def held_fixed(estimate: Estimate) -> tuple[str, ...]:
+def list_fixed_choices(estimate: Estimate) -> tuple[str, ...]:
     """Return what all bootstrap fits of an estimate share besides the blocks."""
     method = methods[estimate.method]
     reweighted = method.needs == "information" and estimate.information is not None

@@ -54,7 +54,7 @@ class CommonGrowth:
     of_noise: float = 1.0
 
 
-def common_growth(
+def estimate_common_growth(
     data: BlockScores, moves: Array, absorbed: Array, leverage: float, freedom: float
 ) -> CommonGrowth:
     """Return the factor by which block variances are too small, for three reasons.
@@ -86,9 +86,9 @@ def common_growth(
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
     pairs = _Pairs.of(moves, absorbed, leverage)
-    after = _successive(data.blocks)
-    again = np.triu(_along(repetitions(data), after), 1) & ~after
-    alike = _of_like_motion(data.alike, len(moves)) & ~after & ~again
+    after = _find_successive(data.blocks)
+    again = np.triu(_extend_to_successors(find_repetitions(data), after), 1) & ~after
+    alike = _pair_like_motion(data.alike, len(moves)) & ~after & ~again
     parts = [pairs.sum(each) for each in (after, again, alike)]
     spread = sum(each.spread for each in parts) / rank
     lasting, *shared = parts
@@ -96,13 +96,13 @@ def common_growth(
     along = of_noise + sum(each.beyond_chance(rank) for each in shared)
     share = leverage / max(data.n_rows, 1)
     seen = float(np.sum(moves**2)) / (moves.shape[1] * data.variance)
-    grown, steep = _absorbed(share, along * seen)
+    grown, steep = _evaluate_absorption(share, along * seen)
     spread /= along**2
     of_moves = 2.0 / (rank * freedom)
     return CommonGrowth(
         along * grown,
         steep**2 * spread + (steep**2 - 1.0) * of_moves,
-        of_noise * _absorbed(share, of_noise * seen)[0],
+        of_noise * _evaluate_absorption(share, of_noise * seen)[0],
     )
 
 
@@ -119,7 +119,7 @@ def effective_rank(moves: Array) -> float:
     return float(np.clip(trace**2 / max(across, 1e-12 * trace**2), 1.0, moves.shape[1]))
 
 
-def _absorbed(share: float, seen: float) -> tuple[float, float]:
+def _evaluate_absorption(share: float, seen: float) -> tuple[float, float]:
     """Return the factor for absorbed residuals, and its slope: d log D / d log D_moves."""
     left = 1.0 - 4.0 * share * seen * (1.0 - share)
     if share <= 0.0 or left >= 1.0:
@@ -129,7 +129,7 @@ def _absorbed(share: float, seen: float) -> tuple[float, float]:
     return max(float(grown), 1.0), float((1.0 - share) / root / grown) if left > LEAST_LEFT else 1.0
 
 
-def repetitions(data: BlockScores) -> Mask:
+def find_repetitions(data: BlockScores) -> Mask:
     """Return which pairs of blocks repeat a motion, the first lower, shape (n_blocks, n_blocks).
 
     Their information per sample is alike.
@@ -199,7 +199,7 @@ class _Pairs:
         )
 
 
-def _successive(blocks: Sequence[TimeBlock]) -> Mask:
+def _find_successive(blocks: Sequence[TimeBlock]) -> Mask:
     """Return which pairs of blocks are successive, the first lower."""
     found = np.zeros((len(blocks),) * 2, dtype=np.bool_)
     for b, (block, other) in enumerate(pairwise(blocks)):
@@ -209,7 +209,7 @@ def _successive(blocks: Sequence[TimeBlock]) -> Mask:
     return found
 
 
-def _along(repeated: Mask, after: Mask) -> Mask:
+def _extend_to_successors(repeated: Mask, after: Mask) -> Mask:
     """Return pairs that repeat a motion, and those of one block and the successor of the other.
 
     What successive blocks share in one recording is shared across repetitions too.
@@ -221,7 +221,7 @@ def _along(repeated: Mask, after: Mask) -> Mask:
     return found | found.T
 
 
-def _of_like_motion(groups: Sequence[Indices], n_blocks: int) -> Mask:
+def _pair_like_motion(groups: Sequence[Indices], n_blocks: int) -> Mask:
     """Return which pairs of blocks are in the same group of like motion, the first lower."""
     number = np.empty(n_blocks, dtype=np.int64)
     for k, group in enumerate(groups):

@@ -15,14 +15,14 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.common_growth import BlockScores
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, scatter_of, unit_variance
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_scatter, unit_variance
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import motions_of
-from asbuilt.identification.information.rows import Rows, TimeBlock, sample_blocks
-from asbuilt.identification.result.torque_prediction import torque_in_spans
+from asbuilt.identification.information.held_out import group_motions
+from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
+from asbuilt.identification.result.torque_prediction import predict_in_spans
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,11 +134,11 @@ class DelayColumns:
             whole.T @ found.grams @ whole,
             (found.scores - found.grams @ found.solution) @ whole,
             self.blocks,
-            motions_of(self.grams, np.array([block.n_samples for block in self.blocks])),
+            group_motions(self.grams, np.array([block.n_samples for block in self.blocks])),
             self.n_rows,
             self.variance,
         )
-        return scatter_of(data, whole[-m:]).variance
+        return estimate_scatter(data, whole[-m:]).variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +174,7 @@ class DelayErrors:
     shift: Array
 
 
-def delay_errors(
+def estimate_delay_errors(
     model: RobotModel,
     base: BaseParameters,
     estimate: Estimate,
@@ -195,7 +195,7 @@ def delay_errors(
     for place, (r, k) in enumerate(free):
         joints = slice(n) if len(samples[r].delay_errors) == 1 else slice(k, k + 1)
         shares[r, joints, place] = 1.0
-    columns = delay_columns(model, base, estimate, samples, block_seconds=block_seconds)
+    columns = build_delay_columns(model, base, estimate, samples, block_seconds=block_seconds)
     solved = columns.solve(shares, textbook=textbook)
     known = np.array([samples[r].delay_errors[k] for r, k in free])
     found = np.isfinite(np.diag(solved.covariance))
@@ -207,7 +207,7 @@ def delay_errors(
     return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(-follows @ delays))
 
 
-def delay_columns(
+def build_delay_columns(
     model: RobotModel,
     base: BaseParameters,
     estimate: Estimate,
@@ -225,11 +225,11 @@ def delay_columns(
     r = root.shape[1]
     parts: list[tuple[Array, Array, Array, Array, Array, int]] = []
     blocks: list[TimeBlock] = []
-    with one_blas_thread():
+    with use_one_blas_thread():
         every = iter(rows)
         for place, batch in enumerate(samples):
-            rates = _torque_rates(model, base, estimate.beta, batch)
-            for part in sample_blocks(model, [batch], block_seconds):
+            rates = _derive_torque_rates(model, base, estimate.beta, batch)
+            for part in divide_into_blocks(model, [batch], block_seconds):
                 late = np.array([part.filtered(rate.__getitem__) for rate in rates])
                 gram, across = np.zeros((r, r)), np.zeros((r, 2 * n))
                 own, by_delay, by_beta = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), np.zeros(r)
@@ -263,10 +263,12 @@ def delay_columns(
     )
 
 
-def _torque_rates(model: RobotModel, base: BaseParameters, beta: Array, samples: Samples) -> Array:
+def _derive_torque_rates(
+    model: RobotModel, base: BaseParameters, beta: Array, samples: Samples
+) -> Array:
     """Return the rates of torque and friction [N m/s], (2, N, n)."""
     rigid, torque = np.zeros((2, *samples.q.shape))
-    for span, *parts in torque_in_spans(model, base, beta, samples):
+    for span, *parts in predict_in_spans(model, base, beta, samples):
         rigid[span], torque[span] = parts
     rates = np.zeros((2, *torque.shape))
     for a, b in samples.segments:

@@ -12,14 +12,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.rows import sample_blocks
-from asbuilt.tables import rounded
+from asbuilt.identification.information.rows import divide_into_blocks
+from asbuilt.tables import round_with_error
 
 STEP = 1e-3
 """Relative step of a nonlinear parameter for the derivative of the torque."""
@@ -51,7 +51,7 @@ class NonlinearErrors:
         parts: dict[str, list[str]] = {}
         for place, value, error in zip(self.places, self.values, self.std_errors, strict=True):
             shown = (
-                " +- ".join(rounded(value, error))
+                " +- ".join(round_with_error(value, error))
                 if np.isfinite(error)
                 else f"{value:.3g} (undetermined)"
             )
@@ -62,7 +62,7 @@ class NonlinearErrors:
         return f"Standard errors include those of the fitted nonlinear parameters: {listed}."
 
 
-def nonlinear_errors(
+def estimate_nonlinear_errors(
     model: RobotModel,
     base: BaseParameters,
     estimate: Estimate,
@@ -90,8 +90,8 @@ def nonlinear_errors(
     r = root.shape[1]
     at = [[i for i, place in enumerate(places) if place.joint == k] for k in range(model.n_joints)]
     blocks = []
-    with one_blas_thread():
-        for part in sample_blocks(model, samples, block_seconds):
+    with use_one_blas_thread():
+        for part in divide_into_blocks(model, samples, block_seconds):
             gram = np.zeros((r + m + 1, r + m + 1))
             for chunk in part.chunks(plan, changes.of(part.samples)):
                 for k, rows in enumerate(chunk):
@@ -113,7 +113,7 @@ def nonlinear_errors(
     left = own - moved.T @ across
     # Squared part of that derivative outside all linear columns below which it is undetermined.
     determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(own)).tolist()
-    values = np.array([_value(base.drive, place) for place in places])
+    values = np.array([_read_value(base.drive, place) for place in places])
     errors = np.full(m, np.nan)
     if not determined:
         return NonlinearErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
@@ -137,7 +137,7 @@ def nonlinear_errors(
     return NonlinearErrors(tuple(places), values, errors, np.asarray(follows @ V @ follows.T))
 
 
-def _value(drive: DriveSet, place: NonlinearPlace) -> float:
+def _read_value(drive: DriveSet, place: NonlinearPlace) -> float:
     return (
         next(term for term in drive.terms if term.key == place.term)
         .at(place.joint)

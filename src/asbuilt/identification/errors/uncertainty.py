@@ -7,16 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.errors.block_scatter import (
     BlockScatter,
     ErrorBasis,
     ErrorKind,
     widening,
 )
-from asbuilt.identification.errors.common_growth import BlockScores, CommonGrowth, common_growth
+from asbuilt.identification.errors.common_growth import (
+    BlockScores,
+    CommonGrowth,
+    estimate_common_growth,
+)
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import different_motions
+from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 MOST_LEVERAGE = 0.999
@@ -54,7 +58,9 @@ class Uncertainty:
         return np.sqrt(np.diag(self.covariance))
 
 
-def block_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
+def estimate_block_uncertainty(
+    information: SquareRootInformation, estimate: Estimate
+) -> Uncertainty:
     """Estimate the errors of an estimate from the score of each time block.
 
     With `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b, in coordinates where all
@@ -64,7 +70,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     J. Business & Economic Statistics 36, 2018). It allows for any correlation within a block,
     across joints too. A variance from few blocks has few degrees of freedom nu, by Satterthwaite's
     rule (the variance of the quadratic form for independent residuals), less for what is common to
-    all variances (`common_growth`). Standard errors are widened
+    all variances (`estimate_common_growth`). Standard errors are widened
     by the ratio of Student's quantile with nu to the normal one, so that `estimate +- 1.96
     std_error` is a 95 % interval. No variance is smaller than the textbook one, and correlations
     between parameters are the textbook ones, since B blocks do not determine p (p - 1) / 2 of them.
@@ -75,18 +81,20 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     n_blocks, n_samples = information.n_blocks, information.n_samples
     if n_blocks < FEWEST_BLOCKS or estimate.rank == 0:
         return Uncertainty(
-            estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks")
+            estimate.covariance,
+            float(n_samples),
+            choose_error_basis(information, "textbook", asked="blocks"),
         )
     grams, scores = block_scores(information, estimate)
     data = BlockScores(
         grams,
         scores,
         information.blocks,
-        different_motions(information, estimate.weights),
+        group_different_motions(information, estimate.weights),
         information.n_rows,
         unit_variance(estimate),
     )
-    found = scatter_of(data, estimate.solution.inverse_root)
+    found = estimate_scatter(data, estimate.solution.inverse_root)
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     variance = np.maximum(found.variance, textbook)
@@ -98,7 +106,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     return Uncertainty(
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
-        replace(basis_of(information, "blocks"), growth=growth),
+        replace(choose_error_basis(information, "blocks"), growth=growth),
         found.scatter,
         found.common.factor / found.common.of_noise,
     )
@@ -113,16 +121,16 @@ class Scattered:
     common: CommonGrowth
 
 
-def scatter_of(data: BlockScores, root: Array) -> Scattered:
-    """Return the variances of p unknowns from time blocks, as `block_uncertainty` describes.
+def estimate_scatter(data: BlockScores, root: Array) -> Scattered:
+    """Return the variances of p unknowns from time blocks (`estimate_block_uncertainty`).
 
     `root` (p, r) turns the r whitened unknowns of the fit into these. The fit of all r absorbs
     residuals, so none may be left out.
     """
-    moves, absorbed, leverage, freedom = corrected_moves(data.grams, data.scores, root)
+    moves, absorbed, leverage, freedom = correct_moves(data.grams, data.scores, root)
     determined = np.any(root, axis=1)
     typical = float(np.median(freedom[determined])) if determined.any() else 1.0
-    common = common_growth(data, moves, absorbed, leverage, typical)
+    common = estimate_common_growth(data, moves, absorbed, leverage, typical)
     parts = np.sqrt(common.factor) * moves @ root.T
     scatter = BlockScatter.of(parts, freedom, common.variance)
     variance = np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2
@@ -135,7 +143,7 @@ def unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
-def corrected_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Array, float, Array]:
+def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Array, float, Array]:
     """Return scores of clusters corrected for their leverage as CR2 does, and what follows.
 
     The moves `(1 - M_b)^(-1/2) g_b` (B, rank), what the fit absorbs `(1 - M_b)^(-1/2) M_b`
@@ -147,7 +155,7 @@ def corrected_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Ar
     moves, absorbed, trace = np.empty_like(scores), np.empty_like(grams), 0.0
     leverages = np.empty((len(grams), root.shape[1], root.shape[0]))
     weight = np.empty((len(grams), root.shape[0]))
-    with one_blas_thread():
+    with use_one_blas_thread():
         for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
             leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
@@ -158,21 +166,23 @@ def corrected_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Ar
             weight[b] = leverage @ turned**2
             absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
             trace += float(leverage.sum())
-        freedom = _degrees_of_freedom(leverages, weight)
+        freedom = _estimate_degrees_of_freedom(leverages, weight)
     return moves, absorbed, trace, freedom
 
 
-def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
+def estimate_textbook_uncertainty(
+    information: SquareRootInformation, estimate: Estimate
+) -> Uncertainty:
     """Return the textbook covariance `s^2 (W^T W)^-1`, valid for independent residuals."""
-    growth = block_uncertainty(information, estimate).basis.growth
+    growth = estimate_block_uncertainty(information, estimate).basis.growth
     return Uncertainty(
         estimate.covariance,
         float(information.n_samples),
-        replace(basis_of(information, "textbook"), growth=growth),
+        replace(choose_error_basis(information, "textbook"), growth=growth),
     )
 
 
-def basis_of(
+def choose_error_basis(
     information: SquareRootInformation, kind: ErrorKind, *, asked: ErrorKind | None = None
 ) -> ErrorBasis:
     """Return the basis of errors from this information."""
@@ -196,7 +206,7 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
     root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
     grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
     scores = np.empty((information.n_blocks, root.shape[1]))
-    with one_blas_thread():
+    with use_one_blas_thread():
         for b in range(information.n_blocks):
             factor = information.block_stacked(b, estimate.weights)
             whitened = factor[:, :-1] @ root
@@ -204,7 +214,7 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
     return grams, scores
 
 
-def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
+def _estimate_degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     """Return Satterthwaite's `tr(G)^2 / tr(G^2)` of each parameter's variance, shape (p,).
 
     `G_bc = weight_b [b = c] - leverages_b . leverages_c`; `leverages` (n_blocks, rank, p) is `M_b
@@ -225,12 +235,13 @@ def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     return freedom
 
 
-def recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
+def estimate_recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
     """Return the variances (p,) of base parameters with whole recordings as clusters.
 
     Blocks of one recording share what the model lacks in its motion, such as a law of the servo
     that only steps show; then the scatter of blocks is too small, and that of recordings is not
-    (CR2, as in `block_uncertainty`, Student's quantile of its few degrees of freedom included).
+    (CR2, as in `estimate_block_uncertainty`, Student's quantile of its few degrees of freedom
+    included).
     Zero if there are fewer than `FEWEST_RECORDINGS`.
     """
     sources = [block.source for block in information.blocks]
@@ -241,7 +252,7 @@ def recording_variances(information: SquareRootInformation, estimate: Estimate) 
     grams, scores = block_scores(information, estimate)
     members = [number == k for k in range(len(names))]
     root = estimate.solution.inverse_root
-    moves, _, _, freedom = corrected_moves(
+    moves, _, _, freedom = correct_moves(
         np.array([grams[each].sum(axis=0) for each in members]),
         np.array([scores[each].sum(axis=0) for each in members]),
         root,

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.body_bounds import certain_bounds, generous_bounds
-from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.bodies.body_bounds import bound_generously, bound_with_certainty
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
@@ -27,22 +27,22 @@ from asbuilt.identification.bodies.drive_prior import (
 )
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, block_uncertainty
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
     STRONGEST_BELIEF,
     WEAKEST_BELIEF,
     ConsistentEstimate,
+    choose_cad_weight,
     fit_consistent,
     fit_toward_cad,
     quietest_noise,
-    supported_belief,
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.estimators.robust import (
     continue_huber,
+    estimate_outlying_share,
     huber_loss,
-    outlying_share,
     reweight,
 )
 from asbuilt.identification.information.candidate_choice import (
@@ -53,10 +53,10 @@ from asbuilt.identification.information.candidate_choice import (
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
-from asbuilt.identification.information.held_out import different_motions, folds
+from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
 from asbuilt.identification.information.random_motion import (
-    random_motion_rows,
-    recorded_rates,
+    build_random_motion_rows,
+    measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
@@ -100,7 +100,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
     1. Weighted least squares; `huber` if more than 7 % of the torques lie beyond 4 robust standard
        deviations, or the residual variance of a joint exceeds 30 robust variances.
     2. Candidates are `entropic` with weights of CAD of 25 to 1 times the design effect, as far as
-       the distance from CAD supports them (`supported_belief`; that of 1 always), `consistent`,
+       the distance from CAD supports them (`choose_cad_weight`; that of 1 always), `consistent`,
        and the values of step 1, in this order. The first is chosen whose error on other motions is
        within one standard error of the least; physically inconsistent values only if they are
        better than every consistent candidate beyond chance (Student's test).
@@ -115,7 +115,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // RULES.screened))
         robust = reweight(sample, huber_loss(), estimate, together=True)
-        share, ratio = outlying_share(sample, robust)
+        share, ratio = estimate_outlying_share(sample, robust)
         if share > RULES.outlying_share or ratio > RULES.outlying_variance:
             estimate = continue_huber(data, estimate)
             reasons.append(
@@ -126,7 +126,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
         reasons.append(f"{estimate.method}: undetermined directions are refused, not set from CAD")
         notes: tuple[str, ...] = ()
     else:
-        estimate, why, notes = _closest_to_cad(data, estimate)
+        estimate, why, notes = _choose_closest_to_cad(data, estimate)
         reasons.append(why)
     said = (f"Chosen automatically: {'; '.join(reasons)}.", *notes)
     return replace(estimate, notes=(*said, *estimate.notes))
@@ -157,11 +157,13 @@ class _Candidates:
             self.fits.append(fit)
 
 
-def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str, tuple[str, ...]]:
+def _choose_closest_to_cad(
+    data: EstimationData, free: Estimate
+) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the chosen candidate, why it was chosen, and notes."""
     information = free.information or data.information
-    prior = with_drive_scale(cad_prior(data.model, data.base.drive), information)
-    with one_blas_thread():
+    prior = with_drive_scale(build_cad_prior(data.model, data.base.drive), information)
+    with use_one_blas_thread():
         free = _with_drive_prior(information, free, prior)
         try:
             consistent = fit_consistent(information, prior)
@@ -170,16 +172,19 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
         effect = design_effect(information, consistent)
         masses = data.model.has_masses
         weights = [effect * each for each in RULES.beliefs] if masses else []
-        groups = different_motions(information, consistent.weights)
-        parts = [(used.together(), held.together()) for used, held in folds(information, groups)]
+        groups = group_different_motions(information, consistent.weights)
+        parts = [
+            (used.together(), held.together())
+            for used, held in divide_into_folds(information, groups)
+        ]
         if len(parts) < RULES.fewest_folds:
-            return _unvalidated(information, prior, free, consistent, masses)
-        candidates = _candidates(information, prior, free, consistent, weights, parts)
-        rates = None if data.samples is None else recorded_rates(data.samples)
-        motion = random_motion_rows(data.loading or data.model, data.base, rates)
+            return _fit_usual_weight(information, prior, free, consistent, masses)
+        candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
+        rates = None if data.samples is None else measure_recorded_rates(data.samples)
+        motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
         motion *= np.resize(consistent.weights, len(motion))[:, None]
         free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
-        return _chosen(
+        return _choose_converging(
             information,
             free,
             candidates,
@@ -233,7 +238,7 @@ def design_effect(information: SquareRootInformation, estimate: Estimate) -> flo
     """
     if information.n_blocks < FEWEST_BLOCKS:
         return RULES.design_effect
-    found = block_uncertainty(information, estimate)
+    found = estimate_block_uncertainty(information, estimate)
     effective = found.effective_samples * found.shared
     return max(1.0, information.n_samples / max(effective, 1.0))
 
@@ -249,7 +254,7 @@ def prior_information(information: SquareRootInformation, prior: CadPrior) -> Ar
     return np.asarray(np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size))
 
 
-def _candidates(
+def _fit_candidates(
     information: SquareRootInformation,
     prior: CadPrior,
     free: Estimate,
@@ -267,15 +272,15 @@ def _candidates(
             yield each
 
     if weights:
-        path = EntropicPath.of(prior, Coordinates.of(information.base), certain_bounds(prior))
+        path = EntropicPath.of(prior, Coordinates.of(information.base), bound_with_certainty(prior))
         factors = np.array(
             [each.stacked(of_joints) for each in (*(t for t, _ in parts), information)]
         )
-        rough, weights = _supported_fits(
+        rough, weights = _fit_supported_weights(
             path,
             factors,
             weights,
-            lambda chi, weight: supported_belief(information, prior, of_joints, chi, weight),
+            lambda chi, weight: choose_cad_weight(information, prior, of_joints, chi, weight),
         )
     for weight in weights:
         name = f"entropic (weight {weight:.3g})"
@@ -288,7 +293,7 @@ def _candidates(
             partial(np.matmul, rough[weight][:-1], K.T),
             partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
         )
-    conic = ConicProblem.of(prior, K, generous_bounds(prior))
+    conic = ConicProblem.of(prior, K, bound_generously(prior))
     candidates.add(
         "consistent",
         WEAKEST_BELIEF,
@@ -305,7 +310,7 @@ def _candidates(
     return candidates
 
 
-def _supported_fits(
+def _fit_supported_weights(
     path: EntropicPath,
     factors: Array,
     weights: list[float],
@@ -330,7 +335,7 @@ def _supported_fits(
     return rough, kept
 
 
-def _chosen(
+def _choose_converging(
     information: SquareRootInformation,
     free: Estimate,
     candidates: _Candidates,
@@ -340,7 +345,7 @@ def _chosen(
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
     while True:
         if not candidates.known:
-            return free, f"{free.method}: no other fit converged", _failures(candidates)
+            return free, f"{free.method}: no other fit converged", _name_failures(candidates)
         choice = choose()
         try:
             fit = candidates.fits[choice.chosen]()
@@ -362,9 +367,13 @@ def _chosen(
         error += f", {choice.sentence(len(choice.candidates) - 1)}"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
-    notes = (choice.motion_note, *_failures(candidates), *(() if masses else (SCALE_OF_TORQUE,)))
+    notes = (
+        choice.motion_note,
+        *_name_failures(candidates),
+        *(() if masses else (SCALE_OF_TORQUE,)),
+    )
     if fit is not free:
-        return _joined(information, fit, free), why, notes
+        return _join_notes(information, fit, free), why, notes
     if _is_consistent(information, free):
         return free, why, notes
     finding = Finding(
@@ -377,7 +386,7 @@ def _chosen(
     return replace(free, findings=(*free.findings, finding)), why, notes
 
 
-def _unvalidated(
+def _fit_usual_weight(
     information: SquareRootInformation,
     prior: CadPrior,
     free: Estimate,
@@ -393,18 +402,18 @@ def _unvalidated(
         except AsbuiltError:
             why += f", and entropic (weight {weight:g}) did not converge"
         else:
-            return _joined(information, fit, free), f"entropic (weight {weight:g}): {why}", ()
-    return _joined(information, consistent, free), f"consistent: {why}", ()
+            return _join_notes(information, fit, free), f"entropic (weight {weight:g}): {why}", ()
+    return _join_notes(information, consistent, free), f"consistent: {why}", ()
 
 
-def _failures(candidates: _Candidates) -> tuple[str, ...]:
+def _name_failures(candidates: _Candidates) -> tuple[str, ...]:
     """Return a note that names the candidates that did not converge."""
     if not candidates.failed:
         return ()
     return (f"Left out, since the fit did not converge: {', '.join(candidates.failed)}",)
 
 
-def _joined(information: SquareRootInformation, fit: Estimate, free: Estimate) -> Estimate:
+def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimate) -> Estimate:
     """Return a fit with notes and findings of the free one, and a finding if it fits far worse."""
     fit = replace(
         fit,

@@ -9,15 +9,15 @@ import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import UsageError
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.identification.bodies.body_bounds import (
     BodyBounds,
-    certain_bounds,
-    generous_bounds,
+    bound_generously,
+    bound_with_certainty,
 )
-from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
+from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, build_cad_prior
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
 from asbuilt.identification.bodies.drive_prior import with_drive_scale
 from asbuilt.identification.bodies.entropic_fit import Coordinates
@@ -79,7 +79,7 @@ class ConsistentEstimate(Estimate):
 )
 def estimate_consistent(data: EstimationData) -> ConsistentEstimate:
     """Estimate the physically consistent parameters of least torque error by a conic program."""
-    return fit_consistent(data.information, _prior(data))
+    return fit_consistent(data.information, _build_prior(data))
 
 
 @estimator(
@@ -91,7 +91,7 @@ def estimate_consistent(data: EstimationData) -> ConsistentEstimate:
 )
 def estimate_entropic(data: EstimationData) -> ConsistentEstimate:
     """Estimate with an entropic prior around CAD, its weight chosen by held-out time blocks."""
-    return fit_toward_cad(data.information, _prior(data), metric="entropic")
+    return fit_toward_cad(data.information, _build_prior(data), metric="entropic")
 
 
 @estimator(
@@ -103,13 +103,13 @@ def estimate_entropic(data: EstimationData) -> ConsistentEstimate:
 )
 def estimate_euclidean(data: EstimationData) -> ConsistentEstimate:
     """Estimate with a quadratic prior around CAD, its weight chosen by held-out time blocks."""
-    return fit_toward_cad(data.information, _prior(data), metric="euclidean")
+    return fit_toward_cad(data.information, _build_prior(data), metric="euclidean")
 
 
-def _prior(data: EstimationData) -> CadPrior:
+def _build_prior(data: EstimationData) -> CadPrior:
     if data.undetermined == "refuse":
         fit_least_squares(data.information, undetermined="refuse")
-    return with_drive_scale(cad_prior(data.model, data.base.drive), data.information)
+    return with_drive_scale(build_cad_prior(data.model, data.base.drive), data.information)
 
 
 def fit_consistent(
@@ -121,17 +121,17 @@ def fit_consistent(
 ) -> ConsistentEstimate:
     """Minimise `sum_k w_k^2 |tau_k - W_k K chi|^2` over physically consistent parameters chi.
 
-    Every link has `P_i >= SMALLEST_PART P0_i`, within `bounds` (`generous_bounds` by default).
+    Every link has `P_i >= SMALLEST_PART P0_i`, within `bounds` (`bound_generously` by default).
     Without `weights` they are 1 / sigma_k of a consistent fit, after two iterations. Undetermined
     directions stay next to CAD.
     """
-    limits = generous_bounds(prior) if bounds is None else bounds
-    with one_blas_thread():
+    limits = bound_generously(prior) if bounds is None else bounds
+    with use_one_blas_thread():
         problem = ConicProblem.of(prior, information.base.regrouping, limits)
-        w, rounds = _joint_weights(information, problem, weights)
+        w, rounds = _fit_joint_weights(information, problem, weights)
         fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
-        active = joined([limits.labels[j] for j in near], 8) if len(near) else "none"
+        active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
         note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
         return _estimate(
             "consistent",
@@ -167,11 +167,15 @@ def fit_toward_cad(
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"unknown metric {metric!r}; available: entropic, euclidean")
     base = information.base
-    limits = certain_bounds(prior) if bounds is None else certain_bounds(prior).and_also(bounds)
+    limits = (
+        bound_with_certainty(prior)
+        if bounds is None
+        else bound_with_certainty(prior).and_also(bounds)
+    )
 
-    with one_blas_thread():
+    with use_one_blas_thread():
         conic = ConicProblem.of(prior, base.regrouping, limits)
-        w, rounds = _joint_weights(information, conic, weights)
+        w, rounds = _fit_joint_weights(information, conic, weights)
         path = EntropicPath.of(prior, Coordinates.of(base), limits)
 
         def roughly(factors: Array, weight: float) -> Array:
@@ -216,7 +220,7 @@ def quietest_noise(information: SquareRootInformation) -> Array:
     return np.where(information.has_torque, least, np.inf)
 
 
-def _joint_weights(
+def _fit_joint_weights(
     information: SquareRootInformation, problem: ConicProblem, weights: Array | None
 ) -> tuple[Array, int]:
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
@@ -269,7 +273,7 @@ def _estimate(
     base = information.base
     free = fit_least_squares(information, weights=weights, prior=base.regrouping @ prior.parameters)
     beta = base.regrouping @ chi
-    belief, root = _belief_and_root(
+    belief, root = _estimate_belief_and_root(
         information,
         prior,
         weights,
@@ -311,7 +315,7 @@ def _estimate(
     )
 
 
-def _known_masses(prior: CadPrior) -> Array:
+def _weigh_known_masses(prior: CadPrior) -> Array:
     """Return rows (k, n_standard) over standard deviations of masses known within two limits."""
     known = [each for each in prior.mass_ranges if np.isfinite(each[2])]
     rows = np.zeros((len(known), len(prior.parameters)))
@@ -320,7 +324,7 @@ def _known_masses(prior: CadPrior) -> Array:
     return rows
 
 
-def supported_belief(
+def choose_cad_weight(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
 ) -> float:
     """Return the weight of CAD that the distance of a fit from CAD supports.
@@ -328,10 +332,10 @@ def supported_belief(
     As many determined parameters as twice the divergence times the weight: the estimate of the
     precision of a prior by MacKay, Neural Computation 4, 1992. `chi` is the fit with `weight`.
     """
-    return _supported(*_stacked(information, prior, weights, chi), prior, chi, weight)
+    return _estimate_weight(*_stack_rows(information, prior, weights, chi), prior, chi, weight)
 
 
-def _stacked(
+def _stack_rows(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array
 ) -> tuple[Array, Array, Array]:
     """Return rows of the data, of CAD with unit weight, and of drives and known masses."""
@@ -342,13 +346,13 @@ def _stacked(
     roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
     drives = np.sqrt(prior.drive_weight) / prior.drive_scale[:, None] * free[inertial:]
-    known = _known_masses(prior) @ free
+    known = _weigh_known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
     return data, bodies, np.vstack([drives, known])
 
 
-def _inverse_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
+def _invert_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
     """Return the inverse of the triangular root of the information."""
     triangle, _, _, _ = lapack.dgeqrf(
         np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, others])), overwrite_a=True
@@ -357,23 +361,25 @@ def _inverse_root(data: Array, bodies: Array, others: Array, belief: float) -> A
     return np.asarray(solve_triangular(np.triu(triangle[:p]), np.eye(p)))
 
 
-def _supported(
+def _estimate_weight(
     data: Array, bodies: Array, others: Array, prior: CadPrior, chi: Array, weight: float
 ) -> float:
     """Return the weight of CAD that the distance of `chi` supports."""
-    root = _inverse_root(data, bodies, others, weight)
+    root = _invert_root(data, bodies, others, weight)
     determined = len(bodies) - float(np.sum((np.sqrt(weight) * bodies @ root) ** 2))
     moved = 2.0 * float(prior.strength @ prior.divergence(chi))
     return max(determined, 1.0) / max(moved, float(np.finfo(np.float64).tiny))
 
 
-def _belief_and_root(
+def _estimate_belief_and_root(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
 ) -> tuple[float, Array]:
     """Return the belief in CAD and the root (p, p) of the covariance of beta."""
-    data, bodies, others = _stacked(information, prior, weights, chi)
-    belief = min(weight, STRONGEST_BELIEF, _supported(data, bodies, others, prior, chi, weight))
+    data, bodies, others = _stack_rows(information, prior, weights, chi)
+    belief = min(
+        weight, STRONGEST_BELIEF, _estimate_weight(data, bodies, others, prior, chi, weight)
+    )
     p = information.base.n_base
-    wide = _inverse_root(data, bodies, others, belief)[:p]
+    wide = _invert_root(data, bodies, others, belief)[:p]
     triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
     return belief, np.asarray(np.triu(triangle[:p]).T)

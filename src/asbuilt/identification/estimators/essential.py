@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import fdtri
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.findings import joined
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.findings import join_names
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate
@@ -42,14 +42,14 @@ def estimate_essential(data: EstimationData) -> Estimate:
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
-    effective = block_uncertainty(information, start).effective_samples
+    effective = estimate_block_uncertainty(information, start).effective_samples
     share = min(1.0, effective / information.n_samples)
     n_rows = information.n_rows
     freedom = max(n_rows * share - start.rank, 1.0)
     variance = start.solution.residual_energy / max(n_rows - start.rank, 1)
     kept = np.flatnonzero(start.determined)
     dropped: list[int] = []
-    with one_blas_thread():
+    with use_one_blas_thread():
         factor = information.stacked(start.weights)
         loss = 0.0
         fixed = start.beta.copy()
@@ -84,7 +84,7 @@ def estimate_essential(data: EstimationData) -> Estimate:
     names = [base.names[j] for j in sorted(dropped)]
     note = (
         f"{len(kept)} of {base.n_base} parameters are essential at the {100 * SIGNIFICANCE:g} %"
-        f" level; set to zero: {joined(names, MOST_LISTED)}."
+        f" level; set to zero: {join_names(names, MOST_LISTED)}."
         if names
         else "Every parameter is essential."
     )

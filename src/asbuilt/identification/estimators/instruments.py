@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import mass_matrix
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
@@ -80,13 +80,14 @@ def estimate_iv(data: EstimationData) -> Estimate:
     start = estimate_wls(data)
     estimate, moves, iterations = start, np.inf, 0
     hertz = max(
-        RULES.lowest, RULES.bandwidths * max(_bandwidth(samples) for samples in data.batches)
+        RULES.lowest,
+        RULES.bandwidths * max(_measure_bandwidth(samples) for samples in data.batches),
     )
     while moves > RULES.convergence and iterations < RULES.most_iterations:
         simulated = [
             follow(data.model, base, estimate.beta, samples, hertz) for samples in data.batches
         ]
-        renewed = _instrumented(data, start, data.rows_of(simulated))
+        renewed = _fit_two_stages(data, start, data.rows_of(simulated))
         moves = float(
             np.max(
                 np.abs(renewed.beta - estimate.beta)
@@ -128,14 +129,14 @@ def follow(
     inertias.
     """
     samples = samples.compact()
-    links, armature, inertia = _inertia(
+    links, armature, inertia = _estimate_inertia(
         model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
     )
     w = 2.0 * np.pi * bandwidth
     substeps = max(1, int(np.ceil(w / samples.rate / RULES.step)))
     h = 1.0 / (samples.rate * substeps)
     q, qd, qdd = (np.array(x) for x in (samples.q, samples.qd, samples.qdd))
-    first, length, lead = _segments(samples)
+    first, length, lead = _split_segments(samples)
     at = np.maximum(first - lead, 0)
     state, rate = samples.q[at].copy(), samples.qd[at].copy()
     identity = np.eye(model.n_joints)
@@ -168,7 +169,7 @@ def follow(
     return replace(samples, q=q, qd=qd, qdd=qdd)
 
 
-def _inertia(
+def _estimate_inertia(
     model: RobotModel, base: BaseParameters, beta: Array, postures: Array
 ) -> tuple[Array, Array, Array]:
     """Return inertial parameters, armatures and mean joint inertias of the simulated robot."""
@@ -191,7 +192,9 @@ def _inertia(
     return np.zeros(10 * model.n_links), np.ones(model.n_joints), np.ones(model.n_joints)
 
 
-def _segments(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _split_segments(
+    samples: Samples,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return first sample, length and lead-in of each segment, none across a gap."""
     longest = max(1, -(-samples.n_samples // RULES.segments))
     first, length, lead = [], [], []
@@ -203,7 +206,7 @@ def _segments(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], N
     return np.array(first), np.array(length), np.array(lead)
 
 
-def _bandwidth(samples: Samples) -> float:
+def _measure_bandwidth(samples: Samples) -> float:
     """Return the frequency [Hz] below which 95 % of the velocity's power lies (longest segment)."""
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
@@ -217,11 +220,11 @@ def _bandwidth(samples: Samples) -> float:
     )
 
 
-def _instrumented(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
+def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
     """Return the estimate by two-stage least squares: W projected on Z, then the torque on that."""
     information, rows, base = data.information, data.rows, data.base
     p, n, weights = base.n_base, information.n_joints, start.weights
-    with one_blas_thread():
+    with use_one_blas_thread():
         growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
         for z, block in zip(instruments, rows, strict=True):
             for k, support in enumerate(rows.support):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.methods import estimator
@@ -77,9 +77,9 @@ def fit_least_squares(
         )
     seen = information.has_torque
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
-    w = np.where(seen, positive_weights(given, seen), 0.0)
+    w = np.where(seen, check_weights(given, seen), 0.0)
     iterations, converged, ahead = 0, True, _Extrapolation()
-    with one_blas_thread():
+    with use_one_blas_thread():
         while True:
             iterations += 1
             if not iterated:
@@ -93,7 +93,7 @@ def fit_least_squares(
         solution = solve_factor(information.stacked(w), rows, toward)
         sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
-        raise _refusal(information, solution)
+        raise _make_refusal(information, solution)
     variance = solution.residual_energy / max(rows - solution.rank, 1)
     return Estimate(
         method="ols" if weights is None else "wls",
@@ -103,7 +103,8 @@ def fit_least_squares(
         weights=w,
         solution=solution,
         undetermined=tuple(
-            combination(direction, information.base.names) for direction in solution.open_directions
+            format_combination(direction, information.base.names)
+            for direction in solution.open_directions
         ),
         determined=np.all(np.abs(solution.open_directions) <= NEGLIGIBLE_COEFFICIENT, axis=0),
         iterations=iterations,
@@ -162,10 +163,10 @@ def estimate_wls(data: EstimationData) -> Estimate:
     )
 
 
-def combination(direction: Array, names: tuple[str, ...]) -> str:
+def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     """Return a direction as readable text, largest coefficient 1 in front.
 
-    >>> combination(np.array([0.0, -0.5, 1.0]), ("Ixx1", "mx2", "Fv1"))
+    >>> format_combination(np.array([0.0, -0.5, 1.0]), ("Ixx1", "mx2", "Fv1"))
     'Fv1 - 0.5 mx2'
     """
     order = np.argsort(-np.abs(direction), kind="stable")
@@ -179,9 +180,12 @@ def combination(direction: Array, names: tuple[str, ...]) -> str:
     return text + (f" + ... ({len(shown) - MOST_TERMS} more)" if len(shown) > MOST_TERMS else "")
 
 
-def _refusal(information: SquareRootInformation, solution: FactorSolution) -> IdentifiabilityError:
+def _make_refusal(
+    information: SquareRootInformation, solution: FactorSolution
+) -> IdentifiabilityError:
     names = [
-        combination(direction, information.base.names) for direction in solution.open_directions
+        format_combination(direction, information.base.names)
+        for direction in solution.open_directions
     ]
     listed = "; ".join(names[:8]) + (f"; and {len(names) - 8} more" if len(names) > 8 else "")
     return IdentifiabilityError(
@@ -195,7 +199,7 @@ def _refusal(information: SquareRootInformation, solution: FactorSolution) -> Id
     )
 
 
-def positive_weights(weights: ArrayLike, seen: Mask) -> Array:
+def check_weights(weights: ArrayLike, seen: Mask) -> Array:
     """Return weights of n joints as an array, positive where `seen` (n,); else `UsageError`."""
     w, n = np.asarray(weights, dtype=np.float64), len(seen)
     if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w[seen] <= 0):

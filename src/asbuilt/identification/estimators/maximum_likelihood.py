@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.estimators.least_squares import (
     WEIGHT_CONVERGENCE,
     estimate_wls,
@@ -50,7 +50,7 @@ def estimate_ml(data: EstimationData) -> Estimate:
     n, p, n_samples = information.n_joints, base.n_base, information.n_samples
     floor = noise_floor(information)
     every = np.arange(p)
-    with one_blas_thread():
+    with use_one_blas_thread():
         growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
         for block in rows:
             growing.append(np.vstack(block.rows))

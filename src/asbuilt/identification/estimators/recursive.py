@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.identification.estimators.least_squares import positive_weights
+from asbuilt.identification.estimators.least_squares import check_weights
 from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 
 
@@ -69,7 +69,7 @@ class RecursiveIdentification:
         prior_strength: float = 0.0,
     ) -> None:
         n, p = model.n_joints, base.n_base
-        w = np.ones(n) if weights is None else positive_weights(weights, np.ones(n, dtype=np.bool_))
+        w = np.ones(n) if weights is None else check_weights(weights, np.ones(n, dtype=np.bool_))
         if not 0.0 < forgetting <= 1.0:
             raise UsageError(
                 f"the forgetting factor must lie above 0 and be at most 1, got {forgetting}; 0.999"

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.drive_prior import with_drive_rows, with_drive_scale
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import Weighted
-from asbuilt.identification.information.held_out import folds
+from asbuilt.identification.information.held_out import divide_into_folds
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
@@ -40,15 +40,15 @@ def estimate_ridge(data: EstimationData) -> Estimate:
     information, base = data.information, data.base
     start = estimate_wls(data)
     prior = data.prior_values
-    drives = with_drive_scale(cad_prior(data.model, base.drive), information)
+    drives = with_drive_scale(build_cad_prior(data.model, base.drive), information)
 
     def weighted_rows(part: SquareRootInformation) -> Weighted:
         factor = with_drive_rows(part.stacked(start.weights), base, drives)
         return Weighted.factored(factor, part.n_rows, prior)
 
     errors = np.zeros(len(RIDGES))
-    with one_blas_thread():
-        for training, held in folds(information):
+    with use_one_blas_thread():
+        for training, held in divide_into_folds(information):
             weighted, test = weighted_rows(training), held.stacked(start.weights)
             for i, ridge in enumerate(RIDGES):
                 error = test @ np.append(-weighted.solve(ridge).x, 1.0)

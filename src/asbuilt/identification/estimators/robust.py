@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate, noise_floor
@@ -86,7 +86,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
     By iteratively reweighted least squares; sigma_k is 1.4826 times the median absolute residual of
     joint k. Errors are those of least squares on pseudo-values `W beta + sigma rho'(r) / s` with
     weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981,
-    chapter 7, with s = mean(rho''); here `_slope_where_it_counts` lowers s, since outliers of a
+    chapter 7, with s = mean(rho''); here `_average_informed_slope` lowers s, since outliers of a
     robot cluster where its joints reverse.
     """
     return continue_huber(data, estimate_wls(data))
@@ -94,7 +94,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
 
 def continue_huber(data: EstimationData, start: Estimate) -> Estimate:
     """Continue weighted least squares as `estimate_huber` does."""
-    return _robust(data, "huber", huber_loss(), start)
+    return _fit_robust(data, "huber", huber_loss(), start)
 
 
 @estimator(
@@ -110,7 +110,7 @@ def estimate_bisquare(data: EstimationData) -> Estimate:
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
     start = estimate_huber(data)
-    return _robust(data, "bisquare", bisquare_loss(), start, scale=start.sigma)
+    return _fit_robust(data, "bisquare", bisquare_loss(), start, scale=start.sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,13 +140,16 @@ def reweight(
     floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
     parts = data.rows.parts if together else data.rows.by_block
-    with one_blas_thread():
+    with use_one_blas_thread():
         while not converged and iterations < ROBUST.most_iterations:
-            residuals = _residuals(parts(), support, beta)
+            residuals = _evaluate_residuals(parts(), support, beta)
             if scale is None and iterations < ROBUST.scale_iterations:
                 sigma = np.array(
                     [
-                        max(ROBUST.mad_to_sigma * float(np.median(np.abs(_counting(e)))), floor)
+                        max(
+                            ROBUST.mad_to_sigma * float(np.median(np.abs(_drop_uncounted(e)))),
+                            floor,
+                        )
                         for e in residuals
                     ]
                 ) + np.where(information.has_torque, 0.0, np.inf)
@@ -168,18 +171,18 @@ def reweight(
     return Reweighted(beta, sigma, iterations, converged)
 
 
-def _robust(
+def _fit_robust(
     data: EstimationData, name: str, loss: Loss, start: Estimate, scale: Array | None = None
 ) -> Estimate:
     """Return the estimate that the iteration from a `start` reaches, with its errors."""
     reached = reweight(data, loss, start, scale)
     information, rows, sigma = data.information, data.rows, reached.sigma
     root = start.solution.inverse_root / start.weights.max()
-    with one_blas_thread():
-        residuals = _residuals(rows.by_block(), rows.support, reached.beta)
+    with use_one_blas_thread():
+        residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
         standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
         slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
-        slope = slope * _slope_where_it_counts(rows, residuals, sigma, slope, loss, root)
+        slope = slope * _average_informed_slope(rows, residuals, sigma, slope, loss, root)
 
         def pseudo() -> Iterator[RowBlock]:
             for b, block in enumerate(rows):
@@ -221,7 +224,7 @@ def _robust(
     )
 
 
-def _slope_where_it_counts(
+def _average_informed_slope(
     rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array
 ) -> float:
     """Return the part of the mean slopes (n,) that the information has.
@@ -247,15 +250,15 @@ def _slope_where_it_counts(
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
-def outlying_share(data: EstimationData, robust: Reweighted) -> tuple[float, float]:
+def estimate_outlying_share(data: EstimationData, robust: Reweighted) -> tuple[float, float]:
     """Return the share of outliers, and the largest residual variance in robust variances."""
-    residuals = _residuals(data.rows.parts(), data.rows.support, robust.beta)
-    standard = [_counting(e) / s for e, s in zip(residuals, robust.sigma, strict=True)]
+    residuals = _evaluate_residuals(data.rows.parts(), data.rows.support, robust.beta)
+    standard = [_drop_uncounted(e) / s for e, s in zip(residuals, robust.sigma, strict=True)]
     share = float(np.mean([np.mean(np.abs(r) > ROBUST.outlying) for r in standard]))
     return share, max(float(np.mean(r**2)) for r in standard)
 
 
-def _residuals(
+def _evaluate_residuals(
     parts: Iterable[tuple[Array, ...]], support: Sequence[Indices], beta: Array
 ) -> list[list[Array]]:
     """Return residuals per joint and part of the rows."""
@@ -266,7 +269,7 @@ def _residuals(
     return [list(joint) for joint in zip(*found, strict=True)]
 
 
-def _counting(residuals: Sequence[Array]) -> Array:
+def _drop_uncounted(residuals: Sequence[Array]) -> Array:
     """Return the residuals of a joint without those of rows that do not count, which are zero."""
     together = np.concatenate(residuals)
     counting = together[together != 0.0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.least_squares import estimate_wls
@@ -43,7 +43,7 @@ def estimate_total(data: EstimationData) -> Estimate:
     information, base = data.information, data.base
     start = estimate_wls(data)
     prior = data.prior_values
-    with one_blas_thread():
+    with use_one_blas_thread():
         factor = information.stacked(start.weights)
         length = np.linalg.norm(factor[:, :-1], axis=0)
         scale = np.where(length > 0, length, 1.0)

@@ -126,7 +126,7 @@ def choose_candidate(
     )
     root = information.stacked(joint_weights)[:-1, :-1]
     random_rows = triangular_factor(random_motion) / np.sqrt(len(random_motion))
-    random_rows, whole = _determined(random_rows, root), root.T @ root
+    random_rows, whole = _project_determined(random_rows, root), root.T @ root
     roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
     used = [each.T @ each for each in roots]
     held_rows = [
@@ -138,12 +138,15 @@ def choose_candidate(
     for c, each in enumerate(candidates):
         weighted = each.weight * prior_information
         on_groups = np.array(
-            [_leverage(rows, gram, weighted) for rows, gram in zip(held_rows, used, strict=True)]
+            [
+                _evaluate_leverage(rows, gram, weighted)
+                for rows, gram in zip(held_rows, used, strict=True)
+            ]
         )
-        on_random = _leverage(random_rows, whole, weighted)
+        on_random = _evaluate_leverage(random_rows, whole, weighted)
         beyond[c] = extrapolation_variance * max(on_random - float(on_groups.mean()), 0.0)
         mean = max(float(on_groups.mean()), np.finfo(np.float64).tiny)
-        novelty = mean / max(_leverage(own, whole, weighted), np.finfo(np.float64).tiny)
+        novelty = mean / max(_evaluate_leverage(own, whole, weighted), np.finfo(np.float64).tiny)
         reach = on_random / mean
     totals = errors + beyond[:, None]
     consistent = [c for c, each in enumerate(candidates) if each.certain]
@@ -166,7 +169,7 @@ def _exceeds(excess: Array, standard_errors: float) -> bool:
     return bool(excess.mean() > standard_errors * excess.std(ddof=1) / np.sqrt(len(excess)))
 
 
-def _determined(rows: Array, root: Array) -> Array:
+def _project_determined(rows: Array, root: Array) -> Array:
     """Return rows without what they have in directions that no block excites."""
     length = np.linalg.norm(root, axis=0)
     scale = np.where(length > 0.0, length, 1.0)
@@ -175,7 +178,7 @@ def _determined(rows: Array, root: Array) -> Array:
     return np.asarray(((rows / scale) @ kept.T) @ kept * scale)
 
 
-def _leverage(rows: Array, gram: Array, prior: Array) -> float:
+def _evaluate_leverage(rows: Array, gram: Array, prior: Array) -> float:
     """Return the trace of `rows (gram + prior)^-1 rows^T`."""
     gram = gram + prior
     size = np.sqrt(np.diag(gram))

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.codec import stored
+from asbuilt.codec import store_as
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import JointFactors, SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import JointFactors, SampleBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import (
-    packed_triangle,
-    unpacked_triangle,
-    widened,
+    pack_triangle,
+    unpack_triangle,
+    widen_factor,
 )
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ TILT = "tilt"
 """Column of the torque that a tilt which was found adds to the weight of the links by design."""
 HELD_BACK = 3
 """Without held-out recordings every so many blocks of the data used are held out."""
-TRIANGLES = stored(
-    encode=lambda factors: [packed_triangle(factor) for factor in factors],
-    decode=lambda texts: tuple(unpacked_triangle(text) for text in texts),
+TRIANGLES = store_as(
+    encode=lambda factors: [pack_triangle(factor) for factor in factors],
+    decode=lambda texts: tuple(unpack_triangle(text) for text in texts),
 )
 """Factors are stored as upper triangles, row by row, as base64 of little-endian doubles."""
 
@@ -47,8 +47,8 @@ class CauseData:
     (p_k + 1, p_k + 1). A change x of the parameters changes the torque by `A x`.
     """
 
-    joint_names: tuple[str, ...] = field(metadata=stored(key="joints"))
-    names: tuple[str, ...] = field(metadata=stored(key="columns"))
+    joint_names: tuple[str, ...] = field(metadata=store_as(key="joints"))
+    names: tuple[str, ...] = field(metadata=store_as(key="columns"))
     support: tuple[Indices, ...]
     fitted: tuple[Array, ...] = field(metadata=TRIANGLES)
     judged: tuple[Array, ...] = field(metadata=TRIANGLES)
@@ -84,7 +84,7 @@ class CauseData:
     def whole(self, factors: tuple[Array, ...]) -> tuple[Array, ...]:
         """Return factors (p_k + 1, p + 1) with a column for every name and the torque last."""
         return tuple(
-            widened(factor, support, len(self.names))
+            widen_factor(factor, support, len(self.names))
             for support, factor in zip(self.support, factors, strict=True)
         )
 
@@ -133,11 +133,11 @@ def gather_cause_data(
         q = part.samples.q
         two[place].add(part, lambda span: [gravity_torque(turning, q[span]) for _ in tilts])
 
-    with one_blas_thread():
-        for part in sample_blocks(model, judged, block_seconds):
+    with use_one_blas_thread():
+        for part in divide_into_blocks(model, judged, block_seconds):
             sources[part.samples.source] = None
             add(1, part)
-        for number, part in enumerate(sample_blocks(model, fitted, block_seconds)):
+        for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
             held_back = not sources and number % HELD_BACK == HELD_BACK - 1
             add(1 if held_back else 0, part)
         factors = [reduction.factors() for reduction in two]

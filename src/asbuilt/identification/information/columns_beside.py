@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import axes_across
+from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.newton_euler import gravity_torque
 
 
@@ -35,7 +35,7 @@ class ColumnsBeside:
     @classmethod
     def tilts(cls, model: RobotModel) -> ColumnsBeside:
         """Return the columns of two base tilts."""
-        axes = axes_across(model.gravity)
+        axes = find_axes_across(model.gravity)
         return cls(tuple(model.with_gravity(np.cross(model.gravity, axis)) for axis in axes))
 
     @property

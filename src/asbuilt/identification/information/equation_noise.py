@@ -21,7 +21,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.contact import contact_basis
-from asbuilt.dynamics.drives.torque import usual_drive
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -53,22 +53,22 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
     """
     if not model.contacts or any(each.contact is None for each in samples):
         return tuple(samples)
-    base = find_base_parameters(model, usual_drive(model, samples[0].torque_source))
+    base = find_base_parameters(model, choose_usual_drive(model, samples[0].torque_source))
     seen = accumulate_stream(model, base, samples)
-    squares = seen.residual_energy(_described(model, seen)) / seen.n_samples
-    shares = np.mean([_squared_projection(model, each) for each in samples], axis=0)
+    squares = seen.residual_energy(_complete_description(model, seen)) / seen.n_samples
+    shares = np.mean([_average_squared_projection(model, each) for each in samples], axis=0)
     group = np.array(
         [
             2 if k >= model.n_floating else int(model.joints[k].is_revolute)
             for k in range(len(shares))
         ]
     )
-    variances = equation_variances(shares @ np.eye(3)[group], squares)
+    variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
     noise = np.sqrt(variances / variances[2])[group]
     return tuple(replace(each, noise=tuple(noise.tolist())) for each in samples)
 
 
-def _described(model: RobotModel, seen: SquareRootInformation) -> Array:
+def _complete_description(model: RobotModel, seen: SquareRootInformation) -> Array:
     """Return base parameters (p,) as described; what the description lacks is fitted."""
     values, factor = design_values(model, seen.base), seen.stacked()
     unknown = np.isnan(values)
@@ -79,14 +79,14 @@ def _described(model: RobotModel, seen: SquareRootInformation) -> Array:
     return values
 
 
-def equation_variances(shares: Array, squares: Array) -> Array:
+def solve_equation_variances(shares: Array, squares: Array) -> Array:
     """Return variances x (m,) of independent noise for which `shares x` is `squares`.
 
     `shares` (n, m) are mean squares of the projection and `squares` (n,) mean squares of residuals.
     The updates raise the likelihood of normal residuals (Fevotte, Bertin and Durrieu, Neural
     Computation 21, 2009, with exponent 1/2), from equal variances on.
 
-    >>> equation_variances(np.array([[1.0, 0.0], [0.5, 0.5]]), np.array([4.0, 2.5])).round(2)
+    >>> solve_equation_variances(np.array([[1.0, 0.0], [0.5, 0.5]]), np.array([4.0, 2.5])).round(2)
     array([4., 1.])
     """
     squares = np.maximum(squares, squares.max() / RULES.largest_ratio**2)
@@ -97,7 +97,7 @@ def equation_variances(shares: Array, squares: Array) -> Array:
     return np.asarray(np.maximum(x, x.max() / RULES.largest_ratio**2))
 
 
-def _squared_projection(model: RobotModel, samples: Samples) -> Array:
+def _average_squared_projection(model: RobotModel, samples: Samples) -> Array:
     """Return the mean of `P_kj^2` (n, n) over samples."""
     assert samples.contact is not None
     at = np.linspace(0, samples.t.size - 1, min(RULES.samples, samples.t.size)).astype(np.int64)

@@ -136,14 +136,16 @@ def residual_deviation(
 
     Joints whose rows were mixed, since contact forces were projected away, have one noise.
     """
-    spent = _spent(information, inverse_root, weights)
+    spent = _measure_leverage(information, inverse_root, weights)
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
     if information.mixed:
         energy, spent = np.full_like(energy, energy.mean()), np.full_like(spent, spent.mean())
     return np.asarray(np.sqrt(energy / np.maximum(information.n_samples - spent, 1.0)))
 
 
-def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:
+def _measure_leverage(
+    information: SquareRootInformation, inverse_root: Array, weights: Array
+) -> Array:
     """Return the trace (n,) of each joint's part of the hat matrix; the sum is the rank."""
     parts = []
     for support, factor, weight in zip(

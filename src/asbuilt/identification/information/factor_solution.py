@@ -107,10 +107,10 @@ class Weighted:
             rank=rank,
             residual_energy=float(error @ error),
             inverse_root=inverse_root,
-            open_directions=_echelon(self.null, self.scale),
+            open_directions=_reduce_to_echelon(self.null, self.scale),
             singular_values=self.singular_values,
-            condition_number=_ratio(plain, rank),
-            scaled_condition_number=_ratio(self.singular_values, rank),
+            condition_number=_evaluate_condition(plain, rank),
+            scaled_condition_number=_evaluate_condition(self.singular_values, rank),
         )
 
 
@@ -138,7 +138,7 @@ def solve_fast(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array,
     return solution.x, solution.inverse_root
 
 
-def _echelon(null: Array, scale: Array) -> Array:
+def _reduce_to_echelon(null: Array, scale: Array) -> Array:
     """Return rows that span the rows of `null` / `scale`, few non-zeros, largest coefficient 1."""
     if len(null) == 0:
         return np.zeros((0, len(scale)))
@@ -150,7 +150,7 @@ def _echelon(null: Array, scale: Array) -> Array:
     return np.asarray(rows[np.argsort(pivots[: len(null)])])
 
 
-def _ratio(singular_values: Array, rank: int) -> float:
+def _evaluate_condition(singular_values: Array, rank: int) -> float:
     p = len(singular_values)
     return (
         float(singular_values[0] / singular_values[-1])

@@ -18,14 +18,14 @@ DIFFERENT_MOTIONS = 6
 """Groups of different motion that are held out; each is then about a sixth of a recording."""
 
 
-def neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
+def group_neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
     """Return the blocks in groups of neighbours, so that lasting residuals do not leak."""
     count = min(n_groups, n_blocks)
     number = np.arange(n_blocks) * count // max(n_blocks, 1)
     return [np.flatnonzero(number == group) for group in range(count)]
 
 
-def different_motions(
+def group_different_motions(
     information: SquareRootInformation, weights: Array, most: int = DIFFERENT_MOTIONS
 ) -> list[Indices]:
     """Return the blocks in groups of like motion, so that no twin of a held-out block is left.
@@ -35,13 +35,13 @@ def different_motions(
     """
     roots = (information.block_stacked(b, weights)[:, :-1] for b in range(information.n_blocks))
     grams = np.array([root.T @ root for root in roots])
-    return motions_of(grams, np.array([block.n_samples for block in information.blocks]), most)
+    return group_motions(grams, np.array([block.n_samples for block in information.blocks]), most)
 
 
-def motions_of(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS) -> list[Indices]:
+def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS) -> list[Indices]:
     """Return blocks of information (B, p, p) and so many samples (B,) in groups of like motion."""
     if len(grams) <= 2:
-        return neighbours(len(grams))
+        return group_neighbours(len(grams))
     length = np.sqrt(np.diag(grams.sum(axis=0)))
     scale = np.where(length > 0.0, length, 1.0) / np.sqrt(n_samples.sum())
     upper = np.triu_indices(len(scale))
@@ -54,24 +54,24 @@ def motions_of(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS) ->
     return [np.flatnonzero(group == each) for each in np.unique(group)]
 
 
-def folds(
+def divide_into_folds(
     information: SquareRootInformation, groups: Sequence[Indices] | None = None
 ) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
     """Yield the blocks to train on and those held out, group by group; nothing for one group."""
     every = np.arange(information.n_blocks)
-    groups = neighbours(information.n_blocks) if groups is None else groups
+    groups = group_neighbours(information.n_blocks) if groups is None else groups
     for group in groups if len(groups) > 1 else ():
         yield information.select(np.setdiff1d(every, group)), information.select(group)
 
 
-def held_out_errors(
+def measure_held_out_errors(
     information: SquareRootInformation,
     fit: Callable[[SquareRootInformation], Array],
     groups: Sequence[Indices] | None = None,
 ) -> tuple[Array, Array]:
     """Return squared torque errors (n_folds, n) on held-out groups, and each beta (n_folds, p)."""
     betas, errors = [], []
-    for training, held in folds(information, groups):
+    for training, held in divide_into_folds(information, groups):
         betas.append(fit(training))
         errors.append(held.residual_energy(betas[-1]) / held.n_samples)
     return np.array(errors), np.array(betas)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-def determined_directions(
+def find_determined_directions(
     result: IdentificationResult, *, with_bias: bool = True
 ) -> tuple[Array, Array, Array]:
     """Return scale (p,), variances (r,) and directions V (p, r) of the information of a result.
@@ -42,7 +42,7 @@ def known_information(result: IdentificationResult) -> Array:
     Undetermined directions and dropped parameters carry no information. The information allows for
     correlated residuals, since the standard errors do.
     """
-    scale, variances, directions = determined_directions(result)
+    scale, variances, directions = find_determined_directions(result)
     inverse = (directions / variances) @ directions.T
     information: Array = inverse * np.outer(scale, scale)
     return information

@@ -24,7 +24,7 @@ Joints without limits turn through the whole circle or slide by a metre.
 RANDOM_SEED = 2015
 
 
-def random_motion_rows(
+def build_random_motion_rows(
     model: RobotModel, base: BaseParameters, rates: tuple[Array, Array] | None = None
 ) -> Array:
     """Return the observation matrix (N n, p) of random motion within limits, always the same.
@@ -33,7 +33,7 @@ def random_motion_rows(
     deviations `rates`, each (n,).
     """
     rng = np.random.default_rng(RANDOM_SEED)
-    q = random_positions(model, rng)
+    q = draw_positions(model, rng)
     qd, qdd = (
         (rng.uniform(-RANDOM_RATE, RANDOM_RATE, q.shape) for _ in range(2))
         if rates is None
@@ -42,7 +42,7 @@ def random_motion_rows(
     return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
 
 
-def random_positions(model: RobotModel, rng: np.random.Generator) -> Array:
+def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
     """Return positions (N, n) that are uniform within the limits."""
     limits = [joint.limits for joint in model.joints]
     reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
@@ -61,7 +61,7 @@ def random_positions(model: RobotModel, rng: np.random.Generator) -> Array:
     return np.asarray(rng.uniform(low, high, (RANDOM_STATES, model.n_joints)))
 
 
-def recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
+def measure_recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
     """Return the standard deviations of velocities and accelerations of samples, each (n,)."""
     count, sums = 0, np.zeros(0)
     for batch, span in ((each, span) for each in samples for span in each.spans()):

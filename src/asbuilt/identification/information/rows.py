@@ -135,7 +135,7 @@ class SampleBlock:
             yield filtered
 
 
-def sample_blocks(
+def divide_into_blocks(
     model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None
 ) -> Iterator[SampleBlock]:
     """Yield the time blocks of samples, each within one contiguous segment.
@@ -242,7 +242,7 @@ class Rows:
         own = tuple(self._samples)
         if self._held is None or self._less or not all(map(_same_motion, own, samples)):
             return False
-        parts = sample_blocks(self._plan.model, samples, self._block_seconds)
+        parts = divide_into_blocks(self._plan.model, samples, self._block_seconds)
         for part, block in zip(islice(parts, 0, None, self._every), self._held, strict=True):
             for rows, torque in zip(
                 block.rows, part.filtered(part.samples.tau.__getitem__), strict=True
@@ -270,7 +270,7 @@ class Rows:
         kept: list[RowBlock] | None = []
         size = 0
         for part in islice(
-            sample_blocks(self._plan.model, self._samples, self._block_seconds),
+            divide_into_blocks(self._plan.model, self._samples, self._block_seconds),
             0,
             None,
             self._every,

@@ -18,13 +18,18 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.batches import available_cores, chosen_threads
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.batches import choose_threads, count_cores
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.findings import Cure
 from asbuilt.identification.information.columns_beside import ColumnsBeside
-from asbuilt.identification.information.rows import RowBlock, SampleBlock, TimeBlock, sample_blocks
+from asbuilt.identification.information.rows import (
+    RowBlock,
+    SampleBlock,
+    TimeBlock,
+    divide_into_blocks,
+)
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
@@ -342,10 +347,10 @@ def accumulate_stream(
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + n_beside)
     gathered = _Gathering(beside)
     pending: deque[Future[_Reduced]] = deque()
-    workers = chosen_threads(threads, available_cores())
-    with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
-        for part in sample_blocks(model, stream, block_seconds):
-            pending.append(pool.submit(_reduced, plan, part, beside))
+    workers = choose_threads(threads, count_cores())
+    with use_one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
+        for part in divide_into_blocks(model, stream, block_seconds):
+            pending.append(pool.submit(_reduce_block, plan, part, beside))
             gathered.seconds = max(gathered.seconds, part.seconds)
             if len(pending) > 2 * workers:
                 gathered.add(pending.popleft().result())
@@ -368,7 +373,7 @@ def reduce_rows(
 ) -> SquareRootInformation:
     """Reduce rows of an estimator, such as reweighted ones; joint k has columns `support[k]`."""
     gathered = _Gathering()
-    with one_blas_thread():
+    with use_one_blas_thread():
         for block in blocks:
             gathered.seconds = max(gathered.seconds, block.seconds)
             factors = []
@@ -392,7 +397,7 @@ class _Reduced:
     products: tuple[Array, ...] = ()
 
 
-def _reduced(plan: RegressorPlan, part: SampleBlock, beside: ColumnsBeside | None) -> _Reduced:
+def _reduce_block(plan: RegressorPlan, part: SampleBlock, beside: ColumnsBeside | None) -> _Reduced:
     growing = [
         GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, part.n_outputs))
         for columns in plan.support
@@ -426,8 +431,8 @@ class _Gathering:
         if self._beside is not None and block.products:
             self._beside.add(block.products)
             block = _Reduced(block.factors, block.torque_sum, block.time)
-        if self.blocks and _near(self.blocks[-1].time, block.time, self.seconds):
-            self.blocks[-1] = _merged(self.blocks[-1], block)
+        if self.blocks and _is_successor(self.blocks[-1].time, block.time, self.seconds):
+            self.blocks[-1] = _merge_blocks(self.blocks[-1], block)
         else:
             self.blocks.append(block)
         if len(self.blocks) > 2 * MOST_BLOCKS:
@@ -454,12 +459,12 @@ class _Gathering:
         )
 
 
-def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
+def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
     # Length of a merged block in block lengths; segments are cut into equal parts of other lengths.
     return earlier.source == later.source and 0.0 < later.stop - earlier.start <= 1.2 * seconds
 
 
-def _merged(earlier: _Reduced, later: _Reduced) -> _Reduced:
+def _merge_blocks(earlier: _Reduced, later: _Reduced) -> _Reduced:
     factors = tuple(
         triangular_factor(np.vstack(pair))
         for pair in zip(earlier.factors, later.factors, strict=True)

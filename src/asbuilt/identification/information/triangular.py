@@ -20,22 +20,22 @@ def triangular_factor(rows: Array) -> Array:
     return growing.factor()
 
 
-def widened(factor: Array, support: Indices, p: int) -> Array:
+def widen_factor(factor: Array, support: Indices, p: int) -> Array:
     """Return a factor of the columns `support` and the torque with all p columns and the torque."""
     wide = np.zeros((len(factor), p + 1))
     wide[:, np.append(support, p)] = factor
     return wide
 
 
-def packed_triangle(matrix: Array) -> str:
+def pack_triangle(matrix: Array) -> str:
     """Return the upper triangle of a matrix by rows, as base64 of little-endian doubles."""
     return base64.b64encode(matrix[np.triu_indices(len(matrix))].astype("<f8").tobytes()).decode(
         "ascii"
     )
 
 
-def unpacked_triangle(text: str) -> Array:
-    """Return the upper triangular matrix (p, p) of `packed_triangle`.
+def unpack_triangle(text: str) -> Array:
+    """Return the upper triangular matrix (p, p) of `pack_triangle`.
 
     Raises ValueError if the text does not hold p (p + 1) / 2 numbers.
     """
@@ -46,9 +46,9 @@ def unpacked_triangle(text: str) -> Array:
     return triangle
 
 
-def unpacked_symmetric(text: str) -> Array:
+def unpack_symmetric(text: str) -> Array:
     """Return the symmetric matrix (p, p) whose upper triangle was packed."""
-    upper = unpacked_triangle(text)
+    upper = unpack_triangle(text)
     return upper + np.triu(upper, 1).T
 
 

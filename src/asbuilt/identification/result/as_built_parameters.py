@@ -9,9 +9,9 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.identification.bodies.standard_parameters import (
     StandardParameters,
-    standard_parameters,
+    find_standard_parameters,
 )
-from asbuilt.identification.information.known_information import determined_directions
+from asbuilt.identification.information.known_information import find_determined_directions
 from asbuilt.identification.result.result import IdentificationResult
 
 
@@ -26,19 +26,19 @@ def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> 
     """
     root = None
     if not any(parameter.dropped for parameter in result.parameters):
-        scale, variances, directions = determined_directions(result, with_bias=False)
+        scale, variances, directions = find_determined_directions(result, with_bias=False)
         root = (directions / np.sqrt(variances)).T * scale
-    return standard_parameters(
+    return find_standard_parameters(
         result.model,
         result.base,
         result.estimates,
         nearest=nearest,
-        information=_torque_information(result),
+        information=_add_up_torque_information(result),
         uncertainty_root=root,
     )
 
 
-def _torque_information(result: IdentificationResult) -> Array:
+def _add_up_torque_information(result: IdentificationResult) -> Array:
     """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used.
 
     From the cause data, or else the inverse of the textbook covariance.

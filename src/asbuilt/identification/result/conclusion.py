@@ -21,12 +21,12 @@ from asbuilt.identification.bodies.consistency import (
 from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
-from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
+from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.estimation_findings import estimation_findings
-from asbuilt.identification.result.free_values import free_values
+from asbuilt.identification.result.estimation_findings import report_estimation
+from asbuilt.identification.result.free_values import fit_free_values
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 
@@ -90,7 +90,9 @@ def conclude(
         Other fields of the result: `provenance`, `chain`, `holdout`, `digests`, `cause_data`.
     """
     base, design = information.base, design_values(model, information.base)
-    uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
+    uncertainty = uncertainty or estimate_block_uncertainty(
+        estimate.information or information, estimate
+    )
     further_errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
     free_errors = list(further_errors)
     if omitted is not None:
@@ -108,14 +110,14 @@ def conclude(
                 else scatter.beside(added, None if omitted is None else omitted.bias)
             ),
         )
-    parameters = _parameters(information, estimate, uncertainty, design)
+    parameters = _list_parameters(information, estimate, uncertainty, design)
     try:
         margin: float | None = consistency_margin(base, estimate.beta)
     except IdentifiabilityError:
         margin = None
     consistent = None if margin is None else margin_is_consistent(margin, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
-    estimation = estimation_findings(
+    estimation = report_estimation(
         parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
     )
     return IdentificationResult(
@@ -136,9 +138,9 @@ def conclude(
         condition_number=estimate.solution.condition_number,
         scaled_condition_number=estimate.solution.scaled_condition_number,
         undetermined=estimate.undetermined,
-        train=train or information_metrics(information, estimate.beta),
+        train=train or measure_errors_by_information(information, estimate.beta),
         validation=tuple(validation),
-        cad=cad or information_metrics(information, np.nan_to_num(design, nan=0.0)),
+        cad=cad or measure_errors_by_information(information, np.nan_to_num(design, nan=0.0)),
         physically_consistent=None if consistent is None else consistent and not non_passive,
         consistency_margin=margin,
         findings=(*estimation, *findings),
@@ -149,7 +151,7 @@ def conclude(
         free=(
             None
             if estimate.method == "wls"
-            else free_values(
+            else fit_free_values(
                 information,
                 design,
                 np.sum(free_errors, axis=0) if free_errors else None,
@@ -160,7 +162,7 @@ def conclude(
     )
 
 
-def information_metrics(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
+def measure_errors_by_information(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
     """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN."""
     n = information.n_samples
     error, energy = information.residual_energy(beta), information.torque_energy
@@ -178,11 +180,11 @@ def information_metrics(information: SquareRootInformation, beta: Array) -> Torq
         )
 
 
-def _parameters(
+def _list_parameters(
     information: SquareRootInformation, estimate: Estimate, uncertainty: Uncertainty, design: Array
 ) -> tuple[IdentifiedParameter, ...]:
     base = information.base
-    poor = _poorly_determined(information, estimate, uncertainty, design)
+    poor = _find_poorly_determined(information, estimate, uncertainty, design)
     dropped = (
         np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
     )
@@ -208,7 +210,7 @@ def _parameters(
     )
 
 
-def _poorly_determined(
+def _find_poorly_determined(
     information: SquareRootInformation, estimate: Estimate, uncertainty: Uncertainty, design: Array
 ) -> NDArray[np.bool_]:
     error = uncertainty.std_errors

@@ -11,13 +11,13 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_basis
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.information.known_information import known_information
-from asbuilt.tables import share, significant
+from asbuilt.tables import format_share, round_significant
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
@@ -145,20 +145,21 @@ class Determination:
             ),
         )
         found = [
-            f"{what} ({len(names)}): {joined(names, MOST_LISTED)}.{remark}"
+            f"{what} ({len(names)}): {join_names(names, MOST_LISTED)}.{remark}"
             for what, names, remark in classes
             if names
         ]
         for each in self.combinations:
             found.append(
                 f"Correlated: {each.text} hardly changes the torque of this recording. The error of"
-                f" {each.names[0]} is {significant(each.spread, 2)} times its error with the others"
+                f" {each.names[0]} is {round_significant(each.spread, 2)} times its error with"
+                " the others"
                 " known."
             )
         for tip in self.advice:
             found.append(
                 f"{LIMITS.seconds:g} s more of {tip.motion} would reduce the errors of"
-                f" {joined(tip.names, MOST_LISTED)} to about {share(tip.ratio, 0)}."
+                f" {join_names(tip.names, MOST_LISTED)} to about {format_share(tip.ratio, 0)}."
             )
         return tuple(found)
 
@@ -204,16 +205,16 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
         determined & (error <= LIMITS.well * size),
         determined & (error > LIMITS.poor * size),
     )
-    with one_blas_thread():
+    with use_one_blas_thread():
         information = known_information(result)
         negligible = hardly & ~np.array(
             [parameter.poorly_determined for parameter in result.parameters]
         )
-        combinations = _combinations(result, information, determined)
+        combinations = _find_combinations(result, information, determined)
         weak = weak_parameters(result)
         # A base that floats does not take poses: `leg_advice` has the motions of legs.
         asked = motions and weak.size and not result.model.n_floating
-        advice = _advice(result, information, weak) if asked else ()
+        advice = _choose_advice(result, information, weak) if asked else ()
     return Determination(
         well=tuple(names[well]),
         fairly=tuple(names[determined & ~well & ~hardly]),
@@ -226,7 +227,7 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     )
 
 
-def spring_findings(result: IdentificationResult) -> tuple[Finding, ...]:
+def report_springs(result: IdentificationResult) -> tuple[Finding, ...]:
     """Report springs, with the masses that no motion of this recording tells them apart from."""
     base, names = result.base, result.model.joint_names
     springs = {
@@ -238,10 +239,10 @@ def spring_findings(result: IdentificationResult) -> tuple[Finding, ...]:
     }
     masses = np.flatnonzero((base.columns < 10 * result.model.n_links) & (result.std_errors > 0))
     found = [
-        (each.name, joined([base.names[j] for j in instead]))
+        (each.name, join_names([base.names[j] for j in instead]))
         for k, each in enumerate(result.parameters)
         if each.name in springs and each.std_error > LIMITS.well * abs(each.estimate)
-        if (instead := _instead(result, k, masses)).size
+        if (instead := _find_replacements(result, k, masses)).size
     ]
     return tuple(
         Finding(
@@ -259,7 +260,7 @@ def spring_findings(result: IdentificationResult) -> tuple[Finding, ...]:
     )
 
 
-def _instead(result: IdentificationResult, k: int, others: Indices) -> Indices:
+def _find_replacements(result: IdentificationResult, k: int, others: Indices) -> Indices:
     """Return which of the other parameters take the place of parameter k, the closest first.
 
     None do if its error with the others known is not much smaller, or too large to tell it from 0.
@@ -279,7 +280,7 @@ def _instead(result: IdentificationResult, k: int, others: Indices) -> Indices:
     return np.asarray(others[order[close][:MOST_NAMED]])
 
 
-def _combinations(
+def _find_combinations(
     result: IdentificationResult, information: Array, determined: Mask
 ) -> tuple[Combination, ...]:
     """Return directions of large variance with unit diagonal information, the largest first."""
@@ -307,7 +308,7 @@ def _combinations(
             f"{name} {'up' if vector[i] * vector[part[0]] > 0 else 'down'}"
             for i, name in zip(part, listed, strict=True)
         ]
-        found.append(Combination(tuple(listed), joined(moves, MOST_NAMED), spread))
+        found.append(Combination(tuple(listed), join_names(moves, MOST_NAMED), spread))
     return tuple(found)
 
 
@@ -334,15 +335,22 @@ def error_ratios(
     independent as those recorded.
     """
     independent = result.effective_samples / max(result.duration, 1e-9) * LIMITS.seconds
-    before, ceiling = _errors(information, weak)
+    before, ceiling = _predict_errors(information, weak)
     return np.array(
-        [_errors(information + independent * each, weak, ceiling)[0] / before for each in extras]
+        [
+            _predict_errors(information + independent * each, weak, ceiling)[0] / before
+            for each in extras
+        ]
     )
 
 
-def _advice(result: IdentificationResult, information: Array, weak: Indices) -> tuple[Advice, ...]:
+def _choose_advice(
+    result: IdentificationResult, information: Array, weak: Indices
+) -> tuple[Advice, ...]:
     """Return the motions that help the weak parameters: slow poses, one joint at a time, all."""
-    texts, states = zip(*((text, state) for text, *state in _motions(result.model)), strict=True)
+    texts, states = zip(
+        *((text, state) for text, *state in _draw_motions(result.model)), strict=True
+    )
     extras = (sample_information(result, *each) for each in states)
     table = error_ratios(result, information, weak, extras)
     some = (slice(0, 1), slice(1, -1), slice(1, -1), slice(-1, None))
@@ -379,7 +387,9 @@ def best_motions(
     return tuple(found)
 
 
-def _errors(information: Array, weak: Indices, scale: Array | None = None) -> tuple[Array, Array]:
+def _predict_errors(
+    information: Array, weak: Indices, scale: Array | None = None
+) -> tuple[Array, Array]:
     """Return the standard errors of the weak parameters, and the scaling used."""
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -414,7 +424,7 @@ def sample_information(
     return total / len(q)
 
 
-def _motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]]:
+def _draw_motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]]:
     """Yield kinds of motion: name, and states q, qd and qdd (draws, n) within the limits."""
     bounds = MotionBounds.assumed(model)
     rng = np.random.default_rng(0)

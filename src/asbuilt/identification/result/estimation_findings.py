@@ -6,19 +6,19 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.errors.block_scatter import TELLING_GROWTH
 from asbuilt.identification.errors.uncertainty import Uncertainty
 from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.result.result import IdentifiedParameter
-from asbuilt.tables import plus_minus
+from asbuilt.tables import format_plus_minus
 
 MOST_DIRECTIONS, MOST_NAMES = 6, 12
 
 
-def estimation_findings(
+def report_estimation(
     parameters: Sequence[IdentifiedParameter],
     estimate: Estimate,
     uncertainty: Uncertainty,
@@ -31,15 +31,15 @@ def estimation_findings(
     are consistent or that is unknown; `non_passive` names drive parameters below zero.
     """
     return (
-        *_determination_findings(parameters, estimate),
-        *_error_findings(estimate, uncertainty),
-        *_consistency_findings(parameters, inconsistent, non_passive),
-        *_convergence_findings(estimate),
+        *_report_determination(parameters, estimate),
+        *_report_errors(estimate, uncertainty),
+        *_report_consistency(parameters, inconsistent, non_passive),
+        *_report_convergence(estimate),
         *estimate.findings,
     )
 
 
-def _determination_findings(
+def _report_determination(
     parameters: Sequence[IdentifiedParameter], estimate: Estimate
 ) -> Iterator[Finding]:
     if estimate.undetermined:
@@ -47,7 +47,7 @@ def _determination_findings(
             "not_excited",
             "warning",
             "Not excited by this recording, kept at CAD:"
-            f" {joined(estimate.undetermined, MOST_DIRECTIONS)}",
+            f" {join_names(estimate.undetermined, MOST_DIRECTIONS)}",
             Cure("move these joints more, or leave out drive terms"),
         )
     poor = [parameter.name for parameter in parameters if parameter.poorly_determined]
@@ -56,7 +56,7 @@ def _determination_findings(
             "poorly_determined",
             "info",
             f"{len(poor)} parameters have standard errors above half their value:"
-            f" {joined(poor, MOST_NAMES)}",
+            f" {join_names(poor, MOST_NAMES)}",
             Cure("record longer, enrich the motion, or leave out drive terms"),
         )
     condition = estimate.solution.scaled_condition_number
@@ -70,7 +70,7 @@ def _determination_findings(
         )
 
 
-def _error_findings(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Finding]:
+def _report_errors(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Finding]:
     basis, blocks = uncertainty.basis, {"errors": "blocks"}
     if basis.kind == "textbook" and basis.growth is None:
         yield Finding(
@@ -112,7 +112,7 @@ def _error_findings(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Fi
         )
 
 
-def _consistency_findings(
+def _report_consistency(
     parameters: Sequence[IdentifiedParameter],
     inconsistent: float | None,
     non_passive: Sequence[str],
@@ -128,7 +128,7 @@ def _consistency_findings(
         )
     if non_passive:
         listed = [
-            f"{parameter.name} {plus_minus(parameter.estimate, parameter.std_error)}"
+            f"{parameter.name} {format_plus_minus(parameter.estimate, parameter.std_error)}"
             for parameter in parameters
             if parameter.name in non_passive
         ]
@@ -144,7 +144,7 @@ def _consistency_findings(
         )
 
 
-def _convergence_findings(estimate: Estimate) -> Iterator[Finding]:
+def _report_convergence(estimate: Estimate) -> Iterator[Finding]:
     if not estimate.converged:
         cure = (
             Cure("check that no joint is free of noise")

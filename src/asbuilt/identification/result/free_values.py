@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.codec import stored
+from asbuilt.codec import store_as
 from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import BlockScatter
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import packed_triangle, unpacked_symmetric
+from asbuilt.identification.information.triangular import pack_triangle, unpack_symmetric
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +26,7 @@ class FreeValues:
     """
 
     estimates: Array
-    covariance: Array = field(metadata=stored(encode=packed_triangle, decode=unpacked_symmetric))
+    covariance: Array = field(metadata=store_as(encode=pack_triangle, decode=unpack_symmetric))
     textbook_std_errors: Array
     determined: NDArray[np.bool_]
     scatter: BlockScatter | None = None
@@ -45,7 +45,7 @@ class FreeValues:
         return np.sqrt(np.diag(self.covariance))
 
 
-def free_values(
+def fit_free_values(
     information: SquareRootInformation,
     toward: ArrayLike,
     beside: Array | None = None,
@@ -65,7 +65,7 @@ def free_values(
         Bias (p,) whose square is part of it.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
-    uncertainty = block_uncertainty(information, fitted)
+    uncertainty = estimate_block_uncertainty(information, fitted)
     covariance, scatter = uncertainty.covariance, uncertainty.scatter
     if beside is not None:
         covariance = covariance + beside

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.motions.on_legs import leg_motions
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.result.determination import (
     LIMITS,
@@ -40,13 +40,13 @@ def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tu
     """
     if result.model.n_floating != 6:
         return ()
-    with one_blas_thread():
+    with use_one_blas_thread():
         advice, weak = leg_advice(result, samples)
     if not advice:
         return ()
     parts = [
         f"of {each.motion} {'would at least halve' if k == 0 else ''} those of {len(each.names)}"
-        f" ({joined(each.names, NAMES)})".replace("  ", " ")
+        f" ({join_names(each.names, NAMES)})".replace("  ", " ")
         for k, each in enumerate(advice)
     ]
     return (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain, stored
+from asbuilt.codec import make_plain, store_as
 from asbuilt.errors import ResultError
 
 
@@ -33,7 +33,7 @@ class TorqueMetrics:
     """
 
     source: str
-    joint_names: tuple[str, ...] = field(metadata=stored(key="joints"))
+    joint_names: tuple[str, ...] = field(metadata=store_as(key="joints"))
     n_samples: int
     rms: Array
     max_abs: Array
@@ -57,7 +57,7 @@ class TorqueMetrics:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, None for what is undefined, ready for JSON."""
-        document: dict[str, Any] = plain(self)
+        document: dict[str, Any] = make_plain(self)
         return document
 
 

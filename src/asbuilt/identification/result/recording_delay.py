@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.experiment.recording import Recording
-from asbuilt.tables import rounded
+from asbuilt.tables import round_with_error
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,11 @@ class RecordingDelay:
             return f"{1e3 * self.applied:.4g} ms (stated)" if self.applied else "none"
         if not np.isfinite(self.std_error):
             return "undetermined (not applied)"
-        shown = " +- ".join(rounded(1e3 * self.estimate, 1e3 * self.std_error))
+        shown = " +- ".join(round_with_error(1e3 * self.estimate, 1e3 * self.std_error))
         return f"{shown} ms{'' if self.applied else ' (not applied)'}"
 
 
-def stated_delay(recording: Recording, digest: str, delays: tuple[float, ...]) -> RecordingDelay:
+def state_delay(recording: Recording, digest: str, delays: tuple[float, ...]) -> RecordingDelay:
     """Return a delay that was given, one number or one per joint [s]."""
     own = delays if len(delays) > 1 else ()
     return RecordingDelay(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.codec import FieldError, decoded, plain, stored
+from asbuilt.codec import FieldError, decode_fields, make_plain, store_as
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
@@ -36,11 +36,11 @@ from asbuilt.identification.result.stored_document import (
     AGAIN,
     FORMAT,
     FORMAT_VERSION,
-    stored_document,
+    parse_stored_document,
 )
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
-    all_parameters,
+    expand_parameters,
     predict_torque,
 )
 from asbuilt.identification.servo.servo_errors import ServoErrors
@@ -182,12 +182,12 @@ class IdentificationResult:
     parameters: tuple[IdentifiedParameter, ...]
     covariance: Array
     textbook_covariance: Array
-    sigma: Array = field(metadata=stored(missing=np.inf))
+    sigma: Array = field(metadata=store_as(missing=np.inf))
     effective_samples: float
     rank: int
     singular_values: Array
-    condition_number: float = field(metadata=stored(missing=np.inf))
-    scaled_condition_number: float = field(metadata=stored(missing=np.inf))
+    condition_number: float = field(metadata=store_as(missing=np.inf))
+    scaled_condition_number: float = field(metadata=store_as(missing=np.inf))
     undetermined: tuple[str, ...]
     train: TorqueMetrics
     validation: tuple[TorqueMetrics, ...]
@@ -399,7 +399,7 @@ class IdentificationResult:
     @cached_property
     def torque_model(self) -> TorqueModel:
         """The robot as built as a function of the state, drives included."""
-        chi, links = all_parameters(self.base, self.estimates), 10 * self.model.n_links
+        chi, links = expand_parameters(self.base, self.estimates), 10 * self.model.n_links
         return TorqueModel(self.model, self.base.drive, chi[links:], parameters=chi[:links])
 
     def torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
@@ -514,7 +514,7 @@ class IdentificationResult:
     def _document(self) -> dict[str, Any]:
         """Return everything but the robot and its base parameters."""
         own = {
-            item.name: plain(getattr(self, item.name))
+            item.name: make_plain(getattr(self, item.name))
             for item in fields(self)
             if item.name not in REBUILT
         }
@@ -549,14 +549,14 @@ class IdentificationResult:
         ResultError
             If the text is not a stored result, is damaged, or belongs to other base parameters.
         """
-        whole = stored_document(text)
+        whole = parse_stored_document(text)
         try:
             model = model_from_document(whole["model"])
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
             result = cls(
                 model=model,
                 base=base,
-                **decoded(cls, whole, but=REBUILT),
+                **decode_fields(cls, whole, but=REBUILT),
             )
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as problem:
             known = isinstance(problem, AsbuiltError | FieldError)
@@ -584,9 +584,9 @@ class IdentificationResult:
             ("duration", self.duration > 0, "positive"),
             ("rank", 0 <= self.rank <= self.base.n_base, f"from 0 to {self.base.n_base}"),
             ("sigma", bool(np.all(self.sigma > 0)), "positive"),
-            ("estimate", _all_finite(estimates), "finite"),
+            ("estimate", _is_finite(estimates), "finite"),
             ("std_error", not np.any(np.array(errors) < 0), "at least 0"),
-            ("covariance", _all_finite(self.covariance), "finite"),
+            ("covariance", _is_finite(self.covariance), "finite"),
             ("covariance", not np.any(variances < 0), "positive semidefinite"),
         ):
             if not sound:
@@ -595,5 +595,5 @@ class IdentificationResult:
                 )
 
 
-def _all_finite(values: ArrayLike) -> bool:
+def _is_finite(values: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(np.asarray(values, dtype=np.float64))))

@@ -8,7 +8,7 @@ from typing import Any
 
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import DEEPEST, depth, reason
+from asbuilt.untrusted import DEEPEST, describe_problem, measure_depth
 
 FORMAT = "asbuilt identification result"
 FORMAT_VERSION = 1
@@ -17,7 +17,7 @@ REQUIRED = ("model", "drive", "parameters")
 """Fields without which nothing else is worth reading."""
 
 
-def stored_document(text: str) -> Mapping[str, Any]:
+def parse_stored_document(text: str) -> Mapping[str, Any]:
     """Return the document of a stored result.
 
     Raises
@@ -35,9 +35,10 @@ def stored_document(text: str) -> Mapping[str, Any]:
         ) from None
     except ValueError as problem:
         raise ResultError(
-            f"this is not a stored result, not even JSON ({reason(problem)})", cure=expected
+            f"this is not a stored result, not even JSON ({describe_problem(problem)})",
+            cure=expected,
         ) from None
-    if depth(whole) > DEEPEST:
+    if measure_depth(whole) > DEEPEST:
         raise ResultError(
             f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
             cure=expected,

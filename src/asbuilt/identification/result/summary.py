@@ -10,26 +10,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.bodies.consistency import non_passive_drives
-from asbuilt.identification.calibration.encoders import encoders_text
+from asbuilt.identification.calibration.encoders import describe_encoders
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
-from asbuilt.identification.screen import screen_text
+from asbuilt.identification.screen import compose_screen
 from asbuilt.tables import (
     WIDTH,
     Cell,
     Column,
     Shown,
     Table,
-    beside,
-    deviation,
-    estimated,
-    numbered,
-    share,
-    significant,
-    wrapped,
+    format_deviation,
+    format_estimate,
+    format_share,
+    number_notes,
+    round_beside,
+    round_significant,
+    wrap_text,
 )
 
 if TYPE_CHECKING:
@@ -98,15 +98,17 @@ class Summary:
         """
         if not full:
             opening = "\n".join(filter(None, (self.verdict or self.title, self.encoders)))
-            return screen_text(opening, self.found_effects, self.joints, self.findings, cure_text)
+            return compose_screen(
+                opening, self.found_effects, self.joints, self.findings, cure_text
+            )
         rule = "-" * WIDTH
-        parts = [wrapped(self.verdict), ""] if self.verdict else []
-        parts += [wrapped(self.title), *_heading_lines(self.heading)]
-        parts += [wrapped(text, f"{label:<14} ") for label, text in self.effects]
-        parts += [wrapped(self.encoders)] if self.encoders else []
-        parts += [rule, *finding_lines(self.findings, cure_text)] if self.findings else []
+        parts = [wrap_text(self.verdict), ""] if self.verdict else []
+        parts += [wrap_text(self.title), *_format_heading(self.heading)]
+        parts += [wrap_text(text, f"{label:<14} ") for label, text in self.effects]
+        parts += [wrap_text(self.encoders)] if self.encoders else []
+        parts += [rule, *format_ranked_findings(self.findings, cure_text)] if self.findings else []
         parts += [rule, self.joints.as_text(full).rstrip("\n")]
-        parts += [rule, self.parameters.as_text(full).rstrip("\n"), *numbered(self.notes)]
+        parts += [rule, self.parameters.as_text(full).rstrip("\n"), *number_notes(self.notes)]
         return "\n".join(parts) + "\n"
 
     @property
@@ -141,8 +143,10 @@ class Summary:
         links: Sequence[tuple[str, float | None, float]] = (),
     ) -> Summary:
         """Return the summary with masses by CAD and as built [kg]: total, and each of `links`."""
-        cad, built = (significant(mass) for mass in totals)
-        of_links = "; ".join(f"{name} {_mass(cad)} -> {_mass(built)}" for name, cad, built in links)
+        cad, built = (round_significant(mass) for mass in totals)
+        of_links = "; ".join(
+            f"{name} {_format_mass(cad)} -> {_format_mass(built)}" for name, cad, built in links
+        )
         more = (("each link [kg]", of_links),) if len(links) > 1 else ()
         mass = ("mass of links", f"CAD {cad} kg, as built {built} kg")
         return replace(self, heading=(*self.heading, mass, *more))
@@ -169,7 +173,7 @@ def summarise(
     verdict
         The verdict of the study.
     """
-    shown = ranked(result.findings if findings is None else findings)
+    shown = rank_findings(result.findings if findings is None else findings)
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_links))
     drives = f" + {n_drive} drive" if n_drive else ""
     return Summary(
@@ -177,10 +181,10 @@ def summarise(
             f"{result.robot} - {method_title(result.method)},"
             f" {result.n_base - n_drive} base{drives} parameters"
         ),
-        heading=_heading(result),
+        heading=_build_heading(result),
         findings=shown,
-        parameters=_parameter_table(result),
-        joints=_joint_table(result),
+        parameters=_build_parameter_table(result),
+        joints=_build_joint_table(result),
         notes=(
             result.errors_sentence,
             determination(result, motions=False).in_short,
@@ -188,26 +192,30 @@ def summarise(
         ),
         verdict=verdict,
         found_effects=result.effects,
-        encoders=encoders_text(result.encoders),
+        encoders=describe_encoders(result.encoders),
     )
 
 
-def _mass(mass: float | None) -> str:
-    return "?" if mass is None else significant(mass)
+def _format_mass(mass: float | None) -> str:
+    return "?" if mass is None else round_significant(mass)
 
 
-def finding_lines(findings: Sequence[Finding], cure_text: Callable[[Cure], str] = str) -> list[str]:
+def format_ranked_findings(
+    findings: Sequence[Finding], cure_text: Callable[[Cure], str] = str
+) -> list[str]:
     """Return ranked findings, whole, as lines of 80 columns."""
-    return [wrapped(each.advised(cure_text), f"{each.severity.upper():<7}  ") for each in findings]
+    return [
+        wrap_text(each.advised(cure_text), f"{each.severity.upper():<7}  ") for each in findings
+    ]
 
 
-def _heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
-    held_out = [share(metrics.relative_error) for metrics in result.validation]
+def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
+    held_out = [format_share(metrics.relative_error) for metrics in result.validation]
     negative = ", ".join(non_passive_drives(result.base, result.estimates))
     inconsistent = f"NEGATIVE {negative}" if negative else "PHYSICALLY INCONSISTENT"
     condition = (
-        f"{significant(result.condition_number)} (scaled"
-        f" {significant(result.scaled_condition_number)})"
+        f"{round_significant(result.condition_number)} (scaled"
+        f" {round_significant(result.scaled_condition_number)})"
         if np.isfinite(result.condition_number)
         else "infinite"
     )
@@ -217,24 +225,24 @@ def _heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
         ("rank", f"{result.rank} of {result.n_base}"),
         (
             "relative error",
-            share(result.train.relative_error)
+            format_share(result.train.relative_error)
             + (f" (held out {', '.join(held_out)})" if held_out else ""),
         ),
         (
             "consistency",
             {True: "OK", False: inconsistent, None: "not checked"}[result.physically_consistent],
         ),
-        *([("torque delay", late)] if (late := _delay_text(result)) else []),
+        *([("torque delay", late)] if (late := _describe_delays(result)) else []),
     )
 
 
-def _delay_text(result: IdentificationResult) -> str:
+def _describe_delays(result: IdentificationResult) -> str:
     """Return the delays that were applied, as text; empty if there are none."""
     late = [each for each in result.delay if each.delays]
     return ", ".join(dict.fromkeys(each.text for each in late))
 
 
-def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
+def _format_heading(heading: Sequence[tuple[str, str]]) -> list[str]:
     """Return the pairs in two columns, a pair that does not fit on a line of its own."""
     lines: list[str] = []
     width = max((len(text) for _, text in heading[::2] if len(text) < WIDTH // 4), default=0) + 2
@@ -245,13 +253,13 @@ def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
             lines[-1] = open_line + right
             open_line = ""
         else:
-            lines.append(wrapped(text, f"{label:<14} "))
+            lines.append(wrap_text(text, f"{label:<14} "))
             open_line = f"{label:<14} {text:<{width}}"
             open_line = open_line if len(open_line) < WIDTH // 2 + 2 else ""
     return [line.rstrip() for line in lines]
 
 
-def _parameter_table(result: IdentificationResult) -> Table:
+def _build_parameter_table(result: IdentificationResult) -> Table:
     columns = (
         Column("id", align="right"),
         Column("parameter", width=EXPRESSION_WIDTH),
@@ -262,11 +270,11 @@ def _parameter_table(result: IdentificationResult) -> Table:
         Column("%", align="right"),
         Column("CAD vs built"),
     )
-    rows = tuple(_parameter_row(parameter) for parameter in result.parameters)
-    return Table(columns, rows, important=_important(result))
+    rows = tuple(_build_parameter_row(parameter) for parameter in result.parameters)
+    return Table(columns, rows, important=_select_important(result))
 
 
-def _important(result: IdentificationResult) -> tuple[int, ...]:
+def _select_important(result: IdentificationResult) -> tuple[int, ...]:
     """Return the places of the parameters that differ most from CAD, or from zero without CAD.
 
     The difference in standard errors is the torque that no other parameter can make up for, in
@@ -281,15 +289,18 @@ def _important(result: IdentificationResult) -> tuple[int, ...]:
     return tuple(sorted(most.tolist()))
 
 
-def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
-    estimate, error, percentage = estimated(parameter.estimate, parameter.std_error)
+def _build_parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
+    estimate, error, percentage = format_estimate(parameter.estimate, parameter.std_error)
     sigmas = parameter.difference_in_sigmas
-    outcome = deviation(sigmas) if parameter.determined else "UNDETERMINED"
+    outcome = format_deviation(sigmas) if parameter.determined else "UNDETERMINED"
     return (
         parameter.id,
         parameter.expression,
         parameter.unit,
-        Shown(parameter.cad, beside(parameter.cad, parameter.std_error) if parameter.cad else "0"),
+        Shown(
+            parameter.cad,
+            round_beside(parameter.cad, parameter.std_error) if parameter.cad else "0",
+        ),
         estimate,
         Shown(parameter.std_error, DROPPED) if parameter.dropped else error,
         percentage,
@@ -297,7 +308,7 @@ def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
     )
 
 
-def _joint_table(result: IdentificationResult) -> Table:
+def _build_joint_table(result: IdentificationResult) -> Table:
     """Return RMS torque errors of the data fitted and held out, and of CAD."""
     kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
     mixed = len(set(kinds)) > 1

@@ -53,7 +53,7 @@ class Prediction:
         return replace(metrics, rms_recorded=self.rms_recorded)
 
 
-def all_parameters(base: BaseParameters, values: ArrayLike) -> Array:
+def expand_parameters(base: BaseParameters, values: ArrayLike) -> Array:
     """Return standard parameters (n_standard,) that give the torque of base parameters (p,).
 
     The kept columns of the regressor reproduce every torque alone, so the base parameters take
@@ -70,12 +70,12 @@ def all_parameters(base: BaseParameters, values: ArrayLike) -> Array:
     return chi
 
 
-def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> RobotModel:
+def set_link_parameters(model: RobotModel, base: BaseParameters, values: ArrayLike) -> RobotModel:
     """Return the robot with link parameters that give the rigid-body torque of base parameters."""
-    return model.with_parameters(all_parameters(base, values)[: 10 * model.n_links])
+    return model.with_parameters(expand_parameters(base, values)[: 10 * model.n_links])
 
 
-def torque_in_spans(
+def predict_in_spans(
     model: RobotModel,
     base: BaseParameters,
     values: ArrayLike,
@@ -92,7 +92,7 @@ def torque_in_spans(
     ResultError
         If the samples belong to other joints or `values` is not of shape (p,).
     """
-    chi = all_parameters(base, values)
+    chi = expand_parameters(base, values)
     if samples.joint_names != model.joint_names:
         raise ResultError(
             f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)};"
@@ -117,8 +117,8 @@ def parameter_torque(
 ) -> tuple[Array, Array]:
     """Return the torque of rigid bodies and of the whole model, (N, n) each, of states (N, n).
 
-    `chi` are standard parameters as `all_parameters` returns them, `added` (10 n,) link parameters
-    on top.
+    `chi` are standard parameters as `expand_parameters` returns them, `added` (10 n,) link
+    parameters on top.
     """
     links, drives = chi[: 10 * model.n_links], chi[10 * model.n_links :]
     parameters = links if added is None else links + added
@@ -129,7 +129,7 @@ def parameter_torque(
     return rigid, rigid + drive_torque(drive, drives, q, qd, qdd, load=rigid, shares=shares)
 
 
-def beside_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
+def pair_with_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
     """Put a predicted torque (N, n), given at every sample, next to the one measured.
 
     Both go through the filter of the samples, less what forces at contacts explain. Torques of
@@ -185,6 +185,6 @@ def predict_torque(
         If the samples belong to other joints or `values` is not of shape (p,).
     """
     torque = np.zeros(samples.q.shape)
-    for span, _, part in torque_in_spans(model, base, values, samples, added=added):
+    for span, _, part in predict_in_spans(model, base, values, samples, added=added):
         torque[span] = part
-    return beside_measured(model, samples, torque)
+    return pair_with_measured(model, samples, torque)

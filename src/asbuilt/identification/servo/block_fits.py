@@ -14,14 +14,14 @@ CLUSTER = 5
 """Blocks together within which residuals are taken to be correlated."""
 
 
-def robust_residual(rows: ServoRows, k: int, used: Mask | None = None) -> Array:
+def fit_robust_residual(rows: ServoRows, k: int, used: Mask | None = None) -> Array:
     """Return the residual of a joint's fit to the blocks `used`, as a combination of its rows."""
     counting = np.ones(len(rows.times)) if used is None else used.astype(np.float64)
     weight = counting
     # 4: passes of the robust weights, own choice.
     for _ in range(4):
         gram = rows.total(k, weight)
-        x = truncated_solution(gram[:-1, :-1], gram[:-1, -1])
+        x = solve_truncated(gram[:-1, :-1], gram[:-1, -1])
         weight = counting * block_weights(rows, k, np.append(-x, 1.0))
     return np.append(-x, 1.0)
 
@@ -30,13 +30,15 @@ def usual_variances(rows: ServoRows, joints: Indices) -> Array:
     """Return the median mean square of the residuals of each joint over blocks (n,), else 1."""
     usual = np.ones(len(rows.support))
     for k in joints.tolist():
-        variances = rows.variances(k, robust_residual(rows, k))
+        variances = rows.variances(k, fit_robust_residual(rows, k))
         if np.any(np.isfinite(variances)):
             usual[k] = max(float(np.nanmedian(variances)), 1e-300)
     return usual
 
 
-def refined(costs: Callable[[float], Array], best: float, ratio: float, tolerance: float) -> float:
+def refine_minimum(
+    costs: Callable[[float], Array], best: float, ratio: float, tolerance: float
+) -> float:
     """Return the positive value of least cost within a ratio of the best that was tried."""
     found = minimize_scalar(
         lambda x: float(np.sum(costs(float(np.exp(x))))),
@@ -56,7 +58,7 @@ def logarithmic_error(costs: Callable[[float], Array], value: float, rows: Servo
     up, here, down = (
         np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0) for s in (1.0, 0.0, -1.0)
     )
-    scores = clustered((up - down) / (2.0 * step), rows)
+    scores = sum_clusters((up - down) / (2.0 * step), rows)
     curvature = float(np.sum(up + down - 2.0 * here)) / step**2
     return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
 
@@ -69,7 +71,7 @@ def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
     return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
 
 
-def truncated_solution(normal: Array, right: Array, smallest: float = 1e-10) -> Array:
+def solve_truncated(normal: Array, right: Array, smallest: float = 1e-10) -> Array:
     """Return the least solution of normal equations, scaled, without directions of no information.
 
     Eigenvalues of the scaled matrix below `smallest` times the largest count as none.
@@ -81,7 +83,7 @@ def truncated_solution(normal: Array, right: Array, smallest: float = 1e-10) -> 
     return np.asarray(scale * (axes[:, kept] @ along))
 
 
-def clustered(scores: Array, rows: ServoRows) -> Array:
+def sum_clusters(scores: Array, rows: ServoRows) -> Array:
     """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
     sources = np.array([each.source for each in rows.times])
     firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]

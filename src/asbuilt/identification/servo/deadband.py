@@ -11,13 +11,17 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.servo.block_fits import (
-    clustered,
+    fit_robust_residual,
     logarithmic_error,
-    refined,
-    robust_residual,
+    refine_minimum,
+    sum_clusters,
     usual_variances,
 )
-from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import (
+    CommandedMotion,
+    ServoRows,
+    reduce_servo_recordings,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +72,7 @@ def with_deadband(servo: PositionServo, width: float) -> PositionServo:
     return replace(servo, deadband=tuple(np.where(np.isnan(given), width, given).tolist()))
 
 
-def recorded_deadband(
+def estimate_deadband(
     motions: Sequence[CommandedMotion], recordings: Sequence[Recording], late: float
 ) -> Deadband | None:
     """Return the deadband that the recordings show; None if it is known, or they show none.
@@ -87,7 +91,7 @@ def recorded_deadband(
             for each in recordings
             if each.servo is not None
         ]
-        return servo_rows(motions, driven, late, rates)
+        return reduce_servo_recordings(motions, driven, late, rates)
 
     return find_deadband(rows, unknown)
 
@@ -115,25 +119,25 @@ def find_deadband(rows: Callable[[float], ServoRows], unknown: Mask) -> Deadband
 
     def costs(width: float) -> Array:
         if width not in kept:
-            kept[width] = _costs(rows(width), plain, joints, usual)
+            kept[width] = _evaluate_costs(rows(width), plain, joints, usual)
         return kept[width]
 
     best, lowest = 0.0, float(np.sum(costs(0.0)))
-    for width in _widths(plain, joints):
+    for width in _list_widths(plain, joints):
         cost = float(np.sum(costs(width)))
         if not cost < lowest:
             break
         best, lowest = width, cost
-    if best == 0.0 or not _better(costs(0.0) - costs(best), plain):
+    if best == 0.0 or not _is_better(costs(0.0) - costs(best), plain):
         return None
-    width = refined(costs, best, RULES.ratio, 2e-3)
+    width = refine_minimum(costs, best, RULES.ratio, 2e-3)
     error = logarithmic_error(costs, width, plain)
-    if not error < RULES.determined or not _better(costs(0.0) - costs(width), plain):
+    if not error < RULES.determined or not _is_better(costs(0.0) - costs(width), plain):
         return None
     return Deadband(width, width * float(np.hypot(error, RULES.accuracy)))
 
 
-def _widths(plain: ServoRows, joints: Indices) -> Iterator[float]:
+def _list_widths(plain: ServoRows, joints: Indices) -> Iterator[float]:
     """Yield the widths to try, smallest first."""
     sizes = [np.sqrt(plain.total(k)[-1, -1] / max(plain.counts[k].sum(), 1)) for k in joints]
     width = RULES.smallest * float(np.median(sizes))
@@ -142,28 +146,28 @@ def _widths(plain: ServoRows, joints: Indices) -> Iterator[float]:
         width *= RULES.ratio
 
 
-def _costs(rows: ServoRows, plain: ServoRows, joints: Indices, usual: Array) -> Array:
+def _evaluate_costs(rows: ServoRows, plain: ServoRows, joints: Indices, usual: Array) -> Array:
     """Return the cost of each joint and block (n joints, B), fitted to the other half."""
     second = (np.arange(len(rows.times)) // RULES.half) % 2 == 1
     found = np.zeros((joints.size, len(rows.times)))
     for row, k in enumerate(joints.tolist()):
         shrunk = max(rows.total(k)[-1, -1] / plain.total(k)[-1, -1], 1e-300)
         for here in (second, ~second):
-            left = rows.variances(k, robust_residual(rows, k, ~here)) / shrunk
+            left = rows.variances(k, fit_robust_residual(rows, k, ~here)) / shrunk
             cost = np.nan_to_num(rows.counts[k] * np.log1p(left / usual[k]))
             found[row, here] = cost[here]
     return found
 
 
-def _better(fall: Array, rows: ServoRows) -> bool:
+def _is_better(fall: Array, rows: ServoRows) -> bool:
     """Whether costs (n joints, B) fall significantly in all, and rise at no joint."""
-    each = np.array([_sigmas(clustered(own, rows)) for own in fall])
-    return _sigmas(clustered(fall.sum(axis=0), rows)) > RULES.sigmas and bool(
+    each = np.array([_count_sigmas(sum_clusters(own, rows)) for own in fall])
+    return _count_sigmas(sum_clusters(fall.sum(axis=0), rows)) > RULES.sigmas and bool(
         np.all(each > -RULES.worse)
     )
 
 
-def _sigmas(parts: Array) -> float:
+def _count_sigmas(parts: Array) -> float:
     """Return the sum of independent parts in its standard errors."""
     spread = float(np.sqrt(np.sum((parts - parts.mean()) ** 2) * parts.size / (parts.size - 1)))
     return float(parts.sum()) / max(spread, 1e-300) if parts.size > 1 else 0.0

@@ -10,14 +10,14 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import command_rate, held_command
+from asbuilt.experiment.command.servo_torque import command_rate, hold_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.block_fits import (
-    clustered,
+    fit_robust_residual,
     logarithmic_error,
-    refined,
-    robust_residual,
+    refine_minimum,
+    sum_clusters,
     usual_variances,
 )
 from asbuilt.identification.servo.servo_rows import ServoRows
@@ -67,14 +67,14 @@ class GoalLimit:
     acts: tuple[TimeBlock, ...]
 
 
-def limited(servo: PositionServo, acceleration: float) -> PositionServo:
+def limit_goal(servo: PositionServo, acceleration: float) -> PositionServo:
     """Return the servo with a limit of the goal's acceleration where it was unknown."""
     given = np.array(servo.goal_acceleration)
     values = np.where(np.isnan(given), acceleration, given)
     return replace(servo, goal_acceleration=tuple(values.tolist()))
 
 
-def common_limit(goals: Sequence[GoalLimit | None]) -> tuple[float, float]:
+def average_limits(goals: Sequence[GoalLimit | None]) -> tuple[float, float]:
     """Return the weighted mean of limits and its standard error.
 
     Infinite and 0 if a recording shows none.
@@ -112,18 +112,18 @@ def find_goal_limit(
         Returns the rows of the recording under a servo.
     """
     joints = np.flatnonzero(np.isnan(np.array(servo.goal_acceleration)))
-    visible = _visible_limits(recording, servo, reached, joints)
+    visible = _list_visible_limits(recording, servo, reached, joints)
     first = next(visible, None)
     if first is None:
         return None
-    plain = rows(limited(servo, np.inf))
+    plain = rows(limit_goal(servo, np.inf))
     usual = usual_variances(plain, joints)
-    without = _costs(plain, joints, usual)
+    without = _evaluate_costs(plain, joints, usual)
     kept: dict[float, Array] = {}
 
     def costs(limit: float) -> Array:
         if limit not in kept:
-            kept[limit] = _costs(rows(limited(servo, limit)), joints, usual)
+            kept[limit] = _evaluate_costs(rows(limit_goal(servo, limit)), joints, usual)
         return kept[limit]
 
     tried: list[float] = []
@@ -134,20 +134,20 @@ def find_goal_limit(
         if len(sums) > 1 and min(sums[-2:]) > 0.0:
             break
     best = tried[int(np.argmin(sums))]
-    if not _better(without - costs(best), plain, joints):
+    if not _is_better(without - costs(best), plain, joints):
         return None
-    limit = refined(costs, best, RULES.ratio, 5e-3)
+    limit = refine_minimum(costs, best, RULES.ratio, 5e-3)
     error = logarithmic_error(costs, limit, plain)
     if not error < RULES.determined:
         return None
     return GoalLimit(
         limit,
         limit * error,
-        _acting(without - costs(limit), plain),
+        _find_acting_blocks(without - costs(limit), plain),
     )
 
 
-def _visible_limits(
+def _list_visible_limits(
     recording: Recording, servo: PositionServo, reached: Array, joints: Indices
 ) -> Iterator[float]:
     """Yield the limits in their range that change the goal beyond a delay, fastest first."""
@@ -156,17 +156,17 @@ def _visible_limits(
     largest = float(np.max(reached[joints]))
     if not largest > 0.0:
         return
-    plain = replace(recording, servo=limited(servo, np.inf))
-    held, rate = held_command(plain), command_rate(plain)
+    plain = replace(recording, servo=limit_goal(servo, np.inf))
+    held, rate = hold_command(plain), command_rate(plain)
     count = 1 + round(np.log(RULES.fastest / RULES.slowest) / np.log(RULES.ratio))
     for limit in (RULES.slowest * largest * RULES.ratio ** np.arange(count)[::-1]).tolist():
-        if _seen(replace(plain, servo=limited(servo, limit)), held, rate, joints):
+        if _is_visible(replace(plain, servo=limit_goal(servo, limit)), held, rate, joints):
             yield limit
 
 
-def _seen(recording: Recording, held: Array, rate: Array, joints: Indices) -> bool:
+def _is_visible(recording: Recording, held: Array, rate: Array, joints: Indices) -> bool:
     """Whether the goal of a recording differs visibly from the delayed command, in any joint."""
-    moved, error = held_command(recording) - held, held - recording.q
+    moved, error = hold_command(recording) - held, held - recording.q
     rows = np.all(np.isfinite(moved) & np.isfinite(rate) & np.isfinite(error), axis=1)
     if not np.any(rows):
         return False
@@ -176,25 +176,28 @@ def _seen(recording: Recording, held: Array, rate: Array, joints: Indices) -> bo
     return bool(np.any(size > RULES.visible * np.max(np.abs(error - np.median(error, 0)), axis=0)))
 
 
-def _acting(fall: Array, rows: ServoRows) -> tuple[TimeBlock, ...]:
+def _find_acting_blocks(fall: Array, rows: ServoRows) -> tuple[TimeBlock, ...]:
     """Return the blocks that make up nine tenths of a fall of the cost (B,)."""
     order = np.argsort(-fall)
     enough = int(np.searchsorted(np.cumsum(fall[order]), 0.9 * np.sum(fall))) + 1
     return tuple(rows.times[int(b)] for b in sorted(order[:enough].tolist()))
 
 
-def _better(fall: Array, rows: ServoRows, joints: Indices) -> bool:
+def _is_better(fall: Array, rows: ServoRows, joints: Indices) -> bool:
     """Whether a fall of the cost of blocks (B,) is significant, with one residual per cluster."""
-    share = clustered(fall, rows).size * joints.size / max(float(np.sum(rows.counts[joints])), 1.0)
+    share = (
+        sum_clusters(fall, rows).size * joints.size / max(float(np.sum(rows.counts[joints])), 1.0)
+    )
     return float(np.sum(fall)) * min(share, 1.0) > RULES.significance
 
 
-def _costs(rows: ServoRows, joints: Indices, usual: Array) -> Array:
+def _evaluate_costs(rows: ServoRows, joints: Indices, usual: Array) -> Array:
     """Return the cost of each block (B,)."""
     return np.asarray(
         sum(
             np.nan_to_num(
-                rows.counts[k] * np.log1p(rows.variances(k, robust_residual(rows, k)) / usual[k])
+                rows.counts[k]
+                * np.log1p(rows.variances(k, fit_robust_residual(rows, k)) / usual[k])
             )
             for k in joints.tolist()
         )

@@ -17,7 +17,7 @@ from asbuilt.identification.errors.expected_scores import DOUBT
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.servo.block_fits import block_weights, clustered
+from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
 from asbuilt.identification.servo.servo_rows import ServoRows
 
@@ -45,7 +45,7 @@ class DelaySlopes:
         return cls(tuple(names), tuple(means))
 
 
-def servo_delay_errors(
+def estimate_servo_delay_errors(
     information: SquareRootInformation,
     estimate: Estimate,
     slopes: DelaySlopes,
@@ -136,7 +136,7 @@ def fit_delay(
     start[10 * base.n_links : p] = 0.0
     lower = np.full(p + 1, -np.inf)
     lower[design.non_negative] = 0.0
-    maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
+    maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
     weight = np.ones((n, len(rows.times)))
     lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
@@ -150,7 +150,7 @@ def fit_delay(
             right[at] += weighted @ torque
             if replayed is not None:
                 right[at] -= float(weight[k] @ lengths) * (J[:-1].T @ replayed.weighted[k])
-        x, free = _bounded(normal, right, lower, free)
+        x, free = _solve_bounded(normal, right, lower, free)
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):
             own = block_weights(rows, k, residual)
@@ -165,7 +165,7 @@ def fit_delay(
         if replayed is not None:
             own = weight[k] * lengths * float(replayed.weighted[k] @ along[k])
             scores, taken = scores - own, taken + float(np.sum(own))
-    variance, together = float(inverse[-1]), clustered(scores, rows)
+    variance, together = float(inverse[-1]), sum_clusters(scores, rows)
     if together.size >= FEWEST_BLOCKS:
         least = variance
         if replayed is not None and replayed.sees_noise:
@@ -179,7 +179,7 @@ def fit_delay(
     return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess, x[:-1])
 
 
-def _coefficients(
+def _build_coefficients(
     rows: ServoRows, base: BaseParameters, k: int, kp: float, kd: float
 ) -> tuple[Array, Array]:
     """Return a joint's rows in terms of parameters and delay, and its torque, as coefficients."""
@@ -192,7 +192,9 @@ def _coefficients(
     return J, torque
 
 
-def _bounded(normal: Array, right: Array, lower: Array, near: Indices) -> tuple[Array, Indices]:
+def _solve_bounded(
+    normal: Array, right: Array, lower: Array, near: Indices
+) -> tuple[Array, Indices]:
     """Return the solution of normal equations above its bounds, and what is not at a bound.
 
     `near` is what was not at a bound for similar equations: if it still is not, and all else has

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from asbuilt.codec import stored
+from asbuilt.codec import store_as
 
 
 def _with_infinities(values: Sequence[float | None]) -> tuple[float, ...]:
@@ -42,7 +42,7 @@ class ServoErrors:
         Whether the damping of each joint is unknown and part of its viscous friction.
     """
 
-    kp: tuple[float, ...] = field(default=(), metadata=stored(decode=_with_infinities))
+    kp: tuple[float, ...] = field(default=(), metadata=store_as(decode=_with_infinities))
     delay: float = 0.0
     lead: float = 0.0
     goal_acceleration: float = 0.0

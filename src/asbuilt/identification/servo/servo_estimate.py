@@ -12,23 +12,27 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.magnitude import MagnitudeLaw, logged_magnitude_laws
+from asbuilt.experiment.command.magnitude import MagnitudeLaw, fit_logged_magnitude_laws
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.information.rows import TimeBlock
-from asbuilt.identification.servo.deadband import recorded_deadband, with_deadband
+from asbuilt.identification.servo.deadband import estimate_deadband, with_deadband
 from asbuilt.identification.servo.goal_limit import (
     GoalLimit,
-    common_limit,
+    average_limits,
     find_goal_limit,
-    limited,
+    limit_goal,
 )
 from asbuilt.identification.servo.servo_delay import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import (
+    CommandedMotion,
+    ServoRows,
+    reduce_servo_recordings,
+)
 from asbuilt.identification.servo.settling import Settling
 
 UNEXPLAINED = 3.0
@@ -58,7 +62,7 @@ class ServoEstimate:
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
         goal = self.goals[number]
-        return limited(self._sought, np.inf if goal is None else goal.acceleration)
+        return limit_goal(self._sought, np.inf if goal is None else goal.acceleration)
 
     @property
     def precedes_command(self) -> bool:
@@ -112,7 +116,7 @@ def estimate_servo(
     first = recordings[0].servo
     if first is None:
         raise ValueError("the recordings have no servo")
-    base, design = find_base_parameters(model, drive), cad_prior(model, drive)
+    base, design = find_base_parameters(model, drive), build_cad_prior(model, drive)
     unknown = np.isnan(np.array(first.kp))
     stated, late = first, 0.0 if delay is None else delay
 
@@ -120,21 +124,23 @@ def estimate_servo(
     motions = [CommandedMotion(model, base, each, chain, holdout, filters) for each in recordings]
 
     def goal_of(motion: CommandedMotion, recording: Recording) -> GoalLimit | None:
-        plain = replace(recording, servo=limited(stated, np.inf))
+        plain = replace(recording, servo=limit_goal(stated, np.inf))
         rate = functools.cache(lambda: motion.rate(plain, late))
 
         def rows(servo: PositionServo) -> ServoRows:
-            return servo_rows([motion], [replace(recording, servo=servo)], late, [rate()])
+            return reduce_servo_recordings(
+                [motion], [replace(recording, servo=servo)], late, [rate()]
+            )
 
         reached = np.max(np.abs(motion.motion.samples().qdd), axis=0)
         return find_goal_limit(recording, stated, reached, rows)
 
     goals = tuple(map(goal_of, motions, recordings))
     recordings = [
-        replace(each, servo=limited(first, np.inf if goal is None else goal.acceleration))
+        replace(each, servo=limit_goal(first, np.inf if goal is None else goal.acceleration))
         for each, goal in zip(recordings, goals, strict=True)
     ]
-    dead = recorded_deadband(motions, recordings, late)
+    dead = estimate_deadband(motions, recordings, late)
     stated = first = with_deadband(first, 0.0 if dead is None else dead.width)
     recordings = [
         replace(each, servo=with_deadband(each.servo, 0.0 if dead is None else dead.width))
@@ -154,10 +160,10 @@ def estimate_servo(
         holdout=holdout,
     ).settle(late)
     scale, found = at.scale, at.found
-    limit, limit_error = common_limit(goals)
+    limit, limit_error = average_limits(goals)
     errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
     return ServoEstimate(
-        limited(at.servo, limit),
+        limit_goal(at.servo, limit),
         ServoErrors(
             kp=tuple(errors.tolist()),
             delay=at.error,
@@ -180,6 +186,6 @@ def estimate_servo(
         ),
         goals,
         DelaySlopes.of(at.rows, base, (found.excess <= UNEXPLAINED).tolist()),
-        logged_magnitude_laws(recordings),
+        fit_logged_magnitude_laws(recordings),
         None if replayed is None else replayed.scores,
     )

@@ -21,13 +21,17 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
-from asbuilt.identification.servo.block_fits import block_weights, clustered
-from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
+from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
+from asbuilt.identification.servo.servo_rows import (
+    CommandedMotion,
+    ServoRows,
+    reduce_servo_recordings,
+)
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
@@ -128,17 +132,17 @@ def replay(
     rng, beta = np.random.default_rng(0), base.values(parameters)
     copies: list[list[_Copy]] = []
     for recording in recordings:
-        own = _servo_of(recording, servo)
-        clean = replayed(model, base, recording, own, parameters)
+        own = _limit_servo_goal(recording, servo)
+        clean = replay_recording(model, base, recording, own, parameters)
         if clean is None:
             return None
-        driven = [
-            driven_by_command(each, own) for each in _with_noise(recording, clean, pairs, rng)
-        ]
+        driven = [drive_by_command(each, own) for each in _with_noise(recording, clean, pairs, rng)]
         late = servo.delay or 0.0
         try:
             rows = [
-                servo_rows([CommandedMotion(model, base, each, chain, holdout)], [each], late)
+                reduce_servo_recordings(
+                    [CommandedMotion(model, base, each, chain, holdout)], [each], late
+                )
                 for each in driven
             ]
         except RecordingError:
@@ -148,14 +152,14 @@ def replay(
     names = tuple(tuple(base.names[j] for j in support) for support in every[0].support)
     joints = range(model.n_joints)
     return Replay(
-        ExpectedScores(names, tuple(_mean(every, k, weighted=False) for k in joints)),
-        tuple(_mean(every, k, weighted=True) for k in joints),
-        tuple(np.concatenate([_moves(own, k) for own in copies]) for k in joints),
+        ExpectedScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
+        tuple(_average_scores(every, k, weighted=True) for k in joints),
+        tuple(np.concatenate([_measure_noise_changes(own, k) for own in copies]) for k in joints),
         2 * pairs,
     )
 
 
-def replayed(
+def replay_recording(
     model: RobotModel,
     base: BaseParameters,
     recording: Recording,
@@ -171,14 +175,14 @@ def replayed(
     robot = SimulatedRobot(model, base.drive, values, servo).centred(RULES.step)
     driving, engine = DriveSignal.of(recording, "command"), Trajectories(model, base)
     out = np.full(recording.q.shape, np.nan)
-    runs = _runs(recording)
+    runs = _split_segments(recording)
     for number, rows in enumerate(runs):
         # A log begins at rest; after a gap the robot moves already.
         step = recording.t[rows[1]] - recording.t[rows[0]]
         speed = (recording.q[rows[1]] - recording.q[rows[0]]) / step if number else 0.0
         state = recording.q[rows[:1]], np.full((1, model.n_joints), speed)
         t = recording.t[rows]
-        for fine, q in _simulated(engine, robot, driving, t, state, links):
+        for fine, q in _simulate_spans(engine, robot, driving, t, state, links):
             if not np.all(np.isfinite(q)):
                 return None
             at = rows[(t >= fine[0]) & (t <= fine[-1])]
@@ -187,7 +191,7 @@ def replayed(
     return out if runs else None
 
 
-def _simulated(
+def _simulate_spans(
     engine: Trajectories,
     robot: SimulatedRobot,
     driving: DriveSignal,
@@ -217,7 +221,7 @@ def _simulated(
         q, v = motion.q[:, -1], motion.v[:, -1]
 
 
-def _runs(recording: Recording) -> list[Indices]:
+def _split_segments(recording: Recording) -> list[Indices]:
     """Return the rows with positions, apart where the log has gaps; runs of two rows and more."""
     rows = np.flatnonzero(np.all(np.isfinite(recording.q), axis=1) & np.isfinite(recording.t))
     steps = np.diff(recording.t[rows])
@@ -227,7 +231,7 @@ def _runs(recording: Recording) -> list[Indices]:
     return [part for part in parts if part.size > 1]
 
 
-def position_noise(recording: Recording) -> Array:
+def estimate_position_noise(recording: Recording) -> Array:
     """Return the standard deviation of white noise of the positions [rad or m], (n,).
 
     Examples
@@ -235,10 +239,10 @@ def position_noise(recording: Recording) -> Array:
     >>> t = np.arange(4000) / 100.0
     >>> noise = 1e-3 * np.random.default_rng(0).standard_normal((4000, 1))
     >>> q = np.sin(2.0 * np.pi * t)[:, None] + noise
-    >>> position_noise(Recording(t=t, q=q, tau=q)).round(4).tolist()
+    >>> estimate_position_noise(Recording(t=t, q=q, tau=q)).round(4).tolist()
     [0.001]
     """
-    runs = [rows for rows in _runs(recording) if rows.size >= RULES.window]
+    runs = [rows for rows in _split_segments(recording) if rows.size >= RULES.window]
     if not runs:
         return np.zeros(recording.q.shape[1])
     from scipy.signal import welch  # noqa: PLC0415 - light start
@@ -251,7 +255,7 @@ def position_noise(recording: Recording) -> Array:
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 
 
-def _servo_of(recording: Recording, servo: PositionServo) -> PositionServo:
+def _limit_servo_goal(recording: Recording, servo: PositionServo) -> PositionServo:
     """Return the servo with the limits of its goal in a recording."""
     own = recording.servo
     if own is None:
@@ -263,7 +267,7 @@ def _with_noise(
     recording: Recording, clean: Array, pairs: int, rng: np.random.Generator
 ) -> Iterator[Recording]:
     """Yield the recording with clean positions and noise of either sign."""
-    noise = position_noise(recording)
+    noise = estimate_position_noise(recording)
     for _ in range(pairs):
         added = noise * rng.standard_normal(clean.shape)
         for sign in (1.0, -1.0):
@@ -300,7 +304,7 @@ class _Copy:
         return self.rows.support
 
 
-def _mean(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
+def _average_scores(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
     """Return the mean score of a joint over the samples of all copies (p_k + 2,)."""
     weights = [copy.weights[k] if weighted else np.ones(copy.lengths.size) for copy in copies]
     total = sum(float(w @ copy.lengths) for w, copy in zip(weights, copies, strict=True))
@@ -308,12 +312,12 @@ def _mean(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
     return np.asarray(np.sum(parts, axis=0) / max(total, 1e-300))
 
 
-def _moves(copies: Sequence[_Copy], k: int) -> Array:
+def _measure_noise_changes(copies: Sequence[_Copy], k: int) -> Array:
     """Return what noise changes in the weighted scores of a joint's clusters of blocks.
 
     Empty if the copies have other blocks each, since some rest where others move.
     """
     if len({copy.lengths.size for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
-    sums = np.array([clustered(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
+    sums = np.array([sum_clusters(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
     return np.asarray(np.concatenate(sums - sums.mean(axis=0)))

@@ -12,23 +12,23 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
     command_rate,
-    held_command,
-    logged_velocity,
+    differentiate_logged_positions,
+    hold_command,
 )
-from asbuilt.experiment.command.usable_samples import moving_faster, outside_saturation
+from asbuilt.experiment.command.usable_samples import drop_saturated, drop_slow_rows
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
-from asbuilt.identification.information.rows import SampleBlock, TimeBlock, sample_blocks
+from asbuilt.identification.information.rows import SampleBlock, TimeBlock, divide_into_blocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class CommandedMotion:
         `recording` is that of the motion, with any servo; its command acts after `delay` [s]. A
         `rate` that was made before takes the place of its own.
         """
-        error = held_command(recording, delay, self._curve) - recording.q
+        error = hold_command(recording, delay, self._curve) - recording.q
         if recording.servo is not None:
             error = recording.servo.acting(error)
         both = (rate or self.rate(recording, delay), self._filtered(error))
@@ -147,7 +147,7 @@ class CommandedMotion:
             signals = np.stack([run.whole.filtered(each.tau.__getitem__) for each in both])
             for b, (block, span) in enumerate(zip(run.blocks, run.spans(), strict=True)):
                 joined = tuple(
-                    _joined(gram, rows[:, span], signals[:, k, span])
+                    _join_gram(gram, rows[:, span], signals[:, k, span])
                     for k, (gram, rows) in enumerate(zip(run.grams[b], run.rows, strict=True))
                 )
                 yield replace(block.time, source=recording.source), joined, run.counts[b]
@@ -163,15 +163,15 @@ class CommandedMotion:
     @cached_property
     def motion(self) -> PreparedMotion:
         """The filtered motion, with velocities in place of the torque."""
-        finite = 0.0 * held_command(replace(self.recording, servo=None), curve=self._curve)
-        moved = replace(self.recording, tau=logged_velocity(self.recording) + finite)
+        finite = 0.0 * hold_command(replace(self.recording, servo=None), curve=self._curve)
+        moved = replace(self.recording, tau=differentiate_logged_positions(self.recording) + finite)
         return self.filters.prepare(moved, self.chain)
 
     @cached_property
     def _velocity(self) -> Samples:
         """Samples whose torques are velocities; rows count where their direction is known."""
         found = self._divided(self.motion.samples())
-        return moving_faster(found, self.recording, self.chain.cutoff or np.inf)
+        return drop_slow_rows(found, self.recording, self.chain.cutoff or np.inf)
 
     def _filtered(self, signal: Array) -> Samples:
         """Return samples with a signal (N, n) in place of the torque."""
@@ -179,7 +179,7 @@ class CommandedMotion:
 
     def _divided(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
-        kept = outside_saturation(samples, self.recording)
+        kept = drop_saturated(samples, self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 
     def _runs(self) -> Iterator[_Run]:
@@ -194,7 +194,8 @@ class CommandedMotion:
         """Neighbouring time blocks of a segment, `BLOCKS.run` at a time."""
         found: list[tuple[SampleBlock, ...]] = []
         for _, same in groupby(
-            sample_blocks(self.model, [self._velocity], BLOCKS.block), key=lambda block: block.start
+            divide_into_blocks(self.model, [self._velocity], BLOCKS.block),
+            key=lambda block: block.start,
         ):
             blocks = tuple(same)
             found += [
@@ -236,7 +237,7 @@ class CommandedMotion:
         )
 
 
-def servo_rows(
+def reduce_servo_recordings(
     motions: Sequence[CommandedMotion],
     recordings: Sequence[Recording],
     delay: float,
@@ -247,7 +248,7 @@ def servo_rows(
     `motions` are theirs, `recordings` have the servo that each is to have. `rates` are rates of the
     command that were made before, by recording. Raises `RecordingError` if no motion is left.
     """
-    with one_blas_thread():
+    with use_one_blas_thread():
         blocks = [
             block
             for motion, recording, rate in zip(
@@ -266,7 +267,7 @@ def servo_rows(
     return ServoRows(motions[0].support, joints, np.transpose(counts).astype(np.float64), times)
 
 
-def _joined(gram: Array, rows: Array, signals: Array) -> Array:
+def _join_gram(gram: Array, rows: Array, signals: Array) -> Array:
     """Return the Gram matrix (p + 2, p + 2) of rows (p, m), whose own is given, and signals."""
     p = len(gram)
     found = np.empty((p + len(signals), p + len(signals)))

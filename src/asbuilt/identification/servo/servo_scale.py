@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.terms.friction import Offset
-from asbuilt.identification.servo.block_fits import block_weights, clustered
+from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import ServoRows
 
 Scale = Literal["gravity", "inertia"]
@@ -86,7 +86,7 @@ def find_scale(
     n = unknown.size
     c, V, source = np.full(n, np.nan), np.full(n, np.inf), ["gravity"] * n
     for k in np.flatnonzero(unknown).tolist():
-        c[k], V[k], source[k] = _own_scale(rows, base, design, kd[k], k)
+        c[k], V[k], source[k] = _estimate_own_scale(rows, base, design, kd[k], k)
     good = unknown & (c > 0) & np.isfinite(V)
     determined = good & (np.sqrt(V) < RULES.determined * np.where(good, c, 1.0))
     pooled = shared or not np.all(determined[unknown])
@@ -102,7 +102,7 @@ def find_scale(
     return ServoScale(kp, errors, determined, pooled, tuple(source))  # type: ignore[arg-type]
 
 
-def _own_scale(
+def _estimate_own_scale(
     rows: ServoRows, base: BaseParameters, design: Array, kd: float, k: int
 ) -> tuple[float, float, Scale]:
     """Return c of a joint, its variance from time blocks, and what gives it."""
@@ -110,7 +110,7 @@ def _own_scale(
     K = base.regrouping[own]
     per = base.drive.columns_per_joint
     first = 10 * base.n_links + per * k
-    drives = K[:, first : first + per][:, _not_constant(base)]
+    drives = K[:, first : first + per][:, _find_varying_columns(base)]
     parts = {
         "gravity": np.where(np.arange(base.n_standard) % 10 >= 6, design, 0.0),
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
@@ -128,7 +128,7 @@ def _own_scale(
         a[-1] += 1.0
         weight = block_weights(rows, k, a)
     inverse = np.linalg.pinv(normal, hermitian=True)
-    scores = clustered(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
+    scores = sum_clusters(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
     rest, size = np.linalg.pinv(normal[1:, 1:], hermitian=True), {}
     for name, part in parts.items():
         t = np.zeros(own.size + 3)
@@ -142,7 +142,7 @@ def _own_scale(
     return float(x[0]), float(np.sum(scores**2)), source
 
 
-def _not_constant(base: BaseParameters) -> list[int]:
+def _find_varying_columns(base: BaseParameters) -> list[int]:
     """Return the drive columns of a joint that are no constant torque."""
     symbols = [symbol for term in base.drive.terms for symbol in term.symbols]
     return [i for i, symbol in enumerate(symbols) if symbol not in Offset.symbols]

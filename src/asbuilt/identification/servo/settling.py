@@ -16,7 +16,11 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.servo.servo_delay import DelayFit, fit_delay
 from asbuilt.identification.servo.servo_replay import Replay, replay
-from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import (
+    CommandedMotion,
+    ServoRows,
+    reduce_servo_recordings,
+)
 from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
 
 
@@ -115,12 +119,12 @@ class Settling:
         kd, error = np.nan_to_num(np.array(self.servo.kd)).tolist(), 0.0
         before: tuple[float, float] | None = None
         for _ in range(ITERATIONS.most):
-            rows = servo_rows(self.motions, self.recordings, late)
+            rows = reduce_servo_recordings(self.motions, self.recordings, late)
             kp, scale = self._gains(rows)
             found = fit_delay(rows, self.base, self.design, kp.tolist(), kd, replayed)
             if not self.free_delay:
                 break
-            step, error = _secant_step(late, found.step, before), found.std_error
+            step, error = _take_secant_step(late, found.step, before), found.std_error
             before = late, found.step
             late = float(np.clip(late + step, -ITERATIONS.longest, ITERATIONS.longest))
             if abs(step) < max(ITERATIONS.convergence, 0.05 * error):
@@ -139,7 +143,7 @@ class Settling:
         return np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), given), scale
 
 
-def _secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:
+def _take_secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:
     """Return how far from a delay its best one lies, by the steps there and at the delay before.
 
     Steps overshoot, or fall short, by an about constant factor. Without a delay before, or where

@@ -11,7 +11,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.trajectories.objective import Objective
 from asbuilt.identification.trajectories.refinement import Refinement
 from asbuilt.identification.trajectories.sensitivity import Trajectories
@@ -27,26 +27,26 @@ lubricant that parts the surfaces. What holds a joint more is no friction of two
 contact of a simulator, a deadband, or a servo at its limit."""
 
 
-def simulated_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
+def build_simulated_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """Return the prior of a robot whose friction near rest is at least that in motion.
 
     With less, simulated joints that come to rest creep and slip.
     """
-    prior = cad_prior(model, drive)
+    prior = build_cad_prior(model, drive)
     fading = [term.key in FADING for term in drive.terms for _ in term.symbols] * model.n_joints
     bounded = np.union1d(prior.non_negative, 10 * model.n_links + np.flatnonzero(fading))
     return replace(prior, non_negative=bounded)
 
 
-def widened(parameters: Array, drive: DriveSet, wider: DriveSet, n_joints: int) -> Array:
+def widen_parameters(parameters: Array, drive: DriveSet, wider: DriveSet, n_joints: int) -> Array:
     """Return standard parameters with the columns of a wider set of drive terms, new ones zero."""
     links = len(parameters) - n_joints * drive.columns_per_joint
     found = np.zeros((n_joints, wider.columns_per_joint))
-    found[:, ~_new(drive, wider)] = parameters[links:].reshape(n_joints, -1)
+    found[:, ~_find_new_columns(drive, wider)] = parameters[links:].reshape(n_joints, -1)
     return np.concatenate([parameters[:links], found.ravel()])
 
 
-def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> float:
+def predict_fall(objective: Objective, found: Refinement, term: DriveTerm) -> float:
     """Return by how much a drive term would lower the cost, by the quadratic model at zero of it.
 
     The score test: nothing is simulated again (Rao, Proc. Cambridge Philos. Soc. 44, 1948).
@@ -54,19 +54,19 @@ def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> f
     model, drive = objective.trajectories.model, objective.trajectories.base.drive
     n, wider = model.n_joints, drive.with_term(term)
     points = [
-        replace(each, chi=widened(each.chi, drive, wider, n))
+        replace(each, chi=widen_parameters(each.chi, drive, wider, n))
         for each in (found.point, objective.start)
     ]
     wide = replace(
         objective,
         trajectories=Trajectories(model, find_base_parameters(model, wider)),
         torque_weights=np.zeros(n),
-        prior=simulated_prior(model, wider),
+        prior=build_simulated_prior(model, wider),
         start=points[1],
     )
     quadratic = wide.quadratic(points[0], found.motions, found.weights)
     free = ~wide.at_bound(points[0], quadratic.gradient)
-    links, per = 10 * model.n_links, np.tile(_new(drive, wider), n)
+    links, per = 10 * model.n_links, np.tile(_find_new_columns(drive, wider), n)
     added = np.zeros_like(free)
     added[links : links + len(per)] = per
     return quadratic.fall(free) - quadratic.fall(free & ~added)
@@ -83,6 +83,6 @@ def is_friction_at_rest(drive: DriveSet, values: Array, errors: Array) -> bool:
     return bool(np.all((added <= 0.0) | (least <= (BREAKAWAY - 1.0) * moving)))
 
 
-def _new(drive: DriveSet, wider: DriveSet) -> Mask:
+def _find_new_columns(drive: DriveSet, wider: DriveSet) -> Mask:
     """Return which columns of a joint belong to terms that only the wider set has."""
     return np.array([term.key not in drive.keys for term in wider.terms for _ in term.symbols])

@@ -13,7 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.virtual.physics import Physics, mujoco_module
+from asbuilt.experiment.virtual.physics import Physics, import_mujoco
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import SLOWEST
 from asbuilt.identification.trajectories.windows import Windows
@@ -64,13 +64,13 @@ class _Engine:
     """A compiled robot with its servo and drive terms."""
 
     def __init__(self, robot: SimulatedRobot, step: float) -> None:
-        self.mujoco = mujoco_module("a rollout")
+        self.mujoco = import_mujoco("a rollout")
         self.robot, n = robot, robot.model.n_joints
-        own = _values_by_key(robot)
+        own = _read_values_by_key(robot)
         plain = {key: own.get(key, np.zeros(n)) for key in AT_JOINTS}
         self.offset = plain["offset"]
         self.others = robot.drive.without(*AT_JOINTS, *AT_MOTORS)
-        self.other_values = _values_of(robot, self.others)
+        self.other_values = _select_values(robot, self.others)
         self.friction = plain["coulomb"]
         self.proportional = robot.servo is None or robot.servo.proportional
         self.native = (
@@ -216,7 +216,7 @@ class _Engine:
         return 0.5 * (ahead + back) + np.minimum(odd, 0.0) * np.sign(sound), np.maximum(odd, 0.0)
 
 
-def _values_by_key(robot: SimulatedRobot) -> dict[str, Array]:
+def _read_values_by_key(robot: SimulatedRobot) -> dict[str, Array]:
     """Return the values (n,) of the terms with one parameter, zero where a joint lacks them."""
     found: dict[str, Array] = {}
     place = 0
@@ -228,7 +228,7 @@ def _values_by_key(robot: SimulatedRobot) -> dict[str, Array]:
     return found
 
 
-def _values_of(robot: SimulatedRobot, drive: DriveSet) -> Array:
+def _select_values(robot: SimulatedRobot, drive: DriveSet) -> Array:
     """Return the columns of the values that belong to some terms of the robot."""
     kept, place = list[int](), 0
     for term in robot.drive.terms:

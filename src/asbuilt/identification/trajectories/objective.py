@@ -182,7 +182,7 @@ class Objective:
         parts = [
             (k, slice(a, b))
             for k, cut in enumerate(cuts)
-            for a, b in _shares(cut.n_windows) or [(0, 0)]
+            for a, b in _divide_range(cut.n_windows) or [(0, 0)]
         ]
 
         def one(part: tuple[int, slice]) -> Motion:
@@ -192,7 +192,7 @@ class Objective:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = list(pool.map(one, parts))
         return [
-            _joined([each for (at, _), each in zip(parts, found, strict=True) if at == k])
+            _join_motions([each for (at, _), each in zip(parts, found, strict=True) if at == k])
             for k in range(len(self.windows))
         ]
 
@@ -455,13 +455,13 @@ class Objective:
 _SVEC = svec(pseudo_inertias(np.eye(10))).T
 
 
-def _shares(count: int) -> list[tuple[int, int]]:
+def _divide_range(count: int) -> list[tuple[int, int]]:
     """Return ranges of equal length, one per processor."""
     edges = np.linspace(0, count, (os.cpu_count() or 1) + 1).astype(int)
     return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
 
-def _joined(parts: Sequence[Motion]) -> Motion:
+def _join_motions(parts: Sequence[Motion]) -> Motion:
     return Motion(
         *(np.concatenate([getattr(part, x) for part in parts]) for x in ("q", "v", "a", "state"))
     )

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.trajectories.friction_search import simulated_prior
+from asbuilt.identification.trajectories.friction_search import build_simulated_prior
 from asbuilt.identification.trajectories.objective import Objective, Point
 from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
@@ -113,7 +113,7 @@ def refine_fit(
         Called with the fraction done.
     """
     model, base = fit.model, fit.base
-    prior = simulated_prior(model, base.drive)
+    prior = build_simulated_prior(model, base.drive)
     linear = fit.estimate
     if not isinstance(linear, ConsistentEstimate):
         linear = fit_toward_cad(fit.information, prior)
@@ -121,7 +121,7 @@ def refine_fit(
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
         chi[: 10 * model.n_links] = prior.parameters[: 10 * model.n_links]
-    wanted, windows = of_servo or ServoCoordinates(delay=True), thinned_windows(windows)
+    wanted, windows = of_servo or ServoCoordinates(delay=True), thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
     share = RULES.same_samples * fit.uncertainty.effective_samples / fit.information.n_samples
@@ -138,7 +138,7 @@ def refine_fit(
     )
     first = start if begin is None else Point(begin, servo, starts)
     if objective.of_servo.stiffness and servo is not None and begin is None:
-        first = _better_start(objective, first, servo)
+        first = _choose_start(objective, first, servo)
     if wanted.lead and servo is not None and any(servo.lead):
         objective = replace(objective, of_servo=wanted)
     elif wanted.lead and servo is not None:
@@ -157,14 +157,14 @@ def refine_fit(
             np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples),
             np.finfo(np.float64).tiny,
         ),
-        notes=(*linear.notes, _note(found, windows)),
+        notes=(*linear.notes, _word_note(found, windows)),
         refit=None,
     )
     refined = replace(
         fit,
         estimate=estimate,
         uncertainty=replace(fit.uncertainty, covariance=covariance[:p, :p]),
-        provenance=(*fit.provenance, _note(found, windows)),
+        provenance=(*fit.provenance, _word_note(found, windows)),
     )
     built = SimulatedRobot(
         model.with_parameters(found.point.chi[: 10 * model.n_links]),
@@ -178,7 +178,7 @@ def refine_fit(
         chi[10 * model.n_links :].reshape(model.n_joints, -1),
         servo,
     )
-    stiffness, late, lead = _servo_errors(objective, covariance)
+    stiffness, late, lead = _derive_servo_errors(objective, covariance)
     return RefinedFit(
         refined,
         found.point.servo,
@@ -194,7 +194,7 @@ def refine_fit(
     )
 
 
-def _servo_errors(objective: Objective, covariance: Array) -> tuple[float, float, float]:
+def _derive_servo_errors(objective: Objective, covariance: Array) -> tuple[float, float, float]:
     """Return standard errors of relative stiffness, delay and lead; NaN where not fitted."""
     free, servo = objective.of_servo, objective.start.servo
     first = objective.trajectories.base.n_base
@@ -209,7 +209,7 @@ def _servo_errors(objective: Objective, covariance: Array) -> tuple[float, float
     return stiffness, late, lead
 
 
-def _better_start(objective: Objective, start: Point, servo: PositionServo) -> Point:
+def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> Point:
     """Return the start, or one with stiffer servos and no delay, after a few steps of each.
 
     Stiffness, damping and delay of an unknown servo trade off, so that a search may miss the
@@ -266,7 +266,7 @@ def _with_lead(objective: Objective, start: Point, servo: PositionServo) -> tupl
     return (objective, plain.point) if worse > RULES.chance else (ahead, other.point)
 
 
-def thinned_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
+def thin_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
     """Return every k-th window, so that together they last `RULES.most_seconds`."""
     total = sum(each.n_windows * each.horizon for each in windows)
     every = max(1, int(np.ceil(total / RULES.most_seconds)))
@@ -279,7 +279,7 @@ def thinned_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
     return tuple(chosen)
 
 
-def _note(found: Refinement, windows: Sequence[Windows]) -> str:
+def _word_note(found: Refinement, windows: Sequence[Windows]) -> str:
     count = sum(each.n_windows for each in windows)
     return (
         f"Refined by trajectories: {count} windows of {windows[0].horizon:g} s simulated under the"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.errors.uncertainty import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
@@ -66,11 +66,11 @@ def refine(
     progress: Callable[[float], None] | None = None,
 ) -> Refinement:
     """Minimise the objective from a start."""
-    with one_blas_thread():
-        return _refined(objective, start, steps, progress)
+    with use_one_blas_thread():
+        return _refine_point(objective, start, steps, progress)
 
 
-def _refined(
+def _refine_point(
     objective: Objective,
     start: Point,
     steps: Steps,
@@ -79,12 +79,12 @@ def _refined(
     point, motions = start, objective.motions(start)
     done, costs = 0, list[float]()
     inflation, damping = 1.0, steps.damping
-    weights = weights_of(objective, motions, steps, inflation)
+    weights = derive_weights(objective, motions, steps, inflation)
     slopes = objective.slopes(point, motions)
     quadratic = objective.quadratic(point, motions, weights, slopes)
     for number in range(steps.rounds):
         inflation = max(1.0, inflation * score_inflation(quadratic, weights))
-        renewed = weights_of(objective, motions, steps, inflation)
+        renewed = derive_weights(objective, motions, steps, inflation)
         last = number == steps.rounds - 1 or (
             number > 0
             and bool(np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same))
@@ -93,9 +93,11 @@ def _refined(
         enough = steps.settled if last else steps.roughly
         quadratic = objective.quadratic(point, motions, weights, slopes)
         for _ in range(steps.most):
-            if _settled(objective, point, quadratic, enough):
+            if _is_settled(objective, point, quadratic, enough):
                 break
-            moved = _step(objective, point, motions, quadratic, weights, damping, steps)
+            moved = _find_better_point(
+                objective, point, motions, quadratic, weights, damping, steps
+            )
             done += 1
             if moved is None:
                 break
@@ -112,7 +114,7 @@ def _refined(
     return Refinement(point, quadratic, weights, motions, done, tuple(costs))
 
 
-def weights_of(
+def derive_weights(
     objective: Objective, motions: Sequence[Motion], steps: Steps, inflation: float
 ) -> Weights:
     """Return weights by the errors of the windows: of each joint, and less for outlying windows.
@@ -150,14 +152,14 @@ def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
     return max(found, g / (g - 1.0) * float(np.mean(np.sum(whole**2, axis=0))))
 
 
-def _settled(objective: Objective, point: Point, quadratic: Quadratic, enough: float) -> bool:
+def _is_settled(objective: Objective, point: Point, quadratic: Quadratic, enough: float) -> bool:
     """Return whether parameters, and on average starts, are close to their minimum."""
     free = ~objective.at_bound(point, quadratic.gradient)
     starts = sum(start.size for start in point.starts)
     return quadratic.fall(free) < enough and quadratic.gain < enough * starts
 
 
-def _step(
+def _find_better_point(
     objective: Objective,
     point: Point,
     motions: Sequence[Motion],
@@ -182,14 +184,14 @@ def _step(
         )
         tried = objective.moved(point, step, starts)
         moved = objective.motions(tried)
-        found = _spared(objective, point, before, tried, moved, weights, quadratic.cost)
+        found = _try_point(objective, point, before, tried, moved, weights, quadratic.cost)
         if found is not None:
             return *found, damping / 30.0
         damping = max(10.0 * damping, 0.1 * steps.damping)
     return None
 
 
-def _spared(
+def _try_point(
     objective: Objective,
     point: Point,
     before: Sequence[Array],

@@ -13,11 +13,11 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
-from asbuilt.dynamics.kernels.recursion import layout_of
+from asbuilt.dynamics.kernels.recursion import build_layout
 from asbuilt.dynamics.kernels.single_sample import work_size
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.one_sample import drive_program
+from asbuilt.dynamics.one_sample import compile_drives
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import (
@@ -129,7 +129,7 @@ class Trajectories:
             program,
             numbers,
             *self._coupling,
-            *_matrices(robot),
+            *_build_matrices(robot),
             *robot.stiffness,
             *robot.deviations,
             windows.signal.kind == "command",
@@ -197,8 +197,8 @@ class Trajectories:
         others = robot.drive.without(*IN_MATRICES)
         _add_drive_slopes(robot, others, q, v, sign, by_q, by_v)
         rows = self.plan.evaluate(q, v, a)
-        drive = _drive_rows(robot, q, v, after - added, a, sign)
-        rotors, damping = _matrices(robot)
+        drive = _build_drive_rows(robot, q, v, after - added, a, sign)
+        rotors, damping = _build_matrices(robot)
         kp, kd, _ = robot.stiffness
         dead, falling = robot.deviations
         servo = windows.signal.kind == "command"
@@ -280,13 +280,13 @@ class Trajectories:
 
     def _program(self, robot: SimulatedRobot, links: Array) -> tuple[Indices, Indices, Array]:
         """Return codes of the links, codes with the drive program, and numbers."""
-        layout, coupling = layout_of(self.model.tree), self.model.coupling
+        layout, coupling = build_layout(self.model.tree), self.model.coupling
         bodies = links.reshape(-1, 10)
         if coupling is not None:
             bodies = coupling.parameters(bodies)
         others = robot.drive.without(*IN_MATRICES)
-        program, constants = drive_program(
-            others, _columns(robot, others.keys).reshape(-1), self.model.motor_shares
+        program, constants = compile_drives(
+            others, _select_columns(robot, others.keys).reshape(-1), self.model.motor_shares
         )
         codes = layout.codes.ravel().copy()
         numbers = [
@@ -298,20 +298,20 @@ class Trajectories:
         return codes, np.concatenate([codes, program.ravel()]), np.concatenate(numbers)
 
 
-def _columns(robot: SimulatedRobot, keys: tuple[str, ...]) -> Array:
+def _select_columns(robot: SimulatedRobot, keys: tuple[str, ...]) -> Array:
     """Return the columns of the drive values that belong to some terms, shape (n, columns)."""
     of = [key for term in robot.drive.terms for key in [term.key] * len(term.symbols)]
     return robot.values[:, [c for c, key in enumerate(of) if key in keys]]
 
 
-def _matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
+def _build_matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
     """Return armatures, less what steps add to them, and dampings of the drives, as (n, n)."""
     T, n = robot.model.motor_shares, robot.model.n_joints
     made = []
     for key in ("armature", "viscous"):
         matrix = np.zeros((n, n))
         for term in robot.drive.terms:
-            own = _columns(robot, (term.key,))
+            own = _select_columns(robot, (term.key,))
             there = np.array([term.is_at(k) for k in range(n)])
             if term.key == key:
                 matrix += np.diag(np.where(there, own[:, 0], 0.0))
@@ -322,7 +322,7 @@ def _matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
     return made[0] - 0.5 * robot.step * added, made[1]
 
 
-def _drive_rows(
+def _build_drive_rows(
     robot: SimulatedRobot, q: Array, v: Array, after: Array, a: Array, sign: Array
 ) -> list[Array]:
     """Return the torque of unit drive parameters of every joint, shape (columns, N) each."""
@@ -358,12 +358,14 @@ def _add_drive_slopes(
     """Add the derivatives of the drive torques by position and velocity, joint by joint."""
     if not others or set(others.keys) <= {"coulomb", "offset"}:
         return
-    values = _columns(robot, others.keys)
+    values = _select_columns(robot, others.keys)
     part = replace(robot, drive=others, values=values)
     for out, moves in ((by_q, (SMALL, 0.0)), (by_v, (0.0, SMALL))):
         two = []
         for s in (1.0, -1.0):
-            rows = _drive_rows(part, q + s * moves[0], v + s * moves[1], v, np.zeros_like(q), sign)
+            rows = _build_drive_rows(
+                part, q + s * moves[0], v + s * moves[1], v, np.zeros_like(q), sign
+            )
             two.append(np.stack([values[k] @ rows[k] for k in range(q.shape[1])], axis=1))
         at = np.arange(q.shape[1])
         out[:, at, at] += (two[0] - two[1]) / (2.0 * SMALL)

@@ -84,7 +84,7 @@ class SimulatedRobot:
         return replace(self, servo=servo)
 
 
-def robot_as_built(
+def build_robot_as_built(
     result: IdentificationResult, servo: PositionServo | None = None
 ) -> SimulatedRobot:
     """Return the robot with the standard parameters closest to CAD that a result supports."""
@@ -97,7 +97,9 @@ def robot_as_built(
     )
 
 
-def robot_as_described(model: RobotModel, servo: PositionServo | None = None) -> SimulatedRobot:
+def build_robot_as_described(
+    model: RobotModel, servo: PositionServo | None = None
+) -> SimulatedRobot:
     """Return the robot with the inertias, drive terms and values of its description."""
     drive, values = described_drive(model)
     return SimulatedRobot(model, drive, values.reshape(model.n_joints, -1), servo)

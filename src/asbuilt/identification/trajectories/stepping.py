@@ -26,7 +26,7 @@ SLOWEST = 1e-9
 
 
 @part
-def factored(A, first, n):
+def factor_cholesky(A, first, n):
     """Write the lower Cholesky factor over A; return False if A is not positive definite.
 
     Row i of A begins at `first[i]`: what is before it is zero, and so it is in the factor. The
@@ -45,8 +45,8 @@ def factored(A, first, n):
 
 
 @part
-def solved(L, first, x, n):
-    """Overwrite x by the solution of `L L^T y = x` for a factor of `factored`."""
+def solve_cholesky(L, first, x, n):
+    """Overwrite x by the solution of `L L^T y = x` for a factor of `factor_cholesky`."""
     for i in range(n):
         for k in range(first[i], i):
             x[i] -= L[i, k] * x[k]
@@ -58,7 +58,7 @@ def solved(L, first, x, n):
 
 
 @part
-def _row_starts(codes, moved_by, rotors, damping, first):
+def _write_row_starts(codes, moved_by, rotors, damping, first):
     """Write the column at which each row (n,) of the mass matrix begins, by the branches."""
     for k in range(first.size):
         first[k] = k
@@ -76,7 +76,9 @@ def _row_starts(codes, moved_by, rotors, damping, first):
 
 
 @part
-def _rigid_bodies(codes, numbers, moved_by, shares, offset, q, v, zero, tree, masses, M, bias):
+def _write_rigid_bodies(
+    codes, numbers, moved_by, shares, offset, q, v, zero, tree, masses, M, bias
+):
     """Write mass matrix and torque without acceleration; return whether they are finite.
 
     Joint i of the tree is at `shares[i] q[moved_by[i]] + offset[i]`; no shares: each has a drive.
@@ -121,7 +123,7 @@ def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, o
 
 
 @part
-def _rubbed(L, first, h, odd, friction, v, W, column, n):
+def _apply_dry_friction(L, first, h, odd, friction, v, W, column, n):
     """Change free velocities v to those under dry friction, whose impulses are kept.
 
     The impulses before are tried first: they are right for a robot whose joints all slide on.
@@ -134,7 +136,7 @@ def _rubbed(L, first, h, odd, friction, v, W, column, n):
         column[j] = friction[j]
     if largest == 0.0:
         return
-    solved(L, first, column, n)
+    solve_cholesky(L, first, column, n)
     sliding = True
     for j in range(n):
         v[j] -= column[j]
@@ -154,7 +156,7 @@ def _rubbed(L, first, h, odd, friction, v, W, column, n):
             if W[j, j] == 0.0:
                 W[j] = 0.0
                 W[j, j] = 1.0
-                solved(L, first, W[j], n)
+                solve_cholesky(L, first, W[j], n)
             new = min(max(friction[j] + v[j] / W[j, j], -bound), bound)
             moved = new - friction[j]
             if moved != 0.0:
@@ -195,8 +197,8 @@ def simulate(
     `inputs` (W, S, n), `q` and `v` (W, S + 1, n), `a` (W, S, n); `state` (W, S, n) becomes 1 and
     -1 for joints that dry friction brakes, 0 for those that it holds, .5 and -.5 for those without;
     4 is added for those at the torque limit of the servo. `moved_by`, `shares` and `offset`
-    (n_links,) are as in `_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and `falling`
-    (n,) are the deadband and how much the limit falls per speed.
+    (n_links,) are as in `_write_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and
+    `falling` (n,) are the deadband and how much the limit falls per speed.
     """
     n, windows, steps, links = kp.size, inputs.shape[0], inputs.shape[1], codes.size // CODES
     tree, masses = np.empty((4, links)), np.empty((links, links))
@@ -205,7 +207,7 @@ def simulate(
     M, W, column, tau = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
     position, rate, free = np.empty(n), np.empty(n), np.empty(n)
     full, first = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64)
-    _row_starts(codes, moved_by, rotors, damping, first)
+    _write_row_starts(codes, moved_by, rotors, damping, first)
     for w in range(windows):
         friction[:] = 0.0
         alive = True
@@ -215,7 +217,7 @@ def simulate(
                 continue
             for k in range(n):
                 position[k], rate[k] = q[w, s, k], v[w, s, k]
-            alive = _rigid_bodies(
+            alive = _write_rigid_bodies(
                 codes,
                 numbers,
                 moved_by,
@@ -253,12 +255,12 @@ def simulate(
                     M[k, j] += rotors[k, j] + h * damping[k, j]
                 if by_command and not full[k]:
                     M[k, k] += h * kd[k]
-            alive = alive and factored(M, first, n)
+            alive = alive and factor_cholesky(M, first, n)
             if alive:
-                solved(M, first, free, n)
+                solve_cholesky(M, first, free, n)
                 for k in range(n):
                     free[k] = rate[k] + h * free[k]
-                _rubbed(M, first, h, odd, friction, free, W, column, n)
+                _apply_dry_friction(M, first, h, odd, friction, free, W, column, n)
             for k in range(n):
                 # Velocity from which a simulation counts as diverged.
                 alive = alive and abs(free[k]) < 1e4
@@ -282,7 +284,7 @@ def _sign(state):
 
 
 @part
-def _kept(state, accelerations, s, k):
+def _evaluate_kept_share(state, accelerations, s, k):
     """Return the share of a change of velocity that joint k keeps in step s; -1 where it moves on.
 
     None is left at rest. A joint that reverses under dry friction, accelerated by a before and a'
@@ -351,7 +353,7 @@ def sensitivities(
         for s in range(steps):
             moving = np.int64(0)
             for i in range(m):
-                kept[i] = _kept(state[w], accelerations[w], s, joints[i])
+                kept[i] = _evaluate_kept_share(state[w], accelerations[w], s, joints[i])
                 if kept[i] < 0.0:
                     place[moving] = i
                     moving += 1
@@ -386,7 +388,7 @@ def sensitivities(
                             right[x, c] += coupling * dv[i, c]
                     for c in range(p):
                         dv[i, c] *= kept[i]
-            if factored(A, dense, moving):
+            if factor_cholesky(A, dense, moving):
                 for x in range(moving):
                     for k in range(x):
                         for c in range(p):

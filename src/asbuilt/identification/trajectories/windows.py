@@ -122,7 +122,7 @@ class Windows:
         return np.asarray(slopes + np.asarray(lead) * (slopes - before) / self.step)
 
 
-def driving_signal(recording: Recording) -> DriveSignal:
+def choose_driving_signal(recording: Recording) -> DriveSignal:
     """Return what drives a simulation of a recording: its command if it has one and a servo.
 
     Raises
@@ -157,7 +157,7 @@ def cut_windows(
     horizon
         Length of a window [s].
     signal
-        What drives the simulation; None: `driving_signal`.
+        What drives the simulation; None: `choose_driving_signal`.
 
     Raises
     ------
@@ -193,14 +193,14 @@ def cut_windows(
         horizon,
         samples.rate,
         samples.t[first],
-        _measured(recording, samples.t)[at],
+        _interpolate_positions(recording, samples.t)[at],
         samples.q[first],
         samples.qd[first],
-        signal or driving_signal(recording),
+        signal or choose_driving_signal(recording),
     )
 
 
-def _measured(recording: Recording, t: Array) -> Array:
+def _interpolate_positions(recording: Recording, t: Array) -> Array:
     """Return the logged positions at times (N,), interpolated, shape (N, n)."""
     there = np.isfinite(recording.t) & np.all(np.isfinite(recording.q), axis=1)
     times, first = np.unique(recording.t[there], return_index=True)

@@ -11,19 +11,24 @@ from scipy.linalg import block_diag
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import ResultError
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
-from asbuilt.identification.effects.found_effect import FoundEffect, found_text
-from asbuilt.identification.effects.groups import LINKS, drive_places, group_of, group_title
+from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
+from asbuilt.identification.effects.groups import (
+    LINKS,
+    find_group,
+    locate_drive_parameters,
+    name_group,
+)
 from asbuilt.identification.information.cause_data import TILT, CauseData
-from asbuilt.tables import plus_minus
+from asbuilt.tables import format_plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
 from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
-from asbuilt.validation.comparison.equal_terms import tested_values
+from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.significance import holm
-from asbuilt.validation.prediction import cad_values, torque_units
+from asbuilt.validation.prediction import derive_cad_values, torque_units
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
@@ -63,25 +68,25 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
             " recordings of at least some seconds",
             cure=Cure("identify again from a longer recording", call="run_study"),
         )
-    by_design = result.cad_values if cad is None else cad_values(result, cad)
-    bodies = _bodies(result, cad or result.model, by_design)
+    by_design = result.cad_values if cad is None else derive_cad_values(result, cad)
+    bodies = _estimate_bodies(result, cad or result.model, by_design)
     values = np.nan_to_num(by_design)
-    changes = _changes(result, values, bodies)
-    e, y, torque = _torques(result, data, values, changes)
+    changes = _list_changes(result, values, bodies)
+    e, y, torque = _predict_torques(result, data, values, changes)
     left = e - sum(y.values(), np.zeros_like(e))
     energy = np.sum(e**2, axis=1)
     energy = np.where(energy > 0.0, energy, np.inf)
     parts = {key: np.sum(own * (e + left), axis=1) / energy for key, own in y.items()}
-    sure = _sure(result, values, changes, bodies)
-    added = {str(k): _added(result, each) for k, each in enumerate(bodies.bodies)}
-    by_body = _torques(result, data, values, added)[1]
+    sure = _find_significant(result, values, changes, bodies)
+    added = {str(k): _regroup_body(result, each) for k, each in enumerate(bodies.bodies)}
+    by_body = _predict_torques(result, data, values, added)[1]
     separate = [by_body[key] for key in added]
-    single = _single_bodies(result, bodies, separate, left, torque, data.n_judged)
+    single = _find_single_bodies(result, bodies, separate, left, torque, data.n_judged)
     shares = [
         EffectShare(
             key,
             part,
-            _sizes(result, key, values, single),
+            _word_sizes(result, key, values, single),
             sure[key] and bool(np.any(part >= SHOWN.share)),
         )
         for key, part in parts.items()
@@ -91,9 +96,9 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
         joint_names=data.joint_names,
         units=torque_units(result.model),
         judged_by=recording_name(data.judged_by),
-        torque=_rms(torque, data.n_judged),
-        rms_cad=_rms(e, data.n_judged),
-        rms_chosen=_rms(left, data.n_judged),
+        torque=_evaluate_rms(torque, data.n_judged),
+        rms_cad=_evaluate_rms(e, data.n_judged),
+        rms_chosen=_evaluate_rms(left, data.n_judged),
         shares=tuple(sorted(shares, key=lambda each: -float(each.share @ np.sum(e**2, axis=1)))),
         unexplained=np.sum(left**2, axis=1) / energy,
         payload=next((each for each in single if each.effect == Payload.key), None),
@@ -102,7 +107,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     )
 
 
-def _torques(
+def _predict_torques(
     result: IdentificationResult, data: CauseData, values: Array, changes: Mapping[str, Array]
 ) -> tuple[Array, dict[str, Array], Array]:
     """Return the error of CAD (n, R), what each effect adds to CAD (n, R), and the torque (n, R).
@@ -122,20 +127,22 @@ def _torques(
     return both[0] - both[1], dict(zip([*changes, *tilts], both[2:], strict=True)), both[0]
 
 
-def _rms(torque: Array, n: int) -> Array:
+def _evaluate_rms(torque: Array, n: int) -> Array:
     return np.asarray(np.linalg.norm(torque, axis=-1) / np.sqrt(n))
 
 
-def _bodies(result: IdentificationResult, cad: RobotModel, by_design: Array) -> BodyDifference:
+def _estimate_bodies(
+    result: IdentificationResult, cad: RobotModel, by_design: Array
+) -> BodyDifference:
     """Return what the bodies have beyond CAD, by estimates without regularisation."""
-    free = tested_values(result)
+    free = select_tested_values(result)
     known = free.determined & ~free.dropped & (free.std_errors > 0.0)
     difference = np.where(known, free.estimates - by_design, np.nan)
     right = not any(EFFECTS[each.effect].of_log for each in result.effects)
     return explain_bodies(cad, result.base, difference, free.covariance, right_log=right)
 
 
-def _changes(
+def _list_changes(
     result: IdentificationResult, values: Array, bodies: BodyDifference
 ) -> dict[str, Array]:
     """Return what each effect adds to the base parameters of CAD, (p,) each."""
@@ -143,29 +150,29 @@ def _changes(
     change = result.estimates - values
     found = {LINKS: np.where(base.columns < 10 * base.n_links, change, 0.0)}
     for k in range(base.n_joints):
-        for key, places in drive_places(base, k).items():
+        for key, places in locate_drive_parameters(base, k).items():
             found.setdefault(key, np.zeros(base.n_base))[places] = change[places]
     for each in bodies.bodies:
-        own = _added(result, each)
+        own = _regroup_body(result, each)
         found[each.key] = found.get(each.key, 0.0) + own
         found[LINKS] = found[LINKS] - own
     return {key: each for key, each in found.items() if each.any()}
 
 
-def _added(result: IdentificationResult, body: Body) -> Array:
+def _regroup_body(result: IdentificationResult, body: Body) -> Array:
     """Return what a body adds to the base parameters, (p,)."""
     own = slice(10 * body.link, 10 * body.link + 10)
     return np.asarray(result.base.regrouping[:, own] @ body.parameters)
 
 
-def _sure(
+def _find_significant(
     result: IdentificationResult,
     values: Array,
     changes: Mapping[str, Array],
     bodies: BodyDifference,
 ) -> dict[str, bool]:
     """Return which effects are no chance, at a familywise error rate over effects of drives."""
-    tested = tested_values(result)
+    tested = select_tested_values(result)
     p = {
         key: tested.test_against(np.where(change != 0.0, values, np.nan)).probability
         for key, change in changes.items()
@@ -180,7 +187,7 @@ def _sure(
     }
 
 
-def _single_bodies(
+def _find_single_bodies(
     result: IdentificationResult,
     bodies: BodyDifference,
     torques: Sequence[Array],
@@ -212,36 +219,38 @@ def _single_bodies(
                 error_before=before,
                 error_after=after,
                 alternatives=(*others, *([LINKS] if bodies.links_differ else [])),
-                text=found_text(family.title, joint, text, before, after),
+                text=describe_found_effect(family.title, joint, text, before, after),
             )
         )
     return tuple(found)
 
 
-def _sizes(
+def _word_sizes(
     result: IdentificationResult, key: str, values: Array, bodies: tuple[FoundEffect, ...]
 ) -> tuple[str, ...]:
     """Return the parameters of an effect at each joint as text, as changes from CAD."""
     n = result.model.n_joints
     if key in BODIES:
         masses = [each for each in bodies if each.effect == key]
-        texts = [f"{plus_minus(each.estimate, each.std_error)} {each.unit}" for each in masses]
-        return (joined(texts),) * n
+        texts = [
+            f"{format_plus_minus(each.estimate, each.std_error)} {each.unit}" for each in masses
+        ]
+        return (join_names(texts),) * n
     if key in (LINKS, TILT):
         texts = [each.text for each in result.effects if each.effect == key and each.in_model]
-        return ("".join(texts).partition(":")[0].removeprefix(group_title(key)).strip(),) * n
+        return ("".join(texts).partition(":")[0].removeprefix(name_group(key)).strip(),) * n
     words = {
         symbol: term.title.removesuffix(" friction") if key == "friction" else ""
         for term in result.base.drive.terms
-        if group_of(term) == key
+        if find_group(term) == key
         for symbol in term.symbols
     }
     found = []
     for k in range(n):
         parts = []
-        for j in drive_places(result.base, k).get(key, []):
+        for j in locate_drive_parameters(result.base, k).get(key, []):
             own = result.parameters[j]
-            change = plus_minus(own.estimate - float(values[j]), own.std_error)
+            change = format_plus_minus(own.estimate - float(values[j]), own.std_error)
             more = " more than in CAD" if values[j] else ""
             parts.append(
                 f"{words.get(own.name.rstrip('0123456789'), '')} {change} {own.unit}{more}"

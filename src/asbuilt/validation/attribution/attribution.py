@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
-from asbuilt.findings import joined
+from asbuilt.codec import make_plain
+from asbuilt.findings import join_names
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.identification.effects.groups import GROUPS, group_title
-from asbuilt.tables import Cell, Column, Shown, Table, significant, stacked, wrapped
-from asbuilt.tables import share as percentage
+from asbuilt.identification.effects.groups import GROUPS, name_group
+from asbuilt.tables import Cell, Column, Shown, Table, round_significant, stack_tables, wrap_text
+from asbuilt.tables import format_share as percentage
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,18 +98,21 @@ class Attribution:
     @property
     def findings(self) -> tuple[str, ...]:
         """Sentences on the sizes of the effects, and on what the recordings cannot decide."""
-        return findings_of(self)
+        return report_attribution(self)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What explains the CAD error of each joint, with sizes."""
-        return tuple(sentence(self, k) for k in range(len(self.joint_names)))
+        return tuple(describe_joint_error(self, k) for k in range(len(self.joint_names)))
 
     def joint_table(self, as_built: Array) -> Table:
         """Return RMS torque, errors of CAD and as built (n,), and the effects, joint by joint."""
         rms = (self.torque, self.rms_cad, as_built)
         ends = (Column("causes of the CAD error"), Column("with their size", detail=True))
-        texts = [(reason(self, k, brief=True), reason(self, k)) for k in range(len(as_built))]
+        texts = [
+            (describe_joint_effects(self, k, brief=True), describe_joint_effects(self, k))
+            for k in range(len(as_built))
+        ]
         return Table(
             (*self._heads("torque", "CAD error", "as built"), *ends),
             tuple((*self._starts(k, rms), *text) for k, text in enumerate(texts)),
@@ -148,21 +151,21 @@ class Attribution:
 
     def _starts(self, k: int, values: Sequence[Array]) -> tuple[Cell, ...]:
         unit = () if len(set(self.units)) == 1 else self.units[k : k + 1]
-        shown = (Shown(float(v[k]), significant(float(v[k]))) for v in values)
+        shown = (Shown(float(v[k]), round_significant(float(v[k]))) for v in values)
         return (self.joint_names[k], *unit, *shown)
 
     def as_text(self, full: bool = False) -> str:
         """Return sentences and a table for a terminal; `full` has all joints' sentences."""
         lines = ["Causes of the torque error of CAD"]
         if full:
-            lines += [wrapped(line, "  ") for line in (*self.sentences, *self.findings)]
+            lines += [wrap_text(line, "  ") for line in (*self.sentences, *self.findings)]
         else:
-            lines += [wrapped(line, "  ", lines=2) for line in self.findings[:3]]
-        return "\n".join(lines) + "\n\n" + stacked([self.share_table()], full)
+            lines += [wrap_text(line, "  ", lines=2) for line in self.findings[:3]]
+        return "\n".join(lines) + "\n\n" + stack_tables([self.share_table()], full)
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists, ready for JSON."""
-        named: dict[str, Any] = plain(self)
+        named: dict[str, Any] = make_plain(self)
         alike = [[e.effect, other] for e in self.effects for other in e.alternatives]
         return {
             **{key: value for key, value in named.items() if key not in ("robot", "joint_names")},
@@ -174,7 +177,7 @@ class Attribution:
         }
 
 
-def findings_of(found: Attribution) -> tuple[str, ...]:
+def report_attribution(found: Attribution) -> tuple[str, ...]:
     """Return sentences on the sizes of the effects, and on what the recordings cannot decide."""
     lines = []
     if found.payload is not None:
@@ -192,41 +195,41 @@ def findings_of(found: Attribution) -> tuple[str, ...]:
         lines.append(f"{where}: {each.text}.")
     lines += [
         f"This recording cannot separate {each.text.partition(':')[0]} from"
-        f" {joined(each.alternatives)}."
+        f" {join_names(each.alternatives)}."
         for each in found.effects
         if each.alternatives
     ]
     missing = [title for key, title in GROUPS.items() if key not in found.chosen]
     missing += ["payload"] if found.payload is None else []
     return (
-        (*lines, f"Not needed to explain this recording: {joined(missing)}.")
+        (*lines, f"Not needed to explain this recording: {join_names(missing)}.")
         if missing
         else (*lines,)
     )
 
 
-def sentence(found: Attribution, k: int) -> str:
+def describe_joint_error(found: Attribution, k: int) -> str:
     """Return the CAD error of joint k and what explains it."""
-    error = f"{significant(float(found.rms_cad[k]))} {found.units[k]}"
-    return f"{found.joint_names[k]}: RMS error of CAD {error}; {reason(found, k)}."
+    error = f"{round_significant(float(found.rms_cad[k]))} {found.units[k]}"
+    return f"{found.joint_names[k]}: RMS error of CAD {error}; {describe_joint_effects(found, k)}."
 
 
-def _brief(shown: Sequence[EffectShare], k: int) -> str:
+def _word_shares(shown: Sequence[EffectShare], k: int) -> str:
     """Return the largest effects with their share; all where some work against the others."""
     if all(each.share[k] > 0 for each in shown):
         named = [(e.effect.replace("_", " "), float(e.share[k])) for e in shown[: SHOWN.brief]]
         return ", ".join(f"{name} {percentage(share, 0)}" for name, share in named)
     total = sum(float(each.share[k]) for each in shown)
-    return f"{percentage(total, 0)} {joined([each.effect for each in shown])}"
+    return f"{percentage(total, 0)} {join_names([each.effect for each in shown])}"
 
 
-def reason(found: Attribution, k: int, *, brief: bool = False) -> str:
+def describe_joint_effects(found: Attribution, k: int, *, brief: bool = False) -> str:
     """Return the effects of joint k's CAD error with share and size, the largest first."""
     left = float(found.unexplained[k])
     shown = [e for e in found.shares if e.named and abs(e.share[k]) >= SHOWN.share]
     shown.sort(key=lambda each: -abs(float(each.share[k])))
     texts = {
-        each.effect: (each.effect if brief else group_title(each.effect), each.sizes[k])
+        each.effect: (each.effect if brief else name_group(each.effect), each.sizes[k])
         for each in shown
     }
     if not any(each.share[k] > 0 for each in shown) or left > SHOWN.left:
@@ -234,7 +237,7 @@ def reason(found: Attribution, k: int, *, brief: bool = False) -> str:
             return "unexplained"
         return f"nothing explains {'it' if left > 1.0 - SHOWN.share else 'most of it'}"
     if brief:
-        return _brief(shown, k)
+        return _word_shares(shown, k)
     with_it, against = (
         [
             f"{percentage(float(each.share[k]), 0)} {name}{f' ({size})' if size else ''}"

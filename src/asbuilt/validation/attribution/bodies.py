@@ -98,7 +98,7 @@ def explain_bodies(
     d, C = seen.T @ difference[used], seen.T @ covariance[np.ix_(used, used)] @ seen
     M = seen.T @ CadTolerance().covariance(model, base)[np.ix_(used, used)] @ seen
     K = (seen.T @ K)[:, : 10 * model.n_links].reshape(len(d), -1, 10)
-    left = [each for each in _candidates(model) if right_log or each.key == Payload.key]
+    left = [each for each in _list_candidates(model) if right_log or each.key == Payload.key]
     found = list[Body]()
     while True:
         scale = _Scale.of(d, C, M)
@@ -109,7 +109,9 @@ def explain_bodies(
             break
         best, fit = min(fits, key=lambda each: each[1].least)
         gain = alone.least - fit.least
-        if _by_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level:  # amounts are not negative
+        if (
+            _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level
+        ):  # amounts are not negative
             break
         alike = {
             (each.key, each.link): None
@@ -159,7 +161,7 @@ class _Candidate:
         return bool(-mass < z[9] < (0.0 if self.lighter else mass))
 
 
-def _candidates(model: RobotModel) -> Iterator[_Candidate]:
+def _list_candidates(model: RobotModel) -> Iterator[_Candidate]:
     """Yield payloads of some sizes r, with variances of `1, r^2, r^4`, and links made heavier."""
     for size in BODIES.sizes:
         own = np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
@@ -251,7 +253,7 @@ class _Scale:
         return _Fit(unexplained + np.log1p(g).sum(axis=2) - explained, means, largest * inner)
 
 
-def _by_chance(ratio: float, count: int) -> float:
+def _evaluate_chance(ratio: float, count: int) -> float:
     """Return the probability of a likelihood ratio by chance, by F: the scatter is estimated."""
     freedom = max(count - 1, 1)
     return float(fdtrc(1, freedom, np.expm1(max(ratio, 0.0) / max(count, 1)) * freedom))

@@ -17,7 +17,7 @@ from asbuilt.errors import UsageError
 from asbuilt.identification.errors.block_scatter import (
     mean_degrees,
     student_probability,
-    summed_degrees,
+    sum_degrees,
     widening,
 )
 from asbuilt.validation.comparison.significance import (
@@ -160,7 +160,7 @@ def check_tolerance(
 
     def degrees_of(whole: Array) -> Array:
         own, known = np.diag(sampled), np.diag(whole) - np.diag(sampled)
-        return summed_degrees((own, freedom), (known, np.full(len(d), np.inf)))
+        return sum_degrees((own, freedom), (known, np.full(len(d), np.inf)))
 
     def together(factor: float) -> ChiSquare:
         whole = claimed(factor)
@@ -176,12 +176,12 @@ def check_tolerance(
         needed=(
             None
             if held.probability > level
-            else _widening(lambda factor: together(factor).probability - level)
+            else _find_widening(lambda factor: together(factor).probability - level)
         ),
         beyond=tuple(base.names[j] for j, out in zip(chosen, exceeded, strict=True) if out),
     )
 
 
-def _widening(excess: Callable[[float], float]) -> float | None:
+def _find_widening(excess: Callable[[float], float]) -> float | None:
     """Return the factor from 1 to `WIDEST` at which the excess is zero, or None."""
     return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None

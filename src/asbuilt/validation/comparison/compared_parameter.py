@@ -9,17 +9,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
     Column,
     Shown,
     Table,
-    beside,
-    deviation,
-    estimated,
-    share,
+    format_deviation,
+    format_estimate,
+    format_share,
+    round_beside,
 )
 from asbuilt.validation.comparison.torque_change import MATTERS
 
@@ -73,28 +73,28 @@ class ComparedParameter:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts, ready for JSON."""
-        return dict(plain(self)) | {"interval": plain(self.interval)}
+        return dict(make_plain(self)) | {"interval": make_plain(self.interval)}
 
 
-def _std_error(parameter: ComparedParameter) -> Cell:
+def _show_std_error(parameter: ComparedParameter) -> Cell:
     if parameter.verdict == "dropped":
         return Shown(parameter.std_error, DROPPED)
-    return estimated(parameter.estimate, parameter.std_error)[1]
+    return format_estimate(parameter.estimate, parameter.std_error)[1]
 
 
-def _cad(parameter: ComparedParameter) -> Cell:
+def _show_cad(parameter: ComparedParameter) -> Cell:
     cad = parameter.cad
-    return None if cad is None else Shown(cad, beside(cad, parameter.std_error))
+    return None if cad is None else Shown(cad, round_beside(cad, parameter.std_error))
 
 
-def _outcome(parameter: ComparedParameter) -> Cell:
+def _show_outcome(parameter: ComparedParameter) -> Cell:
     """Return the verdict, or the standard errors by which a parameter that agrees is off."""
-    agreeing = deviation(parameter.sigmas, np.inf)
+    agreeing = format_deviation(parameter.sigmas, np.inf)
     outcome = {"differs": "DIFFERS", "agrees": agreeing}.get(parameter.verdict, parameter.verdict)
     return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
 
 
-def _own_part(parameter: ComparedParameter) -> float | None:
+def _evaluate_own_part(parameter: ComparedParameter) -> float | None:
     own, total = parameter.torque_own, parameter.torque_total
     return own / total if own is not None and total else None
 
@@ -104,26 +104,30 @@ COLUMNS = (
     Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
     Column("description", detail=True, of="words"),
     Column("unit", of="unit"),
-    Column("CAD", align="decimal", of=_cad),
-    Column("as built", align="decimal", of=lambda p: estimated(p.estimate, p.std_error)[0]),
-    Column("std err", align="decimal", of=_std_error),
-    Column("%", align="decimal", detail=True, of=lambda p: estimated(p.estimate, p.std_error)[2]),
-    Column("vs CAD", align="right", of=_outcome),
+    Column("CAD", align="decimal", of=_show_cad),
+    Column("as built", align="decimal", of=lambda p: format_estimate(p.estimate, p.std_error)[0]),
+    Column("std err", align="decimal", of=_show_std_error),
+    Column(
+        "%", align="decimal", detail=True, of=lambda p: format_estimate(p.estimate, p.std_error)[2]
+    ),
+    Column("vs CAD", align="right", of=_show_outcome),
 )
 TORQUE_COLUMNS = (
-    Column("its own", "", "right", partial(share, digits=0), detail=True, of=_own_part),
+    Column(
+        "its own", "", "right", partial(format_share, digits=0), detail=True, of=_evaluate_own_part
+    ),
     Column(
         "joint",
         align="right",
         detail=True,
         of=lambda p: f"{1 + int(np.argmax(p.torque))}" if p.torque_total else "",
     ),
-    Column("matters", detail=True, of=lambda p: matters_text(p.matters, p.shared_with)),
+    Column("matters", detail=True, of=lambda p: describe_relevance(p.matters, p.shared_with)),
 )
 """Further columns where the torque of differences is known."""
 
 
-def parameter_table(
+def tabulate_parameters(
     parameters: Sequence[ComparedParameter],
     *,
     level: float,
@@ -141,11 +145,13 @@ def parameter_table(
             "torque: RMS over all joints of the torque of the difference on the validation motion;"
             " its own: the part that no other parameter can make up for; joint: the one with the"
             " largest. A difference matters if its own part is at least"
-            f" {share(MATTERS, 0)} of a joint's error as built. Shared: only the whole is, and the"
+            f" {format_share(MATTERS, 0)} of a joint's error as built. Shared: only the whole is,"
+            " and the"
             " parameters named could make up for the rest."
         )
     rule = (
-        f"DIFFERS: false discovery rate of {share(level, 0)} over all parameters (Benjamini and"
+        f"DIFFERS: false discovery rate of {format_share(level, 0)} over all parameters"
+        " (Benjamini and"
         " Hochberg)."
     )
     # Those that differ most are important: by their own torque, or by standard errors.
@@ -167,7 +173,7 @@ def parameter_table(
     )
 
 
-def matters_text(matters: bool | None, shared_with: Sequence[str]) -> str:
+def describe_relevance(matters: bool | None, shared_with: Sequence[str]) -> str:
     """Return whether a difference matters: yes, no, shared with others, or nothing if unknown."""
     if matters is None:
         return ""

@@ -12,25 +12,25 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.identification.errors.block_scatter import student_probability
-from asbuilt.tables import Table, share, significant, stacked, wrapped
+from asbuilt.tables import Table, format_share, round_significant, stack_tables, wrap_text
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import (
     ComparedParameter,
     Verdict,
-    parameter_table,
+    tabulate_parameters,
 )
-from asbuilt.validation.comparison.equal_terms import tested_values
-from asbuilt.validation.comparison.parameter_text import parameter_texts
+from asbuilt.validation.comparison.equal_terms import select_tested_values
+from asbuilt.validation.comparison.parameter_text import describe_parameters
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
     holm,
 )
-from asbuilt.validation.comparison.torque_change import torque_cost, torque_error_table
-from asbuilt.validation.prediction import Validation, cad_values, torque_units
+from asbuilt.validation.comparison.torque_change import evaluate_torque_cost, tabulate_named_errors
+from asbuilt.validation.prediction import Validation, derive_cad_values, torque_units
 
 FALSE_DISCOVERY_RATE = 0.05
 """Expected share of wrong ones among the parameters that differ (usual level)."""
@@ -123,16 +123,17 @@ class Comparison:
         if not self.torque:
             return text
         cad, built = self.torque[0]
-        error, source = share(built.relative_error), recording_name(built.source)
+        error, source = format_share(built.relative_error), recording_name(built.source)
         if cad is None or not self.n_compared:
             return f"{text} Torque error as built {error} on {source}."
         return (
-            f"{text} Torque error on {source}: CAD {share(cad.relative_error)}, as built {error}."
+            f"{text} Torque error on {source}: CAD {format_share(cad.relative_error)}, as"
+            f" built {error}."
         )
 
     def rule(self) -> str:
         """Return the rule by which parameters differ."""
-        return f"false discovery rate {share(self.level, 0)}"
+        return f"false discovery rate {format_share(self.level, 0)}"
 
     def tests(self) -> tuple[str, ...]:
         """Return the tests of all parameters at once, as sentences."""
@@ -141,8 +142,9 @@ class Comparison:
             found.append(f"All CAD values at once: {self.chi_square.text}.")
         if self.chi_square_tolerance is not None and self.tolerance is not None:
             claimed = (
-                f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of"
-                f" the centre and {share(self.tolerance.inertia, 0)} of inertia"
+                f"{format_share(self.tolerance.mass, 0)} of mass,"
+                f" {format_share(self.tolerance.centre, 0)} of"
+                f" the centre and {format_share(self.tolerance.inertia, 0)} of inertia"
             )
             within = self.chi_square_tolerance.probability > self.level
             found.append(
@@ -151,23 +153,26 @@ class Comparison:
             )
             if self.tolerance_needed is not None:
                 found.append(
-                    f"Tolerances {significant(self.tolerance_needed, 2)} times as wide would cover"
+                    f"Tolerances {round_significant(self.tolerance_needed, 2)} times as wide"
+                    " would cover"
                     " the differences."
                 )
             if self.beyond_tolerance:
                 found.append(
                     f"Parameters beyond their tolerances ({self.rule()}):"
-                    f" {joined(self.beyond_tolerance, 14)}."
+                    f" {join_names(self.beyond_tolerance, 14)}."
                 )
         return tuple(found)
 
     def parameter_table(self) -> Table:
         """Return the parameters as in Table 2 of the 2015 paper, the most torque first."""
-        return parameter_table(self.ranked, level=self.level, errors=self.errors, units=self.units)
+        return tabulate_parameters(
+            self.ranked, level=self.level, errors=self.errors, units=self.units
+        )
 
     def torque_table(self) -> Table:
         """Return the RMS torque errors as in Table 3 of the 2015 paper, a column per recording."""
-        return paired_torque_table(self.torque, ("CAD", "as built"), self.units)
+        return tabulate_paired_torques(self.torque, ("CAD", "as built"), self.units)
 
     def as_text(self, full: bool = False) -> str:
         """Return verdict and both tables for a terminal.
@@ -178,13 +183,13 @@ class Comparison:
             Show all parameters and notes; else what fits one screen of 80 columns.
         """
         tables = [*([self.torque_table()] if self.torque else []), self.parameter_table()]
-        return self.heading(full) + "\n" + stacked(tables, full)
+        return self.heading(full) + "\n" + stack_tables(tables, full)
 
     def heading(self, full: bool = False) -> str:
         """Return the verdict and the tests of all parameters as lines of 80 columns."""
         tests = self.tests() if full or self.tolerance is not None else ()
         lines = (f"{self.robot}: as built against {self.cad_source}", self.verdict(), *tests)
-        return "\n".join(map(wrapped, lines)) + "\n"
+        return "\n".join(map(wrap_text, lines)) + "\n"
 
     def as_csv(self) -> str:
         """Return the parameter table as CSV."""
@@ -247,7 +252,7 @@ def compare(
     Comparison
         Parameters, torque errors and tests.
     """
-    values = result.cad_values if cad is None else cad_values(result, cad)
+    values = result.cad_values if cad is None else derive_cad_values(result, cad)
     determined = np.array(
         [p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters]
     )
@@ -258,9 +263,9 @@ def compare(
     p_values = student_probability(sigmas, freedom[tested])
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
     tests = iter(zip(sigmas, p_values, discovery, strict, strict=True))
-    cause_data, texts = result.cause_data, parameter_texts(result.base)
+    cause_data, texts = result.cause_data, describe_parameters(result.base)
     if cause_data is not None:
-        cost = torque_cost(cause_data, result.base, result.estimates - values)
+        cost = evaluate_torque_cost(cause_data, result.base, result.estimates - values)
         left = cause_data.error_of(result.base.names, result.estimates)
     compared = []
     for j, (parameter, cad_value) in enumerate(
@@ -321,9 +326,9 @@ def compare(
         joint_names=tuple(result.joint_names),
         units=torque_units(result.model),
         parameters=tuple(compared),
-        torque=_paired(result, cad, values, validation),
+        torque=_pair_metrics(result, cad, values, validation),
         level=level,
-        chi_square=tested_values(result).test_against(values) if tested.any() else None,
+        chi_square=select_tested_values(result).test_against(values) if tested.any() else None,
         chi_square_tolerance=None if held is None else held.chi_square,
         tolerance=tolerance,
         tolerance_needed=None if held is None else held.needed,
@@ -333,7 +338,7 @@ def compare(
     )
 
 
-def paired_torque_table(
+def tabulate_paired_torques(
     pairs: Sequence[tuple[TorqueMetrics | None, TorqueMetrics]],
     names: tuple[str, str],
     units: Sequence[str],
@@ -351,8 +356,8 @@ def paired_torque_table(
     ]
     sources = tuple(recording_name(second.source) for _, second in pairs)
     if len(sources) == 1:
-        return torque_error_table(named, units, f"RMS torque error on {sources[0]}")
-    return torque_error_table(named, units, "RMS torque error", sources)
+        return tabulate_named_errors(named, units, f"RMS torque error on {sources[0]}")
+    return tabulate_named_errors(named, units, "RMS torque error", sources)
 
 
 def recording_name(source: str) -> str:
@@ -371,10 +376,10 @@ def recording_name(source: str) -> str:
     if isinstance(part, Blocks):
         ordinal = {2: "second", 3: "third"}.get(part.every, f"{part.every}th")
         return f"{names} (every {ordinal} {part.seconds:g} s)"
-    return f"{names} (the last {share(part.share, 0)})"
+    return f"{names} (the last {format_share(part.share, 0)})"
 
 
-def _paired(
+def _pair_metrics(
     result: IdentificationResult,
     cad: RobotModel | None,
     values: Array,
@@ -392,11 +397,11 @@ def _paired(
     if result.cause_data is None or not result.validation:
         return tuple((None, metrics) for metrics in measured)
     beta = np.nan_to_num(values, nan=0.0)
-    evident = _evident_metrics(result, result.cause_data, beta, measured[0])
+    evident = _measure_from_sums(result, result.cause_data, beta, measured[0])
     return ((evident, measured[0]), *((None, metrics) for metrics in measured[1:]))
 
 
-def _evident_metrics(
+def _measure_from_sums(
     result: IdentificationResult, cause_data: CauseData, beta: Array, like: TorqueMetrics
 ) -> TorqueMetrics:
     """Return the metrics of a prediction on the validation motion, from sums of squares alone."""

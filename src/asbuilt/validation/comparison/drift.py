@@ -16,23 +16,23 @@ from asbuilt.tables import (
     Column,
     Shown,
     Table,
-    beside,
-    deviation,
-    estimated,
-    stacked,
-    wrapped,
+    format_deviation,
+    format_estimate,
+    round_beside,
+    stack_tables,
+    wrap_text,
 )
-from asbuilt.tables import share as percentage
-from asbuilt.validation.comparison.compared_parameter import matters_text
+from asbuilt.tables import format_share as percentage
+from asbuilt.validation.comparison.compared_parameter import describe_relevance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.drift_text import (
     ParameterChange,
-    dropped_sentence,
-    friction_sentences,
-    other_drives_sentence,
+    describe_dropped,
+    describe_friction_changes,
+    describe_other_drives,
 )
-from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, on_equal_terms
-from asbuilt.validation.comparison.parameter_text import parameter_texts
+from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, put_on_equal_terms
+from asbuilt.validation.comparison.parameter_text import describe_parameters
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
@@ -40,12 +40,12 @@ from asbuilt.validation.comparison.significance import (
 )
 from asbuilt.validation.comparison.torque_change import (
     JointChange,
-    joint_changes,
-    joint_table,
-    torque_cost,
-    torque_sentence,
+    derive_joint_changes,
+    describe_torque_changes,
+    evaluate_torque_cost,
+    tabulate_joint_changes,
 )
-from asbuilt.validation.prediction import cad_values, torque_units
+from asbuilt.validation.prediction import derive_cad_values, torque_units
 
 MOST_SENTENCES = 4
 
@@ -124,10 +124,10 @@ class Drift:
                 names[0],
                 align="decimal",
                 width=20,
-                of=lambda each: Shown(each.before, beside(each.before, each.error)),
+                of=lambda each: Shown(each.before, round_beside(each.before, each.error)),
             ),
-            Column(names[1], align="decimal", width=20, of=lambda each: _values(each)[0]),
-            Column("std err", align="decimal", of=lambda each: _values(each)[1]),
+            Column(names[1], align="decimal", width=20, of=lambda each: _show_values(each)[0]),
+            Column("std err", align="decimal", of=lambda each: _show_values(each)[1]),
             Column(change, align="right", of=self._outcome),
             Column(
                 "torque",
@@ -140,7 +140,7 @@ class Drift:
             Column(
                 "matters",
                 detail=True,
-                of=lambda each: matters_text(each.matters, each.shared_with),
+                of=lambda each: describe_relevance(each.matters, each.shared_with),
             ),
         )
         note = (
@@ -172,7 +172,7 @@ class Drift:
         elif change.dropped:
             outcome = DROPPED
         else:
-            outcome = deviation(change.sigmas, np.inf)
+            outcome = format_deviation(change.sigmas, np.inf)
         if change.sigmas is not None:
             return Shown(change.sigmas, outcome)
         return outcome if change.changed or change.dropped else "not determined"
@@ -187,16 +187,18 @@ class Drift:
         """
         shown = self.sentences if full else self.sentences[:MOST_SENTENCES]
         lines = [
-            wrapped(f"{self.robot}: {self.after} against {self.before}"),
-            wrapped(self.verdict()),
-            *(wrapped(line, lines=None if full else 3) for line in shown),
+            wrap_text(f"{self.robot}: {self.after} against {self.before}"),
+            wrap_text(self.verdict()),
+            *(wrap_text(line, lines=None if full else 3) for line in shown),
         ]
         if len(shown) < len(self.sentences):
             lines.append(f"... {len(self.sentences) - len(shown)} more sentences")
         tables = [self.table()]
         if self.joints:
-            tables.insert(0, joint_table(self.joints, self.level, of_models=self.of_models))
-        return "\n".join(lines) + "\n\n" + stacked(tables, full)
+            tables.insert(
+                0, tabulate_joint_changes(self.joints, self.level, of_models=self.of_models)
+            )
+        return "\n".join(lines) + "\n\n" + stack_tables(tables, full)
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -252,7 +254,7 @@ def compare_results(
     ResultError
         If the robots differ in joints or geometry.
     """
-    cad_values(before, after.model)
+    derive_cad_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
     one, two = ([result.base.names.index(name) for name in names] for result in (before, after))
     for i, j in zip(one, two, strict=True):
@@ -265,7 +267,7 @@ def compare_results(
     first, second, terms = (
         (ComparedValues.own(before), ComparedValues.own(after), ())
         if of_models
-        else on_equal_terms(before, after)
+        else put_on_equal_terms(before, after)
     )
     difference = second.estimates[two] - first.estimates[one]
     between = Between(first, second, one, two)
@@ -282,10 +284,12 @@ def compare_results(
     if after.cause_data is not None:
         whole = np.zeros(after.n_base)
         whole[two] = difference
-        cost = torque_cost(after.cause_data, after.base, whole)
+        cost = evaluate_torque_cost(after.cause_data, after.base, whole)
         left = after.cause_data.error_of(after.base.names, after.estimates)
-        joints = joint_changes(after, names, difference, between.covariance, between.mean_degrees)
-    texts = parameter_texts(after.base)
+        joints = derive_joint_changes(
+            after, names, difference, between.covariance, between.mean_degrees
+        )
+    texts = describe_parameters(after.base)
     changed = tests[2] <= level
     own = np.zeros(len(names), dtype=bool)
     if cost is not None and left is not None:
@@ -300,10 +304,10 @@ def compare_results(
             before_error=float(first.std_errors[i]),
             after=float(second.estimates[j]),
             after_error=float(second.std_errors[j]),
-            sigmas=_number(tests[0, place]),
-            p_value=_number(tests[1, place]),
-            false_discovery=_number(tests[2, place]),
-            holm=_number(tests[3, place]),
+            sigmas=_drop_infinite(tests[0, place]),
+            p_value=_drop_infinite(tests[1, place]),
+            false_discovery=_drop_infinite(tests[2, place]),
+            holm=_drop_infinite(tests[3, place]),
             torque_total=None if cost is None else float(cost.total[j]),
             felt_at=(
                 None
@@ -335,20 +339,20 @@ def compare_results(
         chi_square=between.test(tested),
         level=level,
         sentences=(
-            *other_drives_sentence(before, after, titles),
-            *torque_sentence(joints, level, of_models=of_models),
+            *describe_other_drives(before, after, titles),
+            *describe_torque_changes(joints, level, of_models=of_models),
             *terms,
-            *dropped_sentence(dropped),
-            *friction_sentences(after, changes, titles if of_models else None),
+            *describe_dropped(dropped),
+            *describe_friction_changes(after, changes, titles if of_models else None),
         ),
         joints=joints,
         of_models=of_models,
     )
 
 
-def _values(change: ParameterChange) -> tuple[Shown, Shown, Shown]:
-    return estimated(change.after, change.error)
+def _show_values(change: ParameterChange) -> tuple[Shown, Shown, Shown]:
+    return format_estimate(change.after, change.error)
 
 
-def _number(value: float) -> float | None:
+def _drop_infinite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None

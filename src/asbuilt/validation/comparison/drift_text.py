@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Mask
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import rounded
+from asbuilt.tables import round_with_error
 
 LARGEST_GROWTH = 3.0
 """Largest relative change given in percent; beyond it the first value was near zero."""
@@ -56,7 +56,7 @@ class ParameterChange:
         return float(np.hypot(self.before_error, self.after_error))
 
 
-def other_drives_sentence(
+def describe_other_drives(
     before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return a sentence if the results have different drive terms or nonlinear parameters."""
@@ -85,7 +85,7 @@ def other_drives_sentence(
     )
 
 
-def dropped_sentence(dropped: Mask) -> tuple[str, ...]:
+def describe_dropped(dropped: Mask) -> tuple[str, ...]:
     """Return a sentence if parameters were dropped and so not tested."""
     sentence = (
         f"{np.count_nonzero(dropped)} parameters that one result or both dropped are not tested;"
@@ -94,7 +94,7 @@ def dropped_sentence(dropped: Mask) -> tuple[str, ...]:
     return (sentence,) if dropped.any() else ()
 
 
-def friction_sentences(
+def describe_friction_changes(
     result: IdentificationResult,
     changes: tuple[ParameterChange, ...],
     models: tuple[str, ...] | None,
@@ -109,16 +109,16 @@ def friction_sentences(
             change = by_name.get(f"{symbol}{k + 1}")
             if change is None or not change.changed:
                 continue
-            parts.append(f"{what} {_change_text(change, models)}")
+            parts.append(f"{what} {_describe_change(change, models)}")
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
     return tuple(found) or (f"No drive term {'differs' if models else 'changed'} significantly.",)
 
 
-def _change_text(change: ParameterChange, models: tuple[str, ...] | None) -> str:
+def _describe_change(change: ParameterChange, models: tuple[str, ...] | None) -> str:
     """Return both values of a parameter, by how much it grew, and with what it is correlated."""
     before, after = (
-        rounded(value, error if error > 0 else None)[0]
+        round_with_error(value, error if error > 0 else None)[0]
         for value, error in (
             (change.before, change.before_error),
             (change.after, change.after_error),
@@ -132,4 +132,6 @@ def _change_text(change: ParameterChange, models: tuple[str, ...] | None) -> str
     if change.before > 3 * change.before_error:
         growth = change.after / change.before - 1
         text += f" ({100 * growth:+.0f} %)" if abs(growth) <= LARGEST_GROWTH else ""
-    return text + (f" (correlated with {joined(change.shared_with)})" if change.shared_with else "")
+    return text + (
+        f" (correlated with {join_names(change.shared_with)})" if change.shared_with else ""
+    )

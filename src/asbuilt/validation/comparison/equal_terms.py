@@ -10,7 +10,7 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.identification.errors.block_scatter import (
     BlockScatter,
     mean_degrees,
-    summed_degrees,
+    sum_degrees,
     widening,
 )
 from asbuilt.identification.result.result import IdentificationResult
@@ -138,7 +138,7 @@ class Between:
     @property
     def degrees_of_freedom(self) -> Array:
         """Of the variances of the difference, shape (p,)."""
-        return summed_degrees(
+        return sum_degrees(
             *(
                 (values.variances[places], values.degrees_of_freedom[places])
                 for values, places in ((self.first, self.one), (self.second, self.two))
@@ -185,7 +185,7 @@ class Between:
             self.second.scatter.without_bias[:, self.two],
             np.subtract(*self._biases)[None],
         ]
-        alone = summed_degrees(
+        alone = sum_degrees(
             (self.first.variances[self.one], self.first.scatter.degrees_alone[self.one]),
             (self.second.variances[self.two], self.second.scatter.degrees_alone[self.two]),
         )
@@ -230,7 +230,7 @@ class Between:
         return np.asarray(one / wide + two / other)
 
 
-def tested_values(result: IdentificationResult) -> ComparedValues:
+def select_tested_values(result: IdentificationResult) -> ComparedValues:
     """Return the values by which all parameters are tested at once.
 
     Those without bounds and regularisation, unless the estimator dropped parameters.
@@ -238,7 +238,7 @@ def tested_values(result: IdentificationResult) -> ComparedValues:
     return ComparedValues.own(result) if result.dropped.any() else ComparedValues.free(result)
 
 
-def on_equal_terms(
+def put_on_equal_terms(
     before: IdentificationResult, after: IdentificationResult
 ) -> tuple[ComparedValues, ComparedValues, tuple[str, ...]]:
     """Return the values of both results to compare, and a sentence if their estimators matter.

@@ -10,7 +10,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.errors.common_growth import effective_rank
-from asbuilt.tables import significant
+from asbuilt.tables import round_significant
 
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of a correlation matrix, relative to the largest, that counts as zero."""
@@ -36,7 +36,7 @@ def benjamini_hochberg(probabilities: ArrayLike) -> Array:
     >>> benjamini_hochberg([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.04, 0.04]
     """
-    p, order = _in_order(probabilities)
+    p, order = _sort_values(probabilities)
     stepped = np.minimum.accumulate((p * len(p) / np.arange(1, len(p) + 1))[::-1])[::-1]
     return np.minimum(stepped, 1.0)[np.argsort(order)]
 
@@ -49,12 +49,12 @@ def holm(probabilities: ArrayLike) -> Array:
     >>> holm([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.06, 0.06]
     """
-    p, order = _in_order(probabilities)
+    p, order = _sort_values(probabilities)
     stepped = np.maximum.accumulate(p * np.arange(len(p), 0, -1))
     return np.minimum(stepped, 1.0)[np.argsort(order)]
 
 
-def _in_order(probabilities: ArrayLike) -> tuple[Array, Indices]:
+def _sort_values(probabilities: ArrayLike) -> tuple[Array, Indices]:
     """Return values in ascending order, and the place that each of them had."""
     p = np.asarray(probabilities, dtype=np.float64)
     order = np.argsort(p)
@@ -77,14 +77,15 @@ class ChiSquare:
     @property
     def text(self) -> str:
         """The statistic with its p value."""
-        p = f"p {probability_text(self.probability)}"
+        p = f"p {format_probability(self.probability)}"
         if self.f_degrees is None:
             return (
-                f"chi-square {significant(self.statistic)} with {self.degrees} degrees of freedom,"
+                f"chi-square {round_significant(self.statistic)} with {self.degrees} degrees of"
+                " freedom,"
                 f" {p}"
             )
-        first, second = (significant(each, 3) for each in self.f_degrees)
-        ratio = significant(self.statistic / max(self.degrees, 1))
+        first, second = (round_significant(each, 3) for each in self.f_degrees)
+        ratio = round_significant(self.statistic / max(self.degrees, 1))
         return f"F {ratio} with {first} and {second} degrees of freedom, {p}"
 
 
@@ -103,18 +104,18 @@ def chi_square(
     known = np.diag(C) > 0
     if not known.any():
         return ChiSquare(0.0, 0, 1.0)
-    size, variances, vectors = _directions(C[np.ix_(known, known)])
+    size, variances, vectors = _decompose_correlation(C[np.ix_(known, known)])
     whitened = (vectors.T @ (d[known] / size)) / np.sqrt(variances)
     statistic, rank = float(whitened @ whitened), len(whitened)
     return ChiSquare(
         statistic,
         rank,
-        _tail(statistic / rank, rank, degrees_of_freedom),
+        _evaluate_tail(statistic / rank, rank, degrees_of_freedom),
         (float(rank), rank * degrees_of_freedom) if np.isfinite(degrees_of_freedom) else None,
     )
 
 
-def _directions(covariance: Array) -> tuple[Array, Array, Array]:
+def _decompose_correlation(covariance: Array) -> tuple[Array, Array, Array]:
     """Return standard errors (p,), and variances (r,) and directions (p, r) of the correlation."""
     size = np.sqrt(np.diag(covariance))
     eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(size, size))
@@ -147,7 +148,7 @@ def joint_test(
     known = np.diag(C) > 0
     if not known.any() or not np.any(M[:, known]):
         return ChiSquare(0.0, 0, 1.0)
-    size, variances, vectors = _directions(C[np.ix_(known, known)])
+    size, variances, vectors = _decompose_correlation(C[np.ix_(known, known)])
     whitening = vectors / np.sqrt(variances)
     u, g = (d[known] / size) @ whitening, (M[:, known] / size) @ whitening
     own = np.sum(g**2, axis=1)
@@ -177,10 +178,10 @@ def size_probability(
     mean, square = float(np.trace(C)), float(np.sum(C**2))
     if mean <= 0.0:
         return 0.0 if v.any() else 1.0
-    return _tail(float(v @ v) / mean, mean**2 / square, degrees_of_freedom)
+    return _evaluate_tail(float(v @ v) / mean, mean**2 / square, degrees_of_freedom)
 
 
-def _tail(ratio: float, degrees: float, of_variance: float) -> float:
+def _evaluate_tail(ratio: float, degrees: float, of_variance: float) -> float:
     """Return the probability of a mean square of `degrees` values at least `ratio` times its own.
 
     `of_variance` are the degrees of freedom of the variance of each.
@@ -190,6 +191,6 @@ def _tail(ratio: float, degrees: float, of_variance: float) -> float:
     return float(chdtrc(degrees, degrees * ratio))
 
 
-def probability_text(p: float) -> str:
+def format_probability(p: float) -> str:
     """Return a probability with two digits, as text if it is too small for a number."""
     return "below 1e-300" if p < 1e-300 else f"{p:.2g}"

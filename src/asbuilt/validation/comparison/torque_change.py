@@ -12,8 +12,8 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import ResultError
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.tables import Cell, Column, Shown, Table, share, significant
-from asbuilt.validation.comparison.significance import holm, probability_text, size_probability
+from asbuilt.tables import Cell, Column, Shown, Table, format_share, round_significant
+from asbuilt.validation.comparison.significance import format_probability, holm, size_probability
 from asbuilt.validation.prediction import torque_units
 
 
@@ -35,7 +35,7 @@ class JointChange:
     holm: float
 
 
-def joint_changes(
+def derive_joint_changes(
     result: IdentificationResult,
     names: Sequence[str],
     difference: Array,
@@ -84,15 +84,15 @@ def joint_changes(
     )
 
 
-def torque_sentence(
+def describe_torque_changes(
     joints: tuple[JointChange, ...], level: float, *, of_models: bool = False
 ) -> tuple[str, ...]:
     """Return at which joints the torque changed significantly."""
     if not joints:
         return ()
     changes = [
-        f"{each.joint} by {significant(each.torque)} {each.unit} RMS (by chance"
-        f" {significant(each.by_chance)})"
+        f"{each.joint} by {round_significant(each.torque)} {each.unit} RMS (by chance"
+        f" {round_significant(each.by_chance)})"
         for each in joints
         if each.holm <= level
     ]
@@ -105,7 +105,9 @@ def torque_sentence(
     )
 
 
-def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool = False) -> Table:
+def tabulate_joint_changes(
+    joints: Sequence[JointChange], level: float, *, of_models: bool = False
+) -> Table:
     """Return the torque of all changes together joint by joint, with a significance test."""
     change = "difference" if of_models else "change"
     unit = joints[0].unit if len({each.unit for each in joints}) == 1 else ""
@@ -116,7 +118,7 @@ def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool 
         Column("torque", unit, "decimal", 3, of="torque_of_motion"),
         Column(change, unit, "decimal", 3, of="torque"),
         Column("by chance", unit, "decimal", 3, of="by_chance"),
-        Column("p", "", "right", probability_text, of="holm"),
+        Column("p", "", "right", format_probability, of="holm"),
         Column("verdict", of=lambda each: beyond_doubt if each.holm <= level else "-"),
     )
     note = (
@@ -132,7 +134,7 @@ MOST_COLUMNS = 4
 """Predictions in a short text."""
 
 
-def torque_error_table(
+def tabulate_named_errors(
     predictions: Sequence[tuple[str, TorqueMetrics]],
     units: Sequence[str],
     title: str,
@@ -162,7 +164,7 @@ def torque_error_table(
         (name, *([units[k]] if mixed else []), *(float(e.rms[k]) for _, e in predictions))
         for k, name in enumerate(predictions[0][1].joint_names)
     ]
-    relative = (Shown(e.relative_error, share(e.relative_error)) for _, e in predictions)
+    relative = (Shown(e.relative_error, format_share(e.relative_error)) for _, e in predictions)
     rows.append(("relative error", *([""] if mixed else []), *relative))
     return Table(heads, tuple(rows), title=title, notes=notes)
 
@@ -216,7 +218,9 @@ class TorqueCost:
         return (tuple(names[k] for k in self.partners[j]) or (SEVERAL,)) if shared else ()
 
 
-def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) -> TorqueCost:
+def evaluate_torque_cost(
+    cause_data: CauseData, base: BaseParameters, difference: Array
+) -> TorqueCost:
     """Return the torque of differences (p,) of base parameters; NaN counts as none."""
     places = cause_data.places(base.names)
     d = np.nan_to_num(difference, nan=0.0)
@@ -241,11 +245,11 @@ def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) 
         total=np.sqrt(np.sum(torque**2, axis=1)),
         own=own,
         together=np.array([np.linalg.norm(W @ d) for W in rows]) / np.sqrt(n),
-        partners=_partners(np.flatnonzero(present), scaled.T @ scaled, len(d)),
+        partners=_find_partners(np.flatnonzero(present), scaled.T @ scaled, len(d)),
     )
 
 
-def _partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ...], ...]:
+def _find_partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ...], ...]:
     """Return for each column those that together replace it best, from the Gram matrix.
 
     Orthogonal matching pursuit: the next column is the one most correlated with what the others

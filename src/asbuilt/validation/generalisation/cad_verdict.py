@@ -11,10 +11,10 @@ from scipy.special import stdtr
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.findings import Finding, joined
+from asbuilt.findings import Finding, join_names
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.groups import group_title
-from asbuilt.tables import significant
+from asbuilt.identification.effects.groups import name_group
+from asbuilt.tables import round_significant
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.significance import holm
 from asbuilt.validation.prediction import Validation
@@ -88,9 +88,9 @@ class PredictionVerdict:
     def sentence(self) -> str:
         """The verdict in a sentence, bad news first."""
         parts = [
-            f"{outcome.upper() if outcome == 'worse' else outcome} at {joined(named, 7)}"
+            f"{outcome.upper() if outcome == 'worse' else outcome} at {join_names(named, 7)}"
             for outcome in ("worse", "better")
-            if (named := [_named(joint) for joint in self.joints if joint.outcome == outcome])
+            if (named := [_word_joint(joint) for joint in self.joints if joint.outcome == outcome])
         ]
         undecided = [
             joint.joint
@@ -98,7 +98,7 @@ class PredictionVerdict:
             if joint.outcome == "undecided" and np.isfinite(joint.as_built)
         ]
         if undecided:
-            parts.append(f"no sure difference at {joined(undecided, 7)}")
+            parts.append(f"no sure difference at {join_names(undecided, 7)}")
         if self.whole.sigmas is None:
             return f"As built against CAD on {self.source}: too short for a verdict."
         return f"As built against CAD on {self.source}: {'; '.join(parts)}."
@@ -123,17 +123,19 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     """
     cad = validation.measured - validation.predicted_cad
     built = validation.error
-    block = _blocks(validation.t)
+    block = _number_blocks(validation.t)
     tiny = np.finfo(np.float64).tiny
     scale = np.maximum(np.mean(cad**2, axis=0), tiny)
-    by_cad, as_built = _means(cad**2, block), _means(built**2, block)
+    by_cad, as_built = _average_blocks(cad**2, block), _average_blocks(built**2, block)
     gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
     seen = np.isfinite(built).all(axis=0)
-    sigmas, p = _student(np.column_stack([gains, gains[:, seen].mean(axis=1)]))
+    sigmas, p = _test_gains(np.column_stack([gains, gains[:, seen].mean(axis=1)]))
     strict = holm(p[:-1]) if len(p) > 1 else p
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
     joints = tuple(
-        _verdict(name, unit, float(np.sqrt(scale[k])), float(relative[k] * np.sqrt(scale[k])), *one)
+        _make_verdict(
+            name, unit, float(np.sqrt(scale[k])), float(relative[k] * np.sqrt(scale[k])), *one
+        )
         for k, (name, unit, *one) in enumerate(
             zip(
                 validation.joint_names,
@@ -145,7 +147,7 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
             )
         )
     )
-    whole = _verdict(
+    whole = _make_verdict(
         "all",
         "of CAD's",
         1.0,
@@ -157,7 +159,7 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     return PredictionVerdict(recording_name(validation.source), int(block[-1]) + 1, whole, joints)
 
 
-def cad_verdict_findings(validations: Sequence[Validation]) -> tuple[Finding, ...]:
+def report_cad_verdicts(validations: Sequence[Validation]) -> tuple[Finding, ...]:
     """Return the verdict on each recording that was not used to fit; none if CAD has no torque."""
     found = [cad_verdict(each) for each in validations if np.any(each.predicted_cad)]
     return tuple(
@@ -165,12 +167,12 @@ def cad_verdict_findings(validations: Sequence[Validation]) -> tuple[Finding, ..
     )
 
 
-def cause_findings(attribution: Attribution | None, model: RobotModel) -> tuple[Finding, ...]:
+def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[Finding, ...]:
     """Return the causes of the CAD error, and links of another mass, if any were found."""
     if attribution is None or not attribution.chosen:
         return ()
     masses = [EFFECTS[each.effect].finding(each, model) for each in attribution.masses]
-    named = joined([group_title(key) for key in attribution.chosen])
+    named = join_names([name_group(key) for key in attribution.chosen])
     said = (
         f"Causes of the torque error of CAD: {named}, which explain"
         f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}"
@@ -179,19 +181,19 @@ def cause_findings(attribution: Attribution | None, model: RobotModel) -> tuple[
     return (*(each for each in masses if each is not None), causes)
 
 
-def _blocks(t: Array) -> Array:
+def _number_blocks(t: Array) -> Array:
     """Return the number of the time block of each sample, counted from 0 without gaps."""
     seconds = max(RULE.shortest, float(t[-1] - t[0]) / RULE.blocks)
     return np.asarray(np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1])
 
 
-def _means(values: Array, block: Array) -> Array:
+def _average_blocks(values: Array, block: Array) -> Array:
     """Return the means (B, n) of values (N, n) of each block."""
     sums = np.column_stack([np.bincount(block, weights=column) for column in values.T])
     return np.asarray(sums / np.bincount(block)[:, None])
 
 
-def _student(gains: Array) -> tuple[Array, Array]:
+def _test_gains(gains: Array) -> tuple[Array, Array]:
     """Return mean over standard error, NaN with fewer than three blocks, and its p value."""
     n = len(gains)
     if n < 3:
@@ -201,7 +203,7 @@ def _student(gains: Array) -> tuple[Array, Array]:
     return sigmas, np.asarray(2.0 * stdtr(n - 1, -np.abs(sigmas)))
 
 
-def _verdict(
+def _make_verdict(
     joint: str, unit: str, cad: float, built: float, sigmas: float, p: float, strict: float
 ) -> JointVerdict:
     known = bool(np.isfinite(sigmas))
@@ -212,10 +214,11 @@ def _verdict(
     return JointVerdict(joint, unit, cad, built, float(sigmas), float(p), float(strict), outcome)
 
 
-def _named(joint: JointVerdict) -> str:
+def _word_joint(joint: JointVerdict) -> str:
     size = abs(joint.sigmas or 0.0)
     errors = f"{size:.1f}" if size < MANY else f"over {MANY:g}"
     return (
-        f"{joint.joint} ({significant(joint.as_built)} for {significant(joint.cad)} {joint.unit},"
+        f"{joint.joint} ({round_significant(joint.as_built)} for {round_significant(joint.cad)}"
+        f" {joint.unit},"
         f" {errors} standard errors)"
     )

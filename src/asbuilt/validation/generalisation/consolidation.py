@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
-from asbuilt.findings import SEVERITIES, Finding, joined
+from asbuilt.findings import SEVERITIES, Finding, join_names
 
 CAUSES = (
     "effect_found",
@@ -55,7 +55,7 @@ APART = ("note", "effect_found")
 """Findings of one code that each say something else."""
 
 
-def consolidated(
+def consolidate_findings(
     findings: Sequence[Finding], shares: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Finding, ...]:
     """Return findings merged by cause and ranked: errors first, then by torque.
@@ -71,7 +71,7 @@ def consolidated(
         Share of the squared torque error at each joint, by name: that of a finding at a joint
         which has none of its own.
     """
-    merged = _together(findings)
+    merged = _merge_findings(findings)
     present = {each.code for each in merged if each.severity != "info"}
     kept_findings = [
         replace(each, severity="info")
@@ -79,7 +79,7 @@ def consolidated(
         else each
         for each in (_with_torque(each, shares) for each in merged)
     ]
-    return tuple(sorted(kept_findings, key=_rank))
+    return tuple(sorted(kept_findings, key=_rank_finding))
 
 
 def _with_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
@@ -88,42 +88,42 @@ def _with_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
     return replace(finding, torque=shares.get(finding.joint))
 
 
-def _rank(finding: Finding) -> tuple[int, float, int]:
+def _rank_finding(finding: Finding) -> tuple[int, float, int]:
     weight = WEIGHT.index(finding.code) if finding.code in WEIGHT else len(WEIGHT)
     return SEVERITIES.index(finding.severity), -(finding.torque or 0.0), weight
 
 
-def _together(findings: Sequence[Finding]) -> list[Finding]:
+def _merge_findings(findings: Sequence[Finding]) -> list[Finding]:
     """Return one finding for all but errors of a code and severity at joints or in recordings."""
     groups: dict[object, list[Finding]] = {}
     for number, each in enumerate(findings):
         apart = each.severity == "error" or each.code in APART
-        repeats = not apart and (each.joint is not None or _source(each))
+        repeats = not apart and (each.joint is not None or _name_source(each))
         groups.setdefault((each.code, each.severity) if repeats else number, []).append(each)
-    return [_naming_all(group) for group in groups.values()]
+    return [_merge_group(group) for group in groups.values()]
 
 
-def _naming_all(group: Sequence[Finding]) -> Finding:
+def _merge_group(group: Sequence[Finding]) -> Finding:
     """Return the first finding of a group with the joints and recordings of the others."""
     first, others = group[0], group[1:]
-    own = _source(first)
-    elsewhere = list(dict.fromkeys(s for s in map(_source, others) if s not in ("", own)))
+    own = _name_source(first)
+    elsewhere = list(dict.fromkeys(s for s in map(_name_source, others) if s not in ("", own)))
     joints = list(
         dict.fromkeys(
             each.joint
             for each in others
-            if _source(each) == own and each.joint not in (None, first.joint)
+            if _name_source(each) == own and each.joint not in (None, first.joint)
         )
     )
     named = [name for name in joints if name is not None]
     more = [
-        *([f"likewise {joined(named, MOST_NAMED)}"] if named else []),
-        *([f"likewise in {joined(elsewhere, MOST_NAMED)}"] if elsewhere else []),
+        *([f"likewise {join_names(named, MOST_NAMED)}"] if named else []),
+        *([f"likewise in {join_names(elsewhere, MOST_NAMED)}"] if elsewhere else []),
     ]
     return replace(first, message="; ".join([first.message, *more]))
 
 
-def _source(finding: Finding) -> str:
+def _name_source(finding: Finding) -> str:
     """Return the recording that a finding of a check begins with, empty if it names none."""
     name, found, _ = finding.message.partition(": ")
     return name if found and " " not in name else ""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, joined, undesigned
-from asbuilt.tables import share
+from asbuilt.findings import Cure, Finding, join_names, undesigned
+from asbuilt.tables import format_share
 
 WIDER = Cure("validate on a wider and faster motion", call="design_motion")
 
@@ -42,7 +42,7 @@ class Coverage:
 COVERAGE = Coverage()
 
 
-def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterator[Finding]:
+def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[Finding]:
     """Yield what of range and speed the training motion leaves out.
 
     Joints without limits do not count, nor do the coordinates of a base that floats.
@@ -66,16 +66,20 @@ def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterato
     speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
     fast = np.max([np.percentile(each, COVERAGE.percentile, axis=0) for each in speeds], axis=0)
     wider = undesigned(WIDER) if model.n_floating else WIDER
-    covered = _share(high.max(axis=0) - low.min(axis=0), span)
-    reached = _share(fast, speed)
+    covered = _measure_range_share(high.max(axis=0) - low.min(axis=0), span)
+    reached = _measure_range_share(fast, speed)
     narrow = np.flatnonzero(covered < COVERAGE.position)
     if narrow.size:
-        listed = joined(
-            [f"{share(covered[k], 0)} of its range at {model.joint_names[k]}" for k in narrow], 3
+        listed = join_names(
+            [
+                f"{format_share(covered[k], 0)} of its range at {model.joint_names[k]}"
+                for k in narrow
+            ],
+            3,
         )
         yield Finding("motion_narrow", "info", f"The motion covers {listed}", wider)
     if np.any(np.isfinite(reached)) and np.nanmedian(reached) < COVERAGE.speed:
-        typical = share(float(np.nanmedian(reached)), 0)
+        typical = format_share(float(np.nanmedian(reached)), 0)
         yield Finding(
             "motion_slow",
             "info",
@@ -84,7 +88,9 @@ def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterato
         )
 
 
-def _share(values: NDArray[np.float64], limits: NDArray[np.float64]) -> NDArray[np.float64]:
+def _measure_range_share(
+    values: NDArray[np.float64], limits: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return values in their limits (n,), NaN without a finite one."""
     known = np.isfinite(limits) & (limits > 0.0)
     return np.where(known, values / np.where(known, limits, 1.0), np.nan)

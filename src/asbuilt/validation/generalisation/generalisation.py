@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.generalisation.repeated_motion import repeated_share
-from asbuilt.validation.generalisation.standstill import RestingErrors, resting_errors
-from asbuilt.validation.generalisation.unexplained import when_large
+from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
+from asbuilt.validation.generalisation.standstill import RestingErrors, divide_resting_errors
+from asbuilt.validation.generalisation.unexplained import describe_large_errors
 from asbuilt.validation.prediction import Validation
 
 
@@ -53,7 +53,7 @@ class GeneralisationLimits:
 LIMITS = GeneralisationLimits()
 
 
-def validation_findings(
+def check_validations(
     train: TorqueMetrics, validations: Sequence[Validation], *, refitted: bool = False
 ) -> tuple[Finding, ...]:
     """Return what predictions of validation data say beside the training error of the same fit.
@@ -71,14 +71,17 @@ def validation_findings(
                 ),
             ),
         )
-    return _named_once(
+    return _merge_by_code(
         (recording_name(validation.source), finding)
         for validation in validations
-        for finding in (*_generalisation(train, validation, refitted), *_rest(validation))
+        for finding in (
+            *_report_generalisation(train, validation, refitted),
+            *_report_rest(validation),
+        )
     )
 
 
-def _named_once(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
+def _merge_by_code(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
     """Return the first finding of each code, which names the recordings of the others."""
     groups: dict[str, list[tuple[str, Finding]]] = {}
     for source, finding in found:
@@ -86,12 +89,12 @@ def _named_once(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
     merged: list[Finding] = []
     for (_, first), *others in groups.values():
         also = [source for source, _ in others]
-        said = f"{first.message}; likewise on {joined(also)}" if also else first.message
+        said = f"{first.message}; likewise on {join_names(also)}" if also else first.message
         merged.append(replace(first, message=said))
     return tuple(merged)
 
 
-def repetition_findings(
+def check_repetitions(
     training: Sequence[Samples], validation: Sequence[Samples]
 ) -> tuple[Finding, ...]:
     """Return a finding for each validation recording that repeats the training motion."""
@@ -104,14 +107,14 @@ def repetition_findings(
             Cure("validate on another motion"),
         )
         for samples in validation
-        if (share := repeated_share(training, samples)) > LIMITS.repeated
+        if (share := measure_repeated_share(training, samples)) > LIMITS.repeated
     )
 
 
-def _rest(validation: Validation) -> Iterator[Finding]:
+def _report_rest(validation: Validation) -> Iterator[Finding]:
     """Name joints whose error is mostly that of static friction while they rest."""
-    errors = resting_errors(validation)
-    held = np.flatnonzero(_held(errors))
+    errors = divide_resting_errors(validation)
+    held = np.flatnonzero(_find_resting(errors))
     if held.size:
         listed = "; ".join(
             f"{errors.joint_names[k]} {100 * errors.energy[k]:.0f} % of the squared error in"
@@ -128,7 +131,7 @@ def _rest(validation: Validation) -> Iterator[Finding]:
         )
 
 
-def _held(errors: RestingErrors) -> NDArray[np.bool_]:
+def _find_resting(errors: RestingErrors) -> NDArray[np.bool_]:
     """Return which joints (n,) have an error that is mostly static friction at rest."""
     return np.asarray(
         (errors.energy > LIMITS.resting_energy)
@@ -138,15 +141,15 @@ def _held(errors: RestingErrors) -> NDArray[np.bool_]:
     )
 
 
-def _generalisation(
+def _report_generalisation(
     train: TorqueMetrics, validation: Validation, refitted: bool
 ) -> Iterator[Finding]:
     built, cad = validation.metrics_as_built, validation.metrics_cad
-    source, rest = recording_name(built.source), resting_errors(validation)
-    error = np.where(_held(rest), rest.moving, built.rms)
+    source, rest = recording_name(built.source), divide_resting_errors(validation)
+    error = np.where(_find_resting(rest), rest.moving, built.rms)
 
     def listed(joints: NDArray[np.int64], errors: NDArray[np.float64], than: TorqueMetrics) -> str:
-        return joined(
+        return join_names(
             [
                 f"{built.joint_names[k]} ({errors[k]:.3g} for {than.rms[k]:.3g}"
                 f" {validation.units[k]})"
@@ -163,10 +166,10 @@ def _generalisation(
             "does_not_generalise",
             "warning",
             f"Errors on {source} are more than {LIMITS.overfit:g} times those in"
-            f" training{whose} at {listed(worse, error, train)}{_times(validation, worse)}",
+            f" training{whose} at {listed(worse, error, train)}{_word_times(validation, worse)}",
             Cure("record longer and more varied motion, or use fewer drive terms"),
             joint=built.joint_names[worse[0]] if len(worse) == 1 else None,
-            torque=_energy(built, worse),
+            torque=_measure_error_share(built, worse),
         )
     behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
     if behind.size and np.any(validation.predicted_cad):
@@ -175,20 +178,20 @@ def _generalisation(
             "warning",
             f"CAD predicts {source} better than the fit at {listed(behind, built.rms, cad)}",
             Cure("record longer, or regularise toward CAD", {"method": "ridge"}),
-            torque=_energy(built, behind),
+            torque=_measure_error_share(built, behind),
         )
 
 
-def _energy(metrics: TorqueMetrics, joints: NDArray[np.int64]) -> float:
+def _measure_error_share(metrics: TorqueMetrics, joints: NDArray[np.int64]) -> float:
     """Return the share of the squared torque error at some joints."""
     return float(np.sum(metrics.rms[joints] ** 2) / np.nansum(metrics.rms**2))
 
 
-def _times(validation: Validation, joints: NDArray[np.int64]) -> str:
+def _word_times(validation: Validation, joints: NDArray[np.int64]) -> str:
     """Return when the errors of joints are large, where most of them come at one time."""
     said = [
         f"{validation.joint_names[k]} {text.removeprefix(', ')}"
         for k in joints
-        if (text := when_large(validation.t, validation.error[:, k]))
+        if (text := describe_large_errors(validation.t, validation.error[:, k]))
     ]
-    return f"; {joined(said)}" if said else ""
+    return f"; {join_names(said)}" if said else ""

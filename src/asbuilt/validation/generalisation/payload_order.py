@@ -16,7 +16,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import predict_torque
-from asbuilt.tables import significant
+from asbuilt.tables import round_significant
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,25 +51,26 @@ def refuse_swapped(
     weights = result.weights
     for samples in loaded:
         arm = predict_torque(result.model, result.base, result.estimates, samples)
-        basis = _body_torques(result, samples, link, placement)
-        as_logged = _left((arm.measured - arm.predicted) * weights, basis)
+        basis = _build_body_torques(result, samples, link, placement)
+        as_logged = _measure_remaining_error((arm.measured - arm.predicted) * weights, basis)
         if as_logged < LIMITS.noise:
             continue
         tried = [
-            (_left((changed - arm.predicted) * weights, basis), what, cure)
-            for changed, what, cure in _changes(arm.measured, result.joint_names)
+            (_measure_remaining_error((changed - arm.predicted) * weights, basis), what, cure)
+            for changed, what, cure in _list_changes(arm.measured, result.joint_names)
         ]
         best, what, cure = min(tried, key=lambda each: each[0])
         if best < LIMITS.left * as_logged:
             raise RecordingError(
                 f"{samples.source}: the torques do not fit the arm of the result with any body at"
-                f" its flange; {what} (error {significant(np.sqrt(as_logged), 2)} times the noise"
-                f" of the result as logged, {significant(np.sqrt(best), 2)} times then)",
+                f" its flange; {what} (error {round_significant(np.sqrt(as_logged), 2)} times the"
+                " noise"
+                f" of the result as logged, {round_significant(np.sqrt(best), 2)} times then)",
                 cure=cure,
             )
 
 
-def _body_torques(
+def _build_body_torques(
     result: IdentificationResult, samples: Samples, link: int, placement: Array
 ) -> Array:
     """Return an orthonormal basis (N n, r) of the weighted torques that a body there can make."""
@@ -88,7 +89,7 @@ def _body_torques(
     return np.asarray(basis[:, lengths > rounding])
 
 
-def _changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array, str, Cure]]:
+def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array, str, Cure]]:
     """Yield the torques with two joints swapped, or one negated."""
     n = len(names)
     for j, k in combinations(range(n), 2):
@@ -113,7 +114,7 @@ def _changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array, str
         )
 
 
-def _left(error: Array, basis: Array) -> float:
+def _measure_remaining_error(error: Array, basis: Array) -> float:
     """Return the mean square of a weighted error (N, n) beside what a basis (N n, r) explains."""
     y = error.ravel()
     return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size

@@ -18,7 +18,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.design_values import design_values
@@ -81,7 +81,7 @@ class Plateau:
     implied: float
 
 
-def plateaus(
+def find_plateaus(
     model: RobotModel,
     drive: DriveSet,
     training: Sequence[Samples],
@@ -93,23 +93,23 @@ def plateaus(
     """
     base = find_base_parameters(model, drive)
     try:
-        values = _plain_fit(model, base, training, block_seconds)
+        values = _fit_weighted(model, base, training, block_seconds)
     except (AsbuiltError, np.linalg.LinAlgError):
         return ()
     logged = [predict_torque(model, base, values, samples) for samples in training]
     return tuple(
         found
-        for joint, sign in _crowded(logged)
-        if (found := _plateau(model, base, training, logged, joint, sign, block_seconds))
+        for joint, sign in _find_crowded(logged)
+        if (found := _find_plateau(model, base, training, logged, joint, sign, block_seconds))
     )
 
 
-def plateau_findings(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Finding]:
+def report_plateaus(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Finding]:
     """Yield a finding for each joint whose torque saturates."""
     for joint in sorted({each.joint for each in found}):
         own = [each for each in found if each.joint == joint]
         levels, implied = (
-            joined([f"{x:.4g}" for x in values])
+            join_names([f"{x:.4g}" for x in values])
             for values in ([e.level for e in own], [e.implied for e in own])
         )
         name, unit = model.joint_names[joint], torque_units(model)[joint]
@@ -139,7 +139,7 @@ def without_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> t
     return tuple(kept)
 
 
-def _crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
+def _find_crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
     """Yield joints and signs with more samples near the level than below it."""
     tau = np.concatenate([each.measured for each in logged])
     for joint in range(tau.shape[1]):
@@ -154,7 +154,7 @@ def _crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
                 yield joint, sign
 
 
-def _plateau(
+def _find_plateau(
     model: RobotModel,
     base: BaseParameters,
     training: Sequence[Samples],
@@ -168,10 +168,10 @@ def _plateau(
     level = float(np.percentile(np.concatenate(torque), RULES.highest))
     try:
         rest = [
-            samples.within(_below(samples, each.t, x, RULES.left_out * level))
+            samples.within(_find_below(samples, each.t, x, RULES.left_out * level))
             for samples, each, x in zip(training, logged, torque, strict=True)
         ]
-        values = _plain_fit(model, base, rest, block_seconds)
+        values = _fit_weighted(model, base, rest, block_seconds)
     except (AsbuiltError, np.linalg.LinAlgError):
         return None
     implied = np.concatenate(
@@ -194,7 +194,7 @@ def _plateau(
     return Plateau(joint, sign * level, sign * float(y.max()))
 
 
-def _plain_fit(
+def _fit_weighted(
     model: RobotModel, base: BaseParameters, samples: Sequence[Samples], seconds: float | None
 ) -> Array:
     """Return weighted least squares estimates of base parameters (p,)."""
@@ -203,6 +203,6 @@ def _plain_fit(
     return fit_least_squares(seen, weights="joint", prior=prior).beta
 
 
-def _below(samples: Samples, t: Array, torque: Array, level: float) -> NDArray[np.bool_]:
+def _find_below(samples: Samples, t: Array, torque: Array, level: float) -> NDArray[np.bool_]:
     """Return the samples whose filtered torque is below a level."""
     return np.asarray(np.interp(samples.t, t, torque) < level)

@@ -30,20 +30,20 @@ class Nearness:
 NEAR = Nearness()
 
 
-def repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
+def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
     """Return the share of held-out states (q, qd) that the training motion came near to.
 
     All joints must be near at the same time; 0 for robots of one or two joints.
     """
     if held_out.q.shape[1] < NEAR.fewest_joints:
         return 0.0
-    (q, qd), joints = _states(fitted), held_out.q.shape[1]
+    (q, qd), joints = _stack_states(fitted), held_out.q.shape[1]
     fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
     size = np.concatenate([NEAR.position * np.ptp(q, axis=0), NEAR.velocity * fastest])
     moving = size > 0.0
     if not moving[:joints].sum() >= NEAR.fewest_joints:
         return 0.0
-    before, after = _thinned(q, qd), _thinned(*_states([held_out]))
+    before, after = _thinned(q, qd), _thinned(*_stack_states([held_out]))
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
     distance, _ = tree.query(
         (after / np.where(moving, size, 1.0))[:, moving],
@@ -53,7 +53,7 @@ def repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
     return float(np.mean(np.isfinite(distance)))
 
 
-def _states(samples: Sequence[Samples]) -> list[NDArray[np.float64]]:
+def _stack_states(samples: Sequence[Samples]) -> list[NDArray[np.float64]]:
     """Return all positions and velocities (N, n), without a copy of those of one recording."""
     pairs = zip(
         *([each.in_segments(x) for x in (each.q, each.qd)] for each in samples), strict=True

@@ -30,7 +30,7 @@ class RestingErrors:
     relative_moving: Array
 
 
-def resting_errors(validation: Validation) -> RestingErrors:
+def divide_resting_errors(validation: Validation) -> RestingErrors:
     """Divide the errors of a prediction.
 
     At rest a joint is held by static friction, which may take any value up to break-away. A joint

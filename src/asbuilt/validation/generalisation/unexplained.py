@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.validation.comparison.comparison import recording_name
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ PUSHED = 0.1
 """RMS error in that span over the standard deviation of a joint's torque that is a push."""
 
 
-def unexplained_findings(training: Sequence[Validation]) -> Iterator[Finding]:
+def report_unexplained(training: Sequence[Validation]) -> Iterator[Finding]:
     """Name joints whose torque the model explains by less than three quarters of its variance.
 
     Also those whose error is mostly one push, a torque of one sign in one span of time. A torque
@@ -42,7 +42,7 @@ def unexplained_findings(training: Sequence[Validation]) -> Iterator[Finding]:
         largest = float(np.max(np.sqrt(np.mean(each.measured**2, axis=0))))
         for k in np.flatnonzero(error > MATTERS * largest):
             wrong = each.error[:, k]
-            within = large_stretch(each.t, wrong)
+            within = find_large_errors(each.t, wrong)
             pushed = within is not None and _is_push(wrong[within], spread[k])
             if not pushed and error[k] <= UNEXPLAINED * spread[k]:
                 continue
@@ -52,21 +52,21 @@ def unexplained_findings(training: Sequence[Validation]) -> Iterator[Finding]:
                 f"The model does not explain the torque of {each.joint_names[k]} in"
                 f" {recording_name(each.source)}:"
                 f" RMS error {error[k]:.3g} of {spread[k]:.3g} {each.units[k]}"
-                f"{when_large(each.t, wrong)}",
+                f"{describe_large_errors(each.t, wrong)}",
                 Cure("check the column, the sensor and what touched the robot then"),
                 joint=each.joint_names[k],
             )
 
 
-def when_large(t: Array, error: Array) -> str:
+def describe_large_errors(t: Array, error: Array) -> str:
     """Return when the error (N,) is large, as text; empty if not most of it comes at one time."""
-    within = large_stretch(t, error)
+    within = find_large_errors(t, error)
     if within is None:
         return ""
     return f", most of it from {t[within][0]:.4g} to {t[within][-1]:.4g} s"
 
 
-def large_stretch(t: Array, error: Array) -> Mask | None:
+def find_large_errors(t: Array, error: Array) -> Mask | None:
     """Return the samples (N,) of the shortest span with most of the squared error (N,).
 
     None if that is more than half the time.
@@ -145,7 +145,8 @@ def nameless_findings(
         yield Finding(
             "torque_nameless",
             "info",
-            f"Something that we cannot name acts at {joined(named, 4)}: this share of the squared"
+            f"Something that we cannot name acts at {join_names(named, 4)}: this share of the"
+            " squared"
             " torque error returns wherever the joint passes a position in the same direction",
             Cure("look at the torque error over position: cables, cogging, uneven friction"),
         )

@@ -52,7 +52,7 @@ class ClaimedNumber:
         return f"{self.what} of {self.joint}"
 
 
-def claimed_numbers(
+def list_claimed_numbers(
     model: RobotModel, drive: DriveSet, tolerance: CadTolerance
 ) -> tuple[ClaimedNumber, ...]:
     """Return the numbers of links and drives, those included on which the description is silent.
@@ -64,25 +64,36 @@ def claimed_numbers(
     found: list[ClaimedNumber] = []
     count = 10 * model.n_links + drive.columns_per_joint * model.n_joints
     for i, (link, joint) in enumerate(zip(model.links, model.moving_joints, strict=True)):
-        numbers = _of_link(link.inertia, tolerance) if link.has_mass else _of_unknown_link()
+        numbers = (
+            _list_link_numbers(link.inertia, tolerance)
+            if link.has_mass
+            else _list_unknown_link_numbers()
+        )
         for what, unit, claimed, size, spread, change in numbers:
             column = np.zeros(count)
             column[10 * i : 10 * i + 10] = change
             found.append(ClaimedNumber(what, joint.name, unit, claimed, size, spread, column))
-    return (*found, *_of_drives(model, drive, count))
+    return (*found, *_list_drive_numbers(model, drive, count))
 
 
 _Number = tuple[str, str, float, float, float, Array]
 
 
-def _of_link(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
+def _list_link_numbers(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
     """Return mass, centre and inertia of a link with their changes of its parameters (10,)."""
     m, c, about = inertia.mass, inertia.com, inertia.inertia_about_com
     moment = max(float(np.trace(about)), 1e-12)
     gyration = float(np.sqrt(moment / (2.0 * m)))
     one = np.eye(3)
     found: list[_Number] = [
-        ("mass", "kg", m, m, tolerance.mass * m, _change((c @ c) * one - np.outer(c, c), c, 1.0))
+        (
+            "mass",
+            "kg",
+            m,
+            m,
+            tolerance.mass * m,
+            _pack_change((c @ c) * one - np.outer(c, c), c, 1.0),
+        )
     ]
     for k in range(3):
         e = one[k]
@@ -94,7 +105,7 @@ def _of_link(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
                 float(c[k]),
                 gyration,
                 tolerance.centre * gyration,
-                _change(turned, m * e, 0.0),
+                _pack_change(turned, m * e, 0.0),
             )
         )
     for a, b in UPPER:
@@ -107,22 +118,22 @@ def _of_link(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
                 float(about[a, b]),
                 moment / 3.0,
                 tolerance.inertia * moment / 3.0,
-                _change(entry, np.zeros(3), 0.0),
+                _pack_change(entry, np.zeros(3), 0.0),
             )
         )
     return found
 
 
-def _of_unknown_link() -> list[_Number]:
+def _list_unknown_link_numbers() -> list[_Number]:
     """Return the ten parameters of a link whose description gives none."""
     return [("unknown", "", np.nan, 1.0, np.inf, change) for change in np.eye(10)]
 
 
-def _change(inertia: Array, first_moment: Array, mass: float) -> Array:
+def _pack_change(inertia: Array, first_moment: Array, mass: float) -> Array:
     return np.array([*(inertia[a, b] for a, b in UPPER), *first_moment, mass])
 
 
-def _of_drives(model: RobotModel, drive: DriveSet, count: int) -> list[ClaimedNumber]:
+def _list_drive_numbers(model: RobotModel, drive: DriveSet, count: int) -> list[ClaimedNumber]:
     values, units = parameter_values(model, drive), parameter_units(model, drive)
     words = [
         DRIVE_WORDS.get(term.key, f"{term.key} {symbol}")

@@ -73,7 +73,7 @@ def profile_numbers(
     values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     whitening = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     A, d = whitening.T @ (J / scale[:, None]), whitening.T @ (difference / scale)
-    P = _inverse(A, spread)
+    P = _invert_information(A, spread)
     x = P @ (A.T @ d)
     held = spread < WIDEST
     kept = np.where(held, 1.0 - np.diag(P) / spread**2, 1.0)
@@ -88,12 +88,12 @@ def profile_numbers(
     return Profile(
         np.where(determined, x / part, np.nan) * size,
         np.sqrt(variance) * size * misfit,
-        tuple(_aliases(P, np.where(held, 1.0 / spread**2, 0.0), j) for j in range(len(size))),
+        tuple(_find_aliases(P, np.where(held, 1.0 / spread**2, 0.0), j) for j in range(len(size))),
         misfit,
     )
 
 
-def _inverse(A: Array, spread: Array) -> Array:
+def _invert_information(A: Array, spread: Array) -> Array:
     """Return `(A^T A + diag(spread)^-2)^-1`, by the singular values of `A diag(spread)`."""
     _, s, Vt = np.linalg.svd(A * spread, full_matrices=True)
     left = np.ones(len(spread))
@@ -101,7 +101,7 @@ def _inverse(A: Array, spread: Array) -> Array:
     return np.asarray((Vt.T @ (left[:, None] * Vt)) * np.outer(spread, spread))
 
 
-def _aliases(P: Array, weight: Array, j: int) -> tuple[int, ...]:
+def _find_aliases(P: Array, weight: Array, j: int) -> tuple[int, ...]:
     """Return the numbers most correlated with number j where it is held `LOOSE` times less."""
     released = weight[j] * (1.0 - LOOSE**-2)
     kept = 1.0 - released * P[j, j]

@@ -20,13 +20,13 @@ from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.review.claim import Claim, ClaimVerdict
-from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_numbers
+from asbuilt.validation.review.claimed_numbers import ClaimedNumber, list_claimed_numbers
 from asbuilt.validation.review.profile import Profile, profile_numbers
 from asbuilt.validation.review.servo_claims import (
     TOGETHER,
-    beside_servo,
+    mark_servo_aliases,
+    review_servo_claims,
     scale_errors,
-    servo_claims,
     servo_damping,
 )
 
@@ -152,7 +152,7 @@ def review_result(
         A verdict on every number.
     """
     model, base = described or result.model, result.base
-    numbers = claimed_numbers(model, base.drive, tolerance)
+    numbers = list_claimed_numbers(model, base.drive, tolerance)
     scale, added = scale_errors(result), servo_damping(result, model)
     values = ComparedValues.free(result)
     claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0)
@@ -175,15 +175,15 @@ def review_result(
     profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
-        _claim(result, numbers, profile, j, freedom, whole[j], reach)
+        _make_claim(result, numbers, profile, j, freedom, whole[j], reach)
         for j, number in enumerate(numbers)
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
-    claims += servo_claims(result, model, claims, peaks, motions)
-    judged = beside_servo(result, _judged(claims, level))
+    claims += review_servo_claims(result, model, claims, peaks, motions)
+    judged = mark_servo_aliases(result, _limit_false_discoveries(claims, level))
     return Review(
         result.robot,
-        tuple(sorted(judged, key=_rank)),
+        tuple(sorted(judged, key=_rank_claim)),
         tolerance,
         profile.misfit,
         level,
@@ -193,7 +193,7 @@ def review_result(
     )
 
 
-def _claim(
+def _make_claim(
     result: IdentificationResult,
     numbers: Sequence[ClaimedNumber],
     profile: Profile,
@@ -229,13 +229,13 @@ def _claim(
     return replace(
         claim,
         p_value=p,
-        torque=_torque(result, number.column * possible),
+        torque=_measure_torque_change(result, number.column * possible),
         alike=abs(possible) <= RESOLUTION * number.size,
         note="" if possible == change else "judged at zero",
     )
 
 
-def _torque(result: IdentificationResult, change: Array) -> float | None:
+def _measure_torque_change(result: IdentificationResult, change: Array) -> float | None:
     """Return the RMS torque over all joints of a change of the standard parameters."""
     data, base = result.cause_data, result.base
     if data is None:
@@ -245,7 +245,7 @@ def _torque(result: IdentificationResult, change: Array) -> float | None:
     return float(np.sqrt(sum(float(row @ row) for row in rows) / data.n_fitted))
 
 
-def _judged(claims: Sequence[Claim], level: float) -> list[Claim]:
+def _limit_false_discoveries(claims: Sequence[Claim], level: float) -> list[Claim]:
     """Return the claims with those contradicted that are so at a false discovery rate."""
     tested = [j for j, claim in enumerate(claims) if claim.p_value is not None]
     found = list(claims)
@@ -261,7 +261,7 @@ def _judged(claims: Sequence[Claim], level: float) -> list[Claim]:
     return found
 
 
-def _rank(claim: Claim) -> tuple[int, float, float]:
+def _rank_claim(claim: Claim) -> tuple[int, float, float]:
     """Return the place in the order: by torque; what is undetermined by its probability."""
     probability = 2.0 if claim.p_value is None else claim.p_value
     by_chance = probability if claim.verdict == "undetermined" else 0.0

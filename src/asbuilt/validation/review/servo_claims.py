@@ -58,7 +58,7 @@ def servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
     return added
 
 
-def servo_claims(
+def review_servo_claims(
     result: IdentificationResult,
     model: RobotModel,
     claims: Sequence[Claim],
@@ -74,16 +74,16 @@ def servo_claims(
     together = {claim.joint for claim in claims if claim.what == TOGETHER}
     for k, joint in enumerate(model.joints):
         if joint.drive.kp is not None:
-            found.append(_stiffness(result, k, joint.name, joint.drive.kp))
+            found.append(_claim_stiffness(result, k, joint.name, joint.drive.kp))
         if joint.drive.kd and joint.name not in together:
-            found.append(_damping(result, k, joint.name, joint.drive.kd))
+            found.append(_claim_damping(result, k, joint.name, joint.drive.kd))
         if np.isfinite(joint.limits.torque) and peaks is not None:
-            limit = _limit(joint.name, joint.limits.torque, float(peaks[k]))
-            found.append(_reached(limit, k, motions))
+            limit = _claim_torque_limit(joint.name, joint.limits.torque, float(peaks[k]))
+            found.append(_test_torque_limit(limit, k, motions))
     return found
 
 
-def beside_servo(result: IdentificationResult, claims: Sequence[Claim]) -> list[Claim]:
+def mark_servo_aliases(result: IdentificationResult, claims: Sequence[Claim]) -> list[Claim]:
     """Return claims that name the unknown gains of servos among what they are aliases of."""
     errors = result.servo_errors
     if errors is None:
@@ -91,12 +91,14 @@ def beside_servo(result: IdentificationResult, claims: Sequence[Claim]) -> list[
     gains = zip(errors.scale, errors.kd_unknown, strict=True)
     own = dict(zip(result.joint_names, gains, strict=True))
     return [
-        replace(claim, alias_of=(*_gains_beside(claim, own.get(claim.joint)), *claim.alias_of))
+        replace(
+            claim, alias_of=(*_list_correlated_gains(claim, own.get(claim.joint)), *claim.alias_of)
+        )
         for claim in claims
     ]
 
 
-def _gains_beside(claim: Claim, servo: tuple[str, bool] | None) -> tuple[str, ...]:
+def _list_correlated_gains(claim: Claim, servo: tuple[str, bool] | None) -> tuple[str, ...]:
     if servo is None or claim.what not in SCALED:
         return ()
     scale, kd_unknown = servo
@@ -106,7 +108,7 @@ def _gains_beside(claim: Claim, servo: tuple[str, bool] | None) -> tuple[str, ..
     )
 
 
-def _stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
+def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
     claim = Claim("kp", joint, "N m/rad", claimed, None, None, "undetermined")
     errors, servo = result.servo_errors, result.servo
     if errors is None or servo is None:
@@ -131,7 +133,7 @@ def _stiffness(result: IdentificationResult, k: int, joint: str, claimed: float)
     )
 
 
-def _damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
+def _claim_damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
     claim = Claim("kv", joint, "N m s/rad", claimed, None, None, "undetermined")
     errors = result.servo_errors
     if errors is None:
@@ -141,7 +143,7 @@ def _damping(result: IdentificationResult, k: int, joint: str, claimed: float) -
     return replace(claim, alias_of=(f"damping of {joint}",))
 
 
-def _limit(joint: str, claimed: float, peak: float) -> Claim:
+def _claim_torque_limit(joint: str, claimed: float, peak: float) -> Claim:
     reached = "beyond the claim" if peak > claimed else "below it"
     return Claim(
         "forcerange",
@@ -155,7 +157,7 @@ def _limit(joint: str, claimed: float, peak: float) -> Claim:
     )
 
 
-def _reached(claim: Claim, k: int, motions: Sequence[Validation]) -> Claim:
+def _test_torque_limit(claim: Claim, k: int, motions: Sequence[Validation]) -> Claim:
     """Return the claim of a torque limit, judged where the command asks for more than it.
 
     The estimate is the mean torque of the motion there, its error that of single samples within the

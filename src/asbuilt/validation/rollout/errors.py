@@ -12,7 +12,7 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.calibration.payload import choose_payload_frame
 
 TURN = 2.0 * np.pi
 """Distance [rad] from the measured position at which a revolute joint counts as diverged."""
@@ -73,14 +73,14 @@ class RolloutErrors:
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers, None for what is not finite."""
         return {
-            "rms": [_plain(x) for x in self.rms],
-            "rms_all": _plain(self.rms_all),
-            "final": [_plain(x) for x in self.final],
-            "tool": None if self.tool is None else _plain(self.tool),
+            "rms": [_drop_infinite(x) for x in self.rms],
+            "rms_all": _drop_infinite(self.rms_all),
+            "final": [_drop_infinite(x) for x in self.final],
+            "tool": None if self.tool is None else _drop_infinite(self.tool),
             "diverged": self.diverged,
             "until": self.until,
-            "rms_until": [_plain(x) for x in self.rms_until],
-            "rms_all_until": _plain(self.rms_all_until),
+            "rms_until": [_drop_infinite(x) for x in self.rms_until],
+            "rms_all_until": _drop_infinite(self.rms_all_until),
         }
 
 
@@ -116,7 +116,7 @@ BY_RECORDING = ("cad", "as_built", "no_physics", "regular")
 """Names of the errors of a recording."""
 
 
-def mean_errors(recordings: Sequence[RecordingErrors]) -> dict[str, float | None]:
+def average_errors(recordings: Sequence[RecordingErrors]) -> dict[str, float | None]:
     """Return the mean of `rms_all` over recordings, however many windows each has.
 
     None where a recording has no such errors; recordings without regular windows do not count
@@ -153,7 +153,7 @@ def diverges_after(times: Array, simulated: Array) -> float:
     return float(np.min(times[lost], initial=np.inf))
 
 
-def rollout_errors(
+def measure_rollout_errors(
     model: RobotModel,
     times: Sequence[Array],
     measured: Sequence[Array],
@@ -180,17 +180,17 @@ def rollout_errors(
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
     return RolloutErrors(
-        *_rms(error),
+        *_evaluate_rms(error),
         np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),
-        _tool_distance(model, *ends),
-        int(sum(np.sum(_lost(each)) for each in simulated)),
+        _measure_tool_distance(model, *ends),
+        int(sum(np.sum(_find_diverged(each)) for each in simulated)),
         min(until, max(float(t[-1]) for t in times)),
-        *_rms(early),
+        *_evaluate_rms(early),
         position_unit(model),
     )
 
 
-def _rms(errors: Sequence[Array]) -> tuple[Array, float]:
+def _evaluate_rms(errors: Sequence[Array]) -> tuple[Array, float]:
     """Return the root mean square of errors (W, L, n) by joint and of all; NaN of none."""
     every = np.concatenate([each.reshape(-1, each.shape[2]) for each in errors])
     if not len(every):
@@ -198,18 +198,18 @@ def _rms(errors: Sequence[Array]) -> tuple[Array, float]:
     return np.sqrt(np.mean(every**2, axis=0)), float(np.sqrt(np.mean(every**2)))
 
 
-def _lost(q: Array) -> Mask:
+def _find_diverged(q: Array) -> Mask:
     """Whether each window (W, L, n) diverged, shape (W,)."""
     return np.asarray(~np.all(np.isfinite(q), axis=(1, 2)))
 
 
-def _tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
+def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
     ends = set(range(model.n_links)) - set(model.parents)
     if any(model.tool_link not in model.ancestors(end) for end in ends):
         return None
     try:
-        _, link, placement = payload_frame(model)
+        _, link, placement = choose_payload_frame(model)
     except UsageError:
         return None
     there = np.all(np.isfinite(simulated), axis=1)
@@ -219,5 +219,5 @@ def _tool_distance(model: RobotModel, measured: Array, simulated: Array) -> floa
     return float(np.sqrt(np.mean(np.sum((places[1] - places[0]) ** 2, axis=1))))
 
 
-def _plain(value: float) -> float | None:
+def _drop_infinite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None

@@ -35,7 +35,7 @@ ROUNDING = 1e-3
 """Share of a period by which times of samples and commands differ by rounding."""
 
 
-def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Array]] | None:
+def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Array]] | None:
     """Return the positions of pairs of windows with the same command; None if there are none.
 
     Recordings whose windows have another number of samples than most are left out. Two lists of
@@ -46,7 +46,7 @@ def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Arra
     lengths = [each.n_samples for each in windows]
     usual = max(lengths, key=lengths.count)
     windows = [each for each in windows if each.n_samples == usual]
-    commands, q = _commands(windows), np.concatenate([each.q for each in windows])
+    commands, q = _stack_commands(windows), np.concatenate([each.q for each in windows])
     size = np.ptp(commands, axis=(0, 1))
     if len(q) < 2 or not np.any(size > 0.0):
         return None
@@ -64,7 +64,7 @@ def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Arra
     return [q[first]], [q[second]]
 
 
-def _commands(windows: Sequence[Windows]) -> Array:
+def _stack_commands(windows: Sequence[Windows]) -> Array:
     """Return the command at the samples of all windows, shape (W, L, n)."""
     parts = []
     for each in windows:
@@ -74,7 +74,7 @@ def _commands(windows: Sequence[Windows]) -> Array:
     return np.concatenate(parts)
 
 
-def delayed_command(windows: Windows) -> Array | None:
+def delay_command(windows: Windows) -> Array | None:
     """Return the motion of the command from the measured position, shape (W, L, n).
 
     It is delayed by the time that fits the windows best. None if torques drive.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.description.model import RobotModel
-from asbuilt.tables import Cell, Column, Shown, Table, significant
+from asbuilt.tables import Cell, Column, Shown, Table, round_significant
 from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
 
 
-def joint_table(model: RobotModel, rollout: Rollout) -> Table:
+def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
     unit, cad, built = position_unit(model), rollout.cad, rollout.as_built
     errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
@@ -20,7 +20,13 @@ def joint_table(model: RobotModel, rollout: Rollout) -> Table:
         **{name: None if each is None else each.final for name, each in ends.items()},
     }
     rows = tuple(
-        (name, *(None if each is None else in_milli(float(each[k])) for each in values.values()))
+        (
+            name,
+            *(
+                None if each is None else format_in_milli(float(each[k]))
+                for each in values.values()
+            ),
+        )
         for k, name in enumerate(model.joint_names)
     )
     columns = (
@@ -31,10 +37,10 @@ def joint_table(model: RobotModel, rollout: Rollout) -> Table:
     return Table(columns, rows, title).filled()
 
 
-def in_milli(value: float | None) -> Cell:
+def format_in_milli(value: float | None) -> Cell:
     """Return a length or angle in thousandths of its unit, as a cell."""
     if value is None:
         return None
     if not np.isfinite(value):
         return Shown(None, "diverged")
-    return Shown(1e3 * value, significant(1e3 * value))
+    return Shown(1e3 * value, round_significant(1e3 * value))

@@ -38,7 +38,7 @@ class OutlyingWindow:
         }
 
 
-def outlying_windows(
+def find_outlying_windows(
     windows: Sequence[Windows], simulated: Sequence[Array], joint_names: Sequence[str]
 ) -> tuple[tuple[OutlyingWindow, ...], list[Indices]]:
     """Return the outlying windows, and for each recording the indices of the others."""

@@ -12,18 +12,18 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
-from asbuilt.executor import Workers, results_in_order
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.executor import Workers, run_in_order
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.validation.rollout.errors import (
     RecordingErrors,
     RolloutErrors,
+    average_errors,
     diverges_after,
-    mean_errors,
-    rollout_errors,
+    measure_rollout_errors,
     without_lost,
 )
-from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
-from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, outlying_windows
+from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
+from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, find_outlying_windows
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.drive_signal import DrivenBy
@@ -106,7 +106,7 @@ class Rollout:
             },
             "outlying": [each.as_dict() for each in self.outlying],
             "regular": None if self.regular is None else self.regular.as_dict(),
-            "mean": mean_errors(self.by_recording),
+            "mean": average_errors(self.by_recording),
             "motions": [each.as_dict() for each in self.by_recording],
         }
 
@@ -134,7 +134,7 @@ def roll_out(
     """
     why: dict[str, str] = {}
     each = [(*zip(robots, windows, strict=True),) for robots in (cad, as_built)]
-    paths = results_in_order(_simulated, [*each[0], *each[1]], workers)
+    paths = run_in_order(_simulate_task, [*each[0], *each[1]], workers)
 
     def simulated(name: str, found: Sequence[Array | str | None]) -> list[Array | None]:
         """Return paths, none from the first on that cannot be simulated, and note why."""
@@ -164,19 +164,19 @@ def roll_out(
             if path is not None
         )
         times = [each.windows.times for each in of]
-        return rollout_errors(model, times, [each.windows.q for each in of], paths, until)
+        return measure_rollout_errors(model, times, [each.windows.q for each in of], paths, until)
 
-    command = [delayed_command(cut) for cut in windows]
+    command = [delay_command(cut) for cut in windows]
     late = [path for path in command if path is not None]
     times = [cut.times for cut in windows]
-    found, usual = _outlying(model, motions)
+    found, usual = _find_outlying(model, motions)
 
     def without(k: int) -> RolloutErrors | None:
         """Return the errors as built of the windows of a recording that are not outlying."""
         path, at = motions[k].as_built, usual[k] if usual else None
         if path is None or at is None or not len(at):
             return None
-        return rollout_errors(model, [times[k]], [windows[k].q[at]], [path[at]])
+        return measure_rollout_errors(model, [times[k]], [windows[k].q[at]], [path[at]])
 
     return Rollout(
         windows[0].horizon,
@@ -184,8 +184,8 @@ def roll_out(
         motions,
         errors("cad", motions),
         errors("as_built", motions),
-        _floor(model, windows),
-        rollout_errors(model, times, measured, late) if len(late) == len(windows) else None,
+        _measure_floor(model, windows),
+        measure_rollout_errors(model, times, measured, late) if len(late) == len(windows) else None,
         tuple(
             RecordingErrors(
                 each.windows.source,
@@ -194,28 +194,28 @@ def roll_out(
                 errors("as_built", [each]),
                 None
                 if path is None
-                else rollout_errors(model, [times[k]], [each.windows.q], [path]),
+                else measure_rollout_errors(model, [times[k]], [each.windows.q], [path]),
                 without(k),
             )
             for k, (each, path) in enumerate(zip(motions, command, strict=True))
         ),
         tuple(why.items()),
         found,
-        _of_regular(model, motions, usual) if found else None,
+        _measure_regular_errors(model, motions, usual) if found else None,
     )
 
 
-def _floor(model: RobotModel, windows: Sequence[Windows]) -> RolloutErrors | None:
+def _measure_floor(model: RobotModel, windows: Sequence[Windows]) -> RolloutErrors | None:
     """Return the differences between repetitions of the same command; None without any."""
-    pairs = repeated_windows(windows)
+    pairs = pair_repeated_windows(windows)
     if pairs is None:
         return None
     length = pairs[0][0].shape[1]
     times = next(cut.times for cut in windows if cut.n_samples == length)
-    return rollout_errors(model, [times], *pairs)
+    return measure_rollout_errors(model, [times], *pairs)
 
 
-def _simulated(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | None:
+def _simulate_task(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | None:
     """Return the motion of a robot, None without one, or why it cannot be simulated."""
     from asbuilt.identification.trajectories.mujoco_engine import (  # noqa: PLC0415 - light start
         simulate_windows,
@@ -228,17 +228,17 @@ def _simulated(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | Non
         return problem.message
 
 
-def _outlying(
+def _find_outlying(
     model: RobotModel, motions: Sequence[SimulatedMotion]
 ) -> tuple[tuple[OutlyingWindow, ...], list[Indices]]:
     """Return the outlying windows as built, and for each recording the others."""
     paths = [each.as_built for each in motions if each.as_built is not None]
     if len(paths) < len(motions):
         return (), []
-    return outlying_windows([each.windows for each in motions], paths, model.joint_names)
+    return find_outlying_windows([each.windows for each in motions], paths, model.joint_names)
 
 
-def _of_regular(
+def _measure_regular_errors(
     model: RobotModel, motions: Sequence[SimulatedMotion], usual: Sequence[Indices]
 ) -> RolloutErrors:
     """Return the errors as built over all windows that are not outlying."""
@@ -249,7 +249,7 @@ def _of_regular(
         if each.as_built is not None
     ]
     times = [each.windows.times for each in motions]
-    return rollout_errors(model, times, measured, simulated)
+    return measure_rollout_errors(model, times, measured, simulated)
 
 
 def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
@@ -262,7 +262,7 @@ def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
                 Finding(
                     "rollout_impossible",
                     "warning",
-                    f"The robot {_title(name)} cannot be simulated: {reason}",
+                    f"The robot {_name_model(name)} cannot be simulated: {reason}",
                     Cure("identify physically consistent links", settings={"method": "entropic"}),
                 )
             )
@@ -272,30 +272,30 @@ def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
                     Finding(
                         "rollout_diverged",
                         "warning",
-                        f"The simulation {_title(name)} diverges in {errors.diverged} of"
-                        f" {rollout.n_windows} windows of {length}, {_until(rollout)}",
+                        f"The simulation {_name_model(name)} diverges in {errors.diverged} of"
+                        f" {rollout.n_windows} windows of {length}, {_word_divergence(rollout)}",
                         Cure("roll out shorter windows, and check gains and signs"),
                     )
                 )
-        found += _worse_than_command(rollout, length)
-        found += _contact(rollout, length)
+        found += _report_worse_than_command(rollout, length)
+        found += _report_outlying(rollout, length)
     unique = {(each.code, each.message): each for each in found}
     return tuple(unique.values())
 
 
-def _until(rollout: Rollout) -> str:
+def _word_divergence(rollout: Rollout) -> str:
     """Return when the first simulation diverges, and the errors up to there."""
-    both = ((_title("cad"), rollout.cad), (_title("as_built"), rollout.as_built))
+    both = ((_name_model("cad"), rollout.cad), (_name_model("as_built"), rollout.as_built))
     there = [(name, errors) for name, errors in both if errors is not None]
     until = there[0][1].until
     earlier = [
         f"{errors.text_until} {name}" for name, errors in there if np.isfinite(errors.rms_all_until)
     ]
     began = f"the first after {until:.2g} s"
-    return f"{began}. The error before is {joined(earlier)}" if earlier else began
+    return f"{began}. The error before is {join_names(earlier)}" if earlier else began
 
 
-def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
+def _report_worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
     """Return a finding if the delayed command alone is closer to the motion than the model.
 
     If that is so in some recordings, it names them.
@@ -304,23 +304,23 @@ def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
     if built is None or plain is None:
         return []
     if not built.rms_all > plain.rms_all and not built.diverged:
-        return _worse_in_recordings(rollout, length)
+        return _report_worse_recordings(rollout, length)
     return [
         Finding(
             "rollout_worse_than_command",
             "warning",
             f"Over {length} the delayed command alone is closer to the measured motion than the"
-            f" simulation as built ({1e3 * plain.rms_all:.3g} against {_size(built)})",
+            f" simulation as built ({1e3 * plain.rms_all:.3g} against {_format_size(built)})",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
         )
     ]
 
 
-def _worse_in_recordings(rollout: Rollout, length: str) -> list[Finding]:
+def _report_worse_recordings(rollout: Rollout, length: str) -> list[Finding]:
     """Return a finding that names recordings in which the delayed command alone is closer."""
     worse = [
         f"{Path(each.source).name} ({1e3 * each.no_physics.rms_all:.3g} against"
-        f" {_size(each.as_built)})"
+        f" {_format_size(each.as_built)})"
         for each in rollout.by_recording
         if each.as_built is not None
         and each.no_physics is not None
@@ -333,13 +333,13 @@ def _worse_in_recordings(rollout: Rollout, length: str) -> list[Finding]:
             "rollout_worse_than_command",
             "warning",
             f"Over {length} the delayed command alone is closer to the measured motion than the"
-            f" simulation as built in {joined(worse, 6)}",
+            f" simulation as built in {join_names(worse, 6)}",
             Cure("look there for rests, contact and loads that the model lacks"),
         )
     ]
 
 
-def _contact(rollout: Rollout, length: str) -> list[Finding]:
+def _report_outlying(rollout: Rollout, length: str) -> list[Finding]:
     """Return a finding that names the outlying windows."""
     if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
         return []
@@ -351,16 +351,16 @@ def _contact(rollout: Rollout, length: str) -> list[Finding]:
             "warning",
             f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
             f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
-            f" {joined(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
-            f" mrad instead of {_size(rollout.as_built)}",
+            f" {join_names(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
+            f" mrad instead of {_format_size(rollout.as_built)}",
             Cure("look at these times; exclude contact from the recording"),
         )
     ]
 
 
-def _size(errors: RolloutErrors) -> str:
+def _format_size(errors: RolloutErrors) -> str:
     return "one that diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} mrad"
 
 
-def _title(name: str) -> str:
+def _name_model(name: str) -> str:
     return "by CAD" if name == "cad" else "as built"

@@ -8,11 +8,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
-from asbuilt.findings import Finding, joined
+from asbuilt.findings import Finding, join_names
 from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.tables import significant
+from asbuilt.tables import round_significant
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
@@ -30,7 +30,7 @@ class Reason(NamedTuple):
     forbids: bool = False
 
 
-def reasons_against(
+def list_reasons_against(
     result: IdentificationResult,
     findings: Sequence[Finding],
     validations: Sequence[Validation],
@@ -44,14 +44,14 @@ def reasons_against(
     checks = [each for each in findings if each.severity == "error"]
     return (
         *(Reason(each.code, each.message, forbids=True) for each in checks),
-        *_of_error(error, measure),
+        *_list_error_reasons(error, measure),
         *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
-        *_of_findings(findings, result.effects, len(result.validation), measure),
-        *(_of_effect(each) for each in result.effects if _dims(each)),
-        *_of_joints(validations if measure == "torque" else ()),
-        *_of_consistency(result),
-        *_of_bodies(result),
-        *_of_simulation(result, simulated),
+        *_list_finding_reasons(findings, result.effects, len(result.validation), measure),
+        *(_make_effect_reason(each) for each in result.effects if _dims(each)),
+        *_list_joint_reasons(validations if measure == "torque" else ()),
+        *_list_consistency_reasons(result),
+        *_list_body_reasons(result),
+        *_list_simulation_reasons(result, simulated),
     )
 
 
@@ -63,7 +63,7 @@ def is_untested(
     return not held_out or any(each.code == "nothing_held_out" for each in findings)
 
 
-def _of_error(error: VerdictError, measure: Measure) -> Iterator[Reason]:
+def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reason]:
     """Yield that CAD is better, or that little of the torque is explained."""
     found, cad = error.decisive, error.cad
     if found is None:
@@ -77,7 +77,7 @@ def _of_error(error: VerdictError, measure: Measure) -> Iterator[Reason]:
         )
 
 
-def _of_findings(
+def _list_finding_reasons(
     findings: Sequence[Finding],
     effects: Sequence[FoundEffect],
     n_validations: int,
@@ -94,7 +94,7 @@ def _of_findings(
         if measure == "rollout" and code in OF_TORQUE:
             continue
         names = list(dict.fromkeys(each.joint for each in found if each.joint is not None))
-        yield Reason(code, phrase.format(at=f" at {joined(names, 3)}" if names else ""))
+        yield Reason(code, phrase.format(at=f" at {join_names(names, 3)}" if names else ""))
 
 
 def _dims(each: FoundEffect) -> bool:
@@ -103,16 +103,16 @@ def _dims(each: FoundEffect) -> bool:
     return not each.in_model and (family.in_model or family.of_log)
 
 
-def _of_effect(each: FoundEffect) -> Reason:
+def _make_effect_reason(each: FoundEffect) -> Reason:
     family = EFFECTS[each.effect]
     unit = "" if each.unit == "1" else each.unit
-    size = f"{significant(each.estimate, 2)} {unit}".rstrip()
+    size = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
     at = "" if each.joint is None else f" at {each.joint}"
     where = "in the log" if family.of_log else "not in the model"
     return Reason("effect_found", f"{family.title} of {size}{at} {where}")
 
 
-def _of_joints(validations: Sequence[Validation]) -> Iterator[Reason]:
+def _list_joint_reasons(validations: Sequence[Validation]) -> Iterator[Reason]:
     """Yield the joints where CAD predicts other motion better, beyond chance."""
     names = [
         joint.joint
@@ -121,21 +121,23 @@ def _of_joints(validations: Sequence[Validation]) -> Iterator[Reason]:
         if joint.outcome == "worse"
     ]
     if names:
-        listed = joined(list(dict.fromkeys(names)), 3)
+        listed = join_names(list(dict.fromkeys(names)), 3)
         yield Reason("cad_predicts_better", f"CAD is better at {listed}")
 
 
-def _of_consistency(result: IdentificationResult) -> Iterator[Reason]:
+def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
     """Yield that simulators do not take the parameters."""
     if result.physically_consistent is not False:
         return
     if names := non_passive_drives(result.base, result.estimates):
-        yield Reason("non_passive_drives", f"negative {joined(names, 3)}, which no simulator takes")
+        yield Reason(
+            "non_passive_drives", f"negative {join_names(names, 3)}, which no simulator takes"
+        )
     else:
         yield Reason("inconsistent", "physically inconsistent, so that no simulator takes it")
 
 
-def _of_bodies(result: IdentificationResult) -> Iterator[Reason]:
+def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     """Yield a link whose mass imitates something that is not in the model."""
     try:
         found = as_built_parameters(result)
@@ -157,11 +159,13 @@ def _of_bodies(result: IdentificationResult) -> Iterator[Reason]:
         _, name, mass, cad = max(off)
         yield Reason(
             "link_mass_differs",
-            f"{name} has {significant(mass)} kg for {significant(cad)} of CAD",
+            f"{name} has {round_significant(mass)} kg for {round_significant(cad)} of CAD",
         )
 
 
-def _of_simulation(result: IdentificationResult, simulated: Rollout | None) -> Iterator[Reason]:
+def _list_simulation_reasons(
+    result: IdentificationResult, simulated: Rollout | None
+) -> Iterator[Reason]:
     """Yield what speaks against a robot identified from commands in its simulation."""
     if result.servo is None:
         return

@@ -12,19 +12,19 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
-from asbuilt.findings import Finding, joined
+from asbuilt.findings import Finding, join_names
 from asbuilt.identification import IdentificationResult, as_built_parameters
-from asbuilt.tables import share, significant
+from asbuilt.tables import format_share, round_significant
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.reasons import RULES, is_untested, reasons_against
+from asbuilt.validation.verdicts.reasons import RULES, is_untested, list_reasons_against
 from asbuilt.validation.verdicts.verdict_error import (
     Measure,
     VerdictError,
-    decisive_rollout,
-    rollout_error,
-    torque_error,
+    choose_decisive_rollout,
+    find_worst_torque_error,
+    summarise_rollout_error,
 )
 
 Use = Literal["yes", "with care", "no"]
@@ -84,32 +84,32 @@ def study_verdict(
     rollouts
         Simulations of the same.
     """
-    simulated = decisive_rollout(rollouts) if result.servo is not None else None
-    motion = _motion(result, findings, validations)
+    simulated = choose_decisive_rollout(rollouts) if result.servo is not None else None
+    motion = _word_motion(result, findings, validations)
     if simulated is None:
         measure: Measure = "torque"
-        error = torque_error(result, validations)
-        cad = "" if error.cad is None else f" (CAD {_percent(error.cad)})"
-        outcome = f"predicts {motion} to {_percent(error.decisive)} of the torque{cad}"
+        error = find_worst_torque_error(result, validations)
+        cad = "" if error.cad is None else f" (CAD {_format_percent(error.cad)})"
+        outcome = f"predicts {motion} to {_format_percent(error.decisive)} of the torque{cad}"
     else:
-        measure, error = "rollout", rollout_error(simulated)
-        outcome = f"simulates {motion} to {_rollout_text(result, simulated, error)}"
-    reasons = reasons_against(result, findings, validations, simulated, error, measure)
+        measure, error = "rollout", summarise_rollout_error(simulated)
+        outcome = f"simulates {motion} to {_word_rollout(result, simulated, error)}"
+    reasons = list_reasons_against(result, findings, validations, simulated, error, measure)
     use: Use = "with care" if reasons else "yes"
     if any(each.forbids for each in reasons):
         use = "no"
-    weightiest = joined(list(dict.fromkeys(each.text for each in reasons))[: RULES.named])
+    weightiest = join_names(list(dict.fromkeys(each.text for each in reasons))[: RULES.named])
     against = f"{weightiest}; " if reasons else ""
     return Verdict(
         use,
-        f"{OPENING[use]}: {against}{outcome}{_mass_text(result)}.",
+        f"{OPENING[use]}: {against}{outcome}{_word_mass(result)}.",
         error,
         measure,
         tuple(dict.fromkeys(each.code for each in reasons)),
     )
 
 
-def _motion(
+def _word_motion(
     result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
 ) -> str:
     """Return what the errors were measured on."""
@@ -123,18 +123,18 @@ def _motion(
     return "motion held out" if held else "other motion"
 
 
-def _percent(value: float | None) -> str:
-    return share(value, 2 if value is not None and value < FINE else 1)
+def _format_percent(value: float | None) -> str:
+    return format_share(value, 2 if value is not None and value < FINE else 1)
 
 
-def _rollout_text(result: IdentificationResult, simulated: Rollout, error: VerdictError) -> str:
+def _word_rollout(result: IdentificationResult, simulated: Rollout, error: VerdictError) -> str:
     unit = position_unit(result.model)
     size = "one that diverges" if error.decisive is None else f"{1e3 * error.decisive:.3g} {unit}"
-    cad = "" if error.cad is None else f" (CAD {significant(1e3 * error.cad)})"
+    cad = "" if error.cad is None else f" (CAD {round_significant(1e3 * error.cad)})"
     return f"{size} over {simulated.horizon:g} s{cad}"
 
 
-def _mass_text(result: IdentificationResult) -> str:
+def _word_mass(result: IdentificationResult) -> str:
     """Return the exported robot's mass of links compared with CAD's; empty without an export."""
     try:
         found = as_built_parameters(result)
@@ -146,4 +146,6 @@ def _mass_text(result: IdentificationResult) -> str:
     built = float(np.sum(found.parameters[9 : 10 * len(links) : 10]))
     cad = sum(float(link.inertia.mass) for link in links)
     known = all(link.inertia_known for link in links) and cad > 0.0
-    return f", {significant(built)} kg" + (f" for {significant(cad)} of CAD" if known else "")
+    return f", {round_significant(built)} kg" + (
+        f" for {round_significant(cad)} of CAD" if known else ""
+    )

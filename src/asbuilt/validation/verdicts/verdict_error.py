@@ -12,7 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification import IdentificationResult, as_built_parameters
-from asbuilt.identification.result.torque_prediction import beside_measured, parameter_torque
+from asbuilt.identification.result.torque_prediction import pair_with_measured, parameter_torque
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import Rollout
@@ -46,7 +46,7 @@ def with_exported(
     Its links have the standard parameters closest to CAD within the standard errors, its drives all
     identified terms. Nothing is added if there are no physically consistent links.
     """
-    exported = exported_parameters(result)
+    exported = export_parameters(result)
     if exported is None:
         return validation
     torque = np.zeros(samples.q.shape)
@@ -54,11 +54,11 @@ def with_exported(
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         torque[span] = parameter_torque(result.model, result.base.drive, exported, *state)[1]
     return replace(
-        validation, metrics_exported=beside_measured(result.model, samples, torque).metrics()
+        validation, metrics_exported=pair_with_measured(result.model, samples, torque).metrics()
     )
 
 
-def exported_parameters(result: IdentificationResult) -> Array | None:
+def export_parameters(result: IdentificationResult) -> Array | None:
     """Return the standard parameters (n_standard,) of the exported robot; None without one."""
     try:
         found = as_built_parameters(result)
@@ -67,7 +67,9 @@ def exported_parameters(result: IdentificationResult) -> Array | None:
     return found.parameters if found.consistent else None
 
 
-def torque_error(result: IdentificationResult, validations: Sequence[Validation]) -> VerdictError:
+def find_worst_torque_error(
+    result: IdentificationResult, validations: Sequence[Validation]
+) -> VerdictError:
     """Return the errors on the recording that is predicted worst, else on the training data."""
     rows = [
         VerdictError(
@@ -84,18 +86,18 @@ def torque_error(result: IdentificationResult, validations: Sequence[Validation]
     return max(rows, key=lambda each: each.decisive or 0.0)
 
 
-def decisive_rollout(rollouts: Sequence[Rollout]) -> Rollout | None:
+def choose_decisive_rollout(rollouts: Sequence[Rollout]) -> Rollout | None:
     """Return the rollout of the longest windows that do not diverge as built; None without any."""
     longest = sorted(rollouts, key=lambda each: -each.horizon)
-    whole = [each for each in longest if _finite(each.as_built) is not None]
+    whole = [each for each in longest if _read_finite_error(each.as_built) is not None]
     return (*whole, *reversed(longest), None)[0]
 
 
-def rollout_error(rollout: Rollout) -> VerdictError:
+def summarise_rollout_error(rollout: Rollout) -> VerdictError:
     """Return the position errors of a rollout, whose robot as built is the exported one."""
-    built = _finite(rollout.as_built)
-    return VerdictError(built, built, _finite(rollout.cad))
+    built = _read_finite_error(rollout.as_built)
+    return VerdictError(built, built, _read_finite_error(rollout.cad))
 
 
-def _finite(errors: RolloutErrors | None) -> float | None:
+def _read_finite_error(errors: RolloutErrors | None) -> float | None:
     return None if errors is None or errors.diverged else float(errors.rms_all)

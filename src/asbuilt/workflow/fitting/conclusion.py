@@ -8,43 +8,43 @@ from functools import partial
 
 import numpy as np
 
-from asbuilt.description.structure.locking import lock_findings
+from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.known_masses import known_mass_notes
+from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.drives.drive_choice import DriveChoice
 from asbuilt.identification.effects.as_identified import as_identified
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.effect_findings import effect_findings
+from asbuilt.identification.effects.effect_findings import report_effects
 from asbuilt.identification.effects.search import Effects
-from asbuilt.identification.errors.bias import position_noise_findings
+from asbuilt.identification.errors.bias import report_position_noise
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
-from asbuilt.identification.result.determination import spring_findings
+from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
-from asbuilt.validation.generalisation.consolidation import consolidated
-from asbuilt.validation.generalisation.coverage import coverage_findings
+from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
+from asbuilt.validation.generalisation.consolidation import consolidate_findings
+from asbuilt.validation.generalisation.coverage import check_coverage
 from asbuilt.validation.generalisation.generalisation import (
-    repetition_findings,
-    validation_findings,
+    check_repetitions,
+    check_validations,
 )
-from asbuilt.validation.generalisation.plateaus import plateau_findings
-from asbuilt.validation.generalisation.unexplained import nameless_findings, unexplained_findings
+from asbuilt.validation.generalisation.plateaus import report_plateaus
+from asbuilt.validation.generalisation.unexplained import nameless_findings, report_unexplained
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
-from asbuilt.workflow.delays import delay_findings
+from asbuilt.workflow.delays import report_delays
 from asbuilt.workflow.fitting.fits import Fits
 from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.servo import servo_findings, servo_notes
+from asbuilt.workflow.servo import describe_servo_torque, report_servo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +80,8 @@ def conclude_study(
     prepared = fits.prepared
     held = (*prepared.held_out, *prepared.validation)
     trained, validations = fits.predicted(fits.samples), fits.judged(held)
-    cause_data, too_short = _cause_data(fits, options.block_seconds)
-    train, train_cad = _together(fits, trained)
+    cause_data, too_short = _build_cause_data(fits, options.block_seconds)
+    train, train_cad = _merge_metrics(fits, trained)
     named = tuple(
         each for each in fits.effects.found if options.wanted_effects.named or each.in_model
     )
@@ -95,7 +95,7 @@ def conclude_study(
         holdout=prepared.holdout,
         digests=prepared.digests,
         delay=prepared.delay,
-        notes=_notes(fits, cutoffs),
+        notes=_collect_notes(fits, cutoffs),
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
         encoders=fits.encoders,
@@ -115,36 +115,38 @@ def conclude_study(
     )
     findings = (
         *result.findings,
-        *_drive_findings(fits.choice),
+        *_report_drives(fits.choice),
         *_check_findings(prepared.checks),
-        *lock_findings(
+        *report_locks(
             fits.model.locked_joints, fits.model.held_followers, fits.model.assumed_carriers
         ),
-        *delay_findings(result, prepared.delay, fits.final.delay_shift),
+        *report_delays(result, prepared.delay, fits.final.delay_shift),
         *further,
-        *_validation_findings(fits, train, validations, further),
-        *repetition_findings(prepared.training, held),
-        *([] if prepared.validation else coverage_findings(fits.model, prepared.training)),
+        *_report_validation(fits, train, validations, further),
+        *check_repetitions(prepared.training, held),
+        *([] if prepared.validation else check_coverage(fits.model, prepared.training)),
         *too_short,
-        *unexplained_findings(trained),
+        *report_unexplained(trained),
         *nameless_findings(trained, fits.samples),
-        *_model_findings(fits, result, attribution, options),
-        *cad_verdict_findings(validations),
-        *spring_findings(result),
+        *_report_model(fits, result, attribution, options),
+        *report_cad_verdicts(validations),
+        *report_springs(result),
         *leg_findings(result, fits.samples),
     )
-    shares = _error_shares((*validations, *trained)[0].metrics_as_built)
-    return Conclusion(result, consolidated(findings, shares), trained, validations, attribution)
+    shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
+    return Conclusion(
+        result, consolidate_findings(findings, shares), trained, validations, attribution
+    )
 
 
-def _error_shares(metrics: TorqueMetrics) -> dict[str, float]:
+def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:
     """Return the share of the squared torque error at each joint with a torque channel, by name."""
     energy = np.nan_to_num(metrics.rms**2)
     shares = (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist()
     return dict(zip(metrics.joint_names, shares, strict=True))
 
 
-def _validation_findings(
+def _report_validation(
     fits: Fits,
     train: TorqueMetrics,
     validations: Sequence[Validation],
@@ -154,10 +156,10 @@ def _validation_findings(
     if not validations and any(each.code == "nothing_held_out" for each in further):
         return ()
     of_training = fits.validated.metrics(fits.prepared.training)[0] if fits.refitted else train
-    return validation_findings(of_training, validations, refitted=fits.refitted)
+    return check_validations(of_training, validations, refitted=fits.refitted)
 
 
-def _model_findings(
+def _report_model(
     fits: Fits,
     result: IdentificationResult,
     attribution: Attribution | None,
@@ -166,29 +168,31 @@ def _model_findings(
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
     return (
-        *plateau_findings(fits.model, fits.plateaus),
-        *_effect_findings(fits.effects, options),
-        *_gain_findings(fits.samples),
-        *position_noise_findings(
+        *report_plateaus(fits.model, fits.plateaus),
+        *_report_effects(fits.effects, options),
+        *_report_gains(fits.samples),
+        *report_position_noise(
             result,
             fits.samples,
             [check.position_noise for check in prepared.checks],
             prepared.chain.cutoff if prepared.chain else None,
         ),
-        *servo_findings(fits.model, fits.servo, fits.choice.drive),
+        *report_servo(fits.model, fits.servo, fits.choice.drive),
         *(fits.refined.findings() if fits.refined else ()),
-        *(cause_findings(attribution, fits.model) if fits.model.has_masses else ()),
+        *(report_causes(attribution, fits.model) if fits.model.has_masses else ()),
     )
 
 
-def _effect_findings(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
+def _report_effects(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
     """Return what can be done about effects: errors of the log even where none are wanted."""
     named = options.wanted_effects.named
     own = [each for each in effects.found if named or EFFECTS[each.effect].of_log]
-    return effect_findings(replace(effects, found=tuple(own)))
+    return report_effects(replace(effects, found=tuple(own)))
 
 
-def _together(fits: Fits, predictions: Sequence[Validation]) -> tuple[TorqueMetrics, TorqueMetrics]:
+def _merge_metrics(
+    fits: Fits, predictions: Sequence[Validation]
+) -> tuple[TorqueMetrics, TorqueMetrics]:
     """Return the metrics of several predictions together, as built and by CAD."""
     as_built, by_cad = (TorqueTally(fits.model.joint_names) for _ in range(2))
     for each in predictions:
@@ -198,7 +202,7 @@ def _together(fits: Fits, predictions: Sequence[Validation]) -> tuple[TorqueMetr
     return as_built.metrics(source), by_cad.metrics(source)
 
 
-def _cause_data(
+def _build_cause_data(
     fits: Fits, block_seconds: float | None
 ) -> tuple[CauseData | None, tuple[Finding, ...]]:
     """Return what causes are weighed by, or a finding that the recordings are too short for it."""
@@ -222,15 +226,15 @@ def _cause_data(
         )
 
 
-def _notes(fits: Fits, cutoffs: CutoffSweep | None) -> tuple[str, ...]:
+def _collect_notes(fits: Fits, cutoffs: CutoffSweep | None) -> tuple[str, ...]:
     return (
-        *known_mass_notes(fits.model),
+        *describe_known_masses(fits.model),
         *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
-        *servo_notes(fits.model, fits.servo),
+        *describe_servo_torque(fits.model, fits.servo),
     )
 
 
-def _drive_findings(choice: DriveChoice) -> tuple[Finding, ...]:
+def _report_drives(choice: DriveChoice) -> tuple[Finding, ...]:
     said = (
         Finding("drive_terms", "info", f"{sentence[0].upper()}{sentence[1:]}")
         for sentence in choice.sentences
@@ -246,7 +250,7 @@ def _check_findings(checks: Sequence[RecordingCheck]) -> tuple[Finding, ...]:
     )
 
 
-def _gain_findings(training: Sequence[Samples]) -> tuple[Finding, ...]:
+def _report_gains(training: Sequence[Samples]) -> tuple[Finding, ...]:
     if all(samples.torque_source != "current" for samples in training):
         return ()
     return (

@@ -18,24 +18,24 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.encoders import (
     EncoderPair,
     identify_encoders,
-    on_link,
+    refer_to_links,
     with_friction_errors,
 )
 from asbuilt.identification.drives.drive_choice import (
     DriveChoice,
-    drive_effects,
+    list_drive_effects,
+    select_stated_drive,
     settle_nonlinear,
-    stated_drive,
 )
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.validation.generalisation.plateaus import Plateau, plateaus, without_plateaus
-from asbuilt.validation.prediction import Validation, friction_torque, predict_both
+from asbuilt.validation.generalisation.plateaus import Plateau, find_plateaus, without_plateaus
+from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
-from asbuilt.workflow.servo import delays_of, with_delay_errors
+from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
@@ -98,11 +98,11 @@ class Fits:
 
     def predicted(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
         """Predict samples of the final fit by it, and by CAD."""
-        return tuple(_predicted(self.final, each) for each in samples)
+        return tuple(_predict_samples(self.final, each) for each in samples)
 
     def judged(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
         """Predict validation data by the fit that has not seen them, and by CAD."""
-        return tuple(_predicted(self.validated, each) for each in samples)
+        return tuple(_predict_samples(self.validated, each) for each in samples)
 
 
 def fit_study(
@@ -134,22 +134,22 @@ def fit_study(
     """
 
     def fitted(prepared: Prepared) -> Fits:
-        return _fitted(model, prepared, options, servo, parts, report)
+        return _fit_all(model, prepared, options, servo, parts, report)
 
-    fits = _divided_or_not(fitted, prepared)
+    fits = _fit_divided_or_whole(fitted, prepared)
     if all(each.encoder is None for each in fits.samples):
         return fits
-    pairs = _encoders(fits, fits.samples)
+    pairs = _identify_encoders(fits, fits.samples)
     if not any(each.determined for each in pairs):
         return replace(fits, encoders=pairs)
     # Links that move by their own encoder are other samples, with effects of their own.
-    stiff = _divided_or_not(fitted, _on_link(prepared, pairs, fits.final))
-    if _torque_error(stiff) >= _torque_error(fits):
+    stiff = _fit_divided_or_whole(fitted, _move_to_link(prepared, pairs, fits.final))
+    if _measure_torque_error(stiff) >= _measure_torque_error(fits):
         return replace(fits, encoders=pairs)
-    return replace(stiff, encoders=_encoders(stiff, fits.samples))
+    return replace(stiff, encoders=_identify_encoders(stiff, fits.samples))
 
 
-def _divided_or_not(fitted: Callable[[Prepared], Fits], prepared: Prepared) -> Fits:
+def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared) -> Fits:
     """Fit without what was held out by default, if that leaves enough."""
     if prepared.whole:
         try:
@@ -159,17 +159,17 @@ def _divided_or_not(fitted: Callable[[Prepared], Fits], prepared: Prepared) -> F
     return fitted(prepared)
 
 
-def _torque_error(fits: Fits) -> float:
+def _measure_torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
     judged = fits.judged(fits.prepared.held_out or fits.prepared.training)
     return float(np.mean([each.metrics_as_built.relative_error**2 for each in judged]))
 
 
-def _encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
+def _identify_encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
     """Return what lies between two encoders, by the friction that was identified."""
     fit, joints = fits.final, fits.final.model.joints
     samples = [each.compact() for each in samples]
-    taken = [_friction(fit, each) for each in samples]
+    taken = [_predict_friction(fit, each) for each in samples]
     pairs = identify_encoders(samples, [joint.is_revolute for joint in joints], taken)
     errors = np.sqrt(np.diag(fit.uncertainty.covariance))
     named = dict(zip(fit.base.names, errors.tolist(), strict=True))
@@ -181,16 +181,18 @@ def _encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]
     return with_friction_errors(pairs, viscous, dry)
 
 
-def _friction(fit: Fit, samples: Samples) -> Array:
+def _predict_friction(fit: Fit, samples: Samples) -> Array:
     """Return the friction of the drives as a fit has it, (N, n)."""
-    return friction_torque(fit.model, fit.base, fit.estimate.beta, samples)
+    return predict_friction_torque(fit.model, fit.base, fit.estimate.beta, samples)
 
 
-def _on_link(prepared: Prepared, pairs: Sequence[EncoderPair], fit: Fit) -> Prepared:
+def _move_to_link(prepared: Prepared, pairs: Sequence[EncoderPair], fit: Fit) -> Prepared:
     """Return samples of the robot with stiff drives."""
 
     def moved(samples: Sequence[Samples]) -> tuple[Samples, ...]:
-        return tuple(on_link(each, pairs, partial(_friction, fit)) for each in samples)
+        return tuple(
+            refer_to_links(each, pairs, partial(_predict_friction, fit)) for each in samples
+        )
 
     return replace(
         prepared,
@@ -202,7 +204,7 @@ def _on_link(prepared: Prepared, pairs: Sequence[EncoderPair], fit: Fit) -> Prep
     )
 
 
-def _fitted(
+def _fit_all(
     model: RobotModel,
     prepared: Prepared,
     options: StudyOptions,
@@ -248,7 +250,7 @@ def _fitted(
         choice = replace(choice, drive=found.drive, sentences=(*choice.sentences, ADDED))
     if found.servo is not None:
         late = tuple((each.source, each.digest) for each in prepared.delay)
-        prepared = replace(prepared, delay=delays_of(found.servo, late))
+        prepared = replace(prepared, delay=make_recording_delays(found.servo, late))
     return Fits(
         model,
         prepared,
@@ -271,7 +273,7 @@ def _with_effects(
     part that an explicit rule holds out is not used.
     """
     wanted, samples = options.wanted_effects, prepared.whole or prepared.training
-    drive = stated_drive(model, samples, options.drive)
+    drive = select_stated_drive(model, samples, options.drive)
     for term in wanted.drive.terms:
         drive = drive.with_term(term)
     effects = Effects(model, drive)
@@ -282,7 +284,7 @@ def _with_effects(
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
     open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
     if fixed and (open_to_all or stated):
-        flat = plateaus(model, drive, samples, options.block_seconds) if open_to_all else ()
+        flat = find_plateaus(model, drive, samples, options.block_seconds) if open_to_all else ()
         effects = find_effects(
             model,
             drive,
@@ -302,12 +304,12 @@ def _open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     Drive terms that are stated, by the user or the description, leave no others open.
     """
     every = options.wanted_effects.choice == "auto"
-    keys = set(EFFECTS) if every else set(drive_effects())
+    keys = set(EFFECTS) if every else set(list_drive_effects())
     stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
     if stated or not (every or options.drive):
-        keys -= set(drive_effects(by_construction=True))
+        keys -= set(list_drive_effects(by_construction=True))
     return keys
 
 
-def _predicted(fit: Fit, samples: Samples) -> Validation:
+def _predict_samples(fit: Fit, samples: Samples) -> Validation:
     return predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, samples)

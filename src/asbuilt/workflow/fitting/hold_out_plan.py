@@ -9,7 +9,7 @@ from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.hold_out import SHORTEST_DIVIDED
 from asbuilt.findings import Cure, Finding
 from asbuilt.workflow.options import AUTOMATIC, StudyOptions
-from asbuilt.workflow.prepare import Prepared, settled_rule, shortest
+from asbuilt.workflow.prepare import Prepared, measure_shortest, settle_rule
 
 
 def with_settled_holdout(
@@ -22,10 +22,10 @@ def with_settled_holdout(
     """
     if options.holdout != AUTOMATIC:
         return options
-    if validation or settled_rule(recordings, AUTOMATIC) is None:
+    if validation or settle_rule(recordings, AUTOMATIC) is None:
         return replace(options, holdout=None)
     if options.refine is not None:
-        return replace(options, holdout=settled_rule(recordings, AUTOMATIC))
+        return replace(options, holdout=settle_rule(recordings, AUTOMATIC))
     return options
 
 
@@ -50,7 +50,7 @@ def hold_out_findings(
         )
     if validated:
         return ()
-    seconds = shortest(recordings)
+    seconds = measure_shortest(recordings)
     why = (
         f"{seconds:.3g} s are too short to hold out a part ({SHORTEST_DIVIDED:g} s)"
         if seconds < SHORTEST_DIVIDED

@@ -8,22 +8,22 @@ from datetime import datetime
 from pathlib import Path
 
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.findings import Cure, Finding, ranked
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.result.conclusion import conclude
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.workflow.fleet.ledger.entry import Entry, joined_entries
+from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.options import FleetIdentification
 from asbuilt.workflow.fleet.siblings import (
     SIBLINGS,
     SiblingPrior,
+    build_sibling_prior,
+    derive_posterior_uncertainty,
     estimate_with_siblings,
-    posterior_uncertainty,
-    sibling_prior,
 )
 from asbuilt.workflow.study import Study
 
@@ -72,12 +72,12 @@ def fleet_identify(
     opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
     entries = opened.entries(robot_id, since, until)
     if not entries:
-        raise _nothing(opened, robot_id, since, until)
+        raise _make_missing_error(opened, robot_id, since, until)
     chosen = options or FleetIdentification()
-    prior = sibling_prior(opened, robot_id, entries) if chosen.prior == "siblings" else None
+    prior = build_sibling_prior(opened, robot_id, entries) if chosen.prior == "siblings" else None
     result = identify_entries(entries, chosen, prior)
-    findings = [*result.findings, *opened.findings, *_log_findings(entries)]
-    return Study(result, ranked(findings))
+    findings = [*result.findings, *opened.findings, *_report_logs(entries)]
+    return Study(result, rank_findings(findings))
 
 
 def identify_entries(
@@ -100,7 +100,7 @@ def identify_entries(
             f" {odd.settings.robot_type}",
             cure=Cure("give each robot an identity of its own, or choose dates of one of them"),
         )
-    information = joined_entries(entries, MOST_BLOCKS)
+    information = join_entries(entries, MOST_BLOCKS)
     design = design_values(settings.model, settings.base)
     data = EstimationData(settings.model, information, None, design, options.undetermined)
     estimate, findings = None, tuple[Finding, ...]()
@@ -115,9 +115,9 @@ def identify_entries(
         estimate,
         rate=first.rate,
         uncertainty=(
-            posterior_uncertainty(information, estimate, prior)
+            derive_posterior_uncertainty(information, estimate, prior)
             if prior is not None and estimate.method == SIBLINGS
-            else block_uncertainty(estimate.information or information, estimate)
+            else estimate_block_uncertainty(estimate.information or information, estimate)
         ),
         provenance=(
             f"{len(entries)} logs of {first.robot_id} from {first.date:%Y-%m-%d} to"
@@ -130,7 +130,7 @@ def identify_entries(
     )
 
 
-def _log_findings(entries: Sequence[Entry]) -> list[Finding]:
+def _report_logs(entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for each kind of warning of the logs, with their number."""
     counts = Counter(code for entry in entries for code in entry.warnings)
     return [
@@ -143,7 +143,7 @@ def _log_findings(entries: Sequence[Entry]) -> list[Finding]:
     ]
 
 
-def _nothing(
+def _make_missing_error(
     ledger: Ledger, robot_id: str, since: datetime | None, until: datetime | None
 ) -> UsageError | IdentifiabilityError:
     known = ledger.robot_ids()

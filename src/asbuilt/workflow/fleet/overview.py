@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from asbuilt.errors import AsbuiltError
-from asbuilt.findings import Cure, Finding, ranked
-from asbuilt.identification.effects.groups import drive_places
+from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.identification.effects.groups import locate_drive_parameters
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.design_values import design_values
@@ -36,7 +36,7 @@ class JumpRules:
 JUMP = JumpRules()
 
 
-def suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
+def report_suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
     """Return findings about a robot's latest entries."""
     names = ledger.current_names(robot_id)
     entries = [ledger.read(*each) for each in names[-JUMP.most :]]
@@ -51,10 +51,10 @@ def suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
                 Cure("give each robot an identity of its own"),
             )
         ]
-    return [*_overlaps(robot_id, sound), *_jumps(robot_id, sound)]
+    return [*_report_overlaps(robot_id, sound), *_report_jumps(robot_id, sound)]
 
 
-def _overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
+def _report_overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for logs of one robot that were recorded at the same time."""
     stamped = [entry for entry in entries if entry.date_from == "stamps"]
     pairs = pairwise(sorted(stamped, key=lambda each: each.date))
@@ -75,14 +75,16 @@ def _overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     ]
 
 
-def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
+def _report_jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for each log that the model of the others does not predict.
 
     The worst is taken out first, since it spoils the model by which the others are tested.
     """
     rest, found = list(entries), []
     while len(rest) > 1:
-        ratios = [misfit(entry, [each for each in rest if each is not entry]) for entry in rest]
+        ratios = [
+            measure_misfit(entry, [each for each in rest if each is not entry]) for entry in rest
+        ]
         worst = len(rest) - 1 if len(rest) == 2 else int(np.argmax(ratios))
         if ratios[worst] <= JUMP.ratio:
             break
@@ -99,7 +101,7 @@ def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     ]
 
 
-def misfit(entry: Entry, others: Sequence[Entry]) -> float:
+def measure_misfit(entry: Entry, others: Sequence[Entry]) -> float:
     """Return the weighted RMS torque error of a log by the others' model, in what is expected.
 
     Friction follows temperature and wear, so the others' model keeps the friction that the log
@@ -119,8 +121,11 @@ def misfit(entry: Entry, others: Sequence[Entry]) -> float:
     except AsbuiltError:
         return 1.0
     least = float(own.weights**2 @ part.residual_energy(own.beta))
-    friction = [place for joint in range(part.n_joints)
-                for place in drive_places(settings.base, joint).get("friction", [])]  # fmt: skip
+    friction = [
+        place
+        for joint in range(part.n_joints)
+        for place in locate_drive_parameters(settings.base, joint).get("friction", [])
+    ]
     rest = np.setdiff1d(np.arange(len(own.beta)), friction)
     rows = part.stacked(own.weights)[:, :-1][:, [*friction, *rest]]
     root = triangular_factor(rows)[len(friction) :, len(friction) :]
@@ -217,8 +222,11 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
                 sum(entry.duration for entry in entries),
                 sum(entry.information.n_samples for entry in entries),
             )
-            findings += suspicions(opened, robot_id)
+            findings += report_suspicions(opened, robot_id)
         rows.append(row)
     return Overview(
-        opened.root, tuple(rows), tuple(types.values()), ranked([*findings, *opened.findings])
+        opened.root,
+        tuple(rows),
+        tuple(types.values()),
+        rank_findings([*findings, *opened.findings]),
     )

@@ -14,7 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.block_scatter import ErrorBasis, widening
-from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
+from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
@@ -23,7 +23,7 @@ from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.design_values import design_values
-from asbuilt.workflow.fleet.ledger.entry import Entry, joined_entries
+from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
 
 SIBLINGS = "siblings"
@@ -82,7 +82,7 @@ class SiblingPrior:
         return len(self.robot_ids) - 1
 
 
-def sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry]) -> SiblingPrior:
+def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry]) -> SiblingPrior:
     """Return the prior that the siblings of a robot give, by all their logs.
 
     Raises
@@ -101,16 +101,16 @@ def sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry]) -> Si
             if each.settings.digest == settings.digest
         ]
         if logs:
-            found[other] = joined_entries(logs, RULES.blocks)
+            found[other] = join_entries(logs, RULES.blocks)
     if len(found) < RULES.fewest:
         raise IdentifiabilityError(
             f"{robot_id} has {len(found)} siblings in the ledger; a prior needs {RULES.fewest}",
             cure=Cure("identify it without a prior, or add logs of its siblings"),
         )
-    return prior_of(settings.model, settings.base, found)
+    return estimate_prior(settings.model, settings.base, found)
 
 
-def prior_of(
+def estimate_prior(
     model: RobotModel, base: BaseParameters, robots: dict[str, SquareRootInformation]
 ) -> SiblingPrior:
     """Return mean and spread of robots of a type.
@@ -119,8 +119,8 @@ def prior_of(
     `b_i ~ N(mu, T + C_i)`. mu is the physically consistent fit to the b_i with these covariances
     (random effects: DerSimonian & Laird, Controlled Clinical Trials 7, 1986); the fit to all data
     together is none, since what differs between robots would leak into what does not. T follows
-    from the b_i about mu as in `_spread`. A new robot lies in a Student distribution about mu: T
-    is widened by its quantile, and by the error of mu.
+    from the b_i about mu as in `_estimate_spread`. A new robot lies in a Student distribution about
+    mu: T is widened by its quantile, and by the error of mu.
     """
     toward = np.nan_to_num(design_values(model, base), nan=0.0)
     parts = list(robots.values())
@@ -136,16 +136,16 @@ def prior_of(
             for each, fit in zip(parts, fits, strict=True)]  # fmt: skip
     mu = estimates.mean(axis=0)
     for _ in range(RULES.passes):
-        mu = _mean(pooled, rows, _spread(estimates - mu, noise))
-    T = _spread(estimates - mu, noise)
+        mu = _fit_mean(pooled, rows, _estimate_spread(estimates - mu, noise))
+    T = _estimate_spread(estimates - mu, noise)
     T *= (1.0 + 1.0 / m) * float(widening(np.array(m - 1.0))) ** 2
     weights = np.median([fit.weights for fit in fits], axis=0)
     plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
-    squares = [_distance(plain, each)[0] for each in parts]
+    squares = [_measure_distance(plain, each)[0] for each in parts]
     return SiblingPrior(tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares))))
 
 
-def _spread(deviations: Array, noise: Array) -> Array:
+def _estimate_spread(deviations: Array, noise: Array) -> Array:
     """Return the covariance between robots T (p, p) from estimates about their mean (m, p).
 
     The covariance S of the estimates, less the covariance of their noise, is shrunk to its diagonal
@@ -164,7 +164,7 @@ def _spread(deviations: Array, noise: Array) -> Array:
     return np.asarray(T, dtype=np.float64)
 
 
-def _mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
+def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
     """Return the physically consistent mean of robots with the spread T.
 
     Each has the rows `[R z]` of its data, so that `A = R^T R` is the inverse of C_i, and the
@@ -197,7 +197,7 @@ def estimate_with_siblings(
     Assoc. 68, 1973). Whether data and prior agree is tested first on what the data determine
     better than the prior (Evans & Moshonov, Bayesian Analysis 1, 2006).
     """
-    square, r = _distance(prior, information)
+    square, r = _measure_distance(prior, information)
     p_value = float(fdtrc(r, max(prior.degrees, 1), square / prior.dispersion)) if r else 1.0
     m = len(prior.robot_ids)
     if p_value < RULES.unlike:
@@ -227,7 +227,7 @@ def estimate_with_siblings(
     return estimate, ()
 
 
-def posterior_uncertainty(
+def derive_posterior_uncertainty(
     information: SquareRootInformation, estimate: Estimate, prior: SiblingPrior
 ) -> Uncertainty:
     """Return the posterior covariance of an estimate with a prior of siblings."""
@@ -238,7 +238,7 @@ def posterior_uncertainty(
     )
 
 
-def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[float, int]:
+def _measure_distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[float, int]:
     """Return the mean squared distance from the mean, and the number of directions.
 
     In prior units, with `L L^T = T` and `L^T A L = U diag(l) U^T`, the data estimate a direction
@@ -258,5 +258,5 @@ def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[
 
 def _design_effect(information: SquareRootInformation, fit: Estimate) -> float:
     """Return the variance of estimates by time blocks, over its value for independent samples."""
-    honest = block_uncertainty(information, fit)
+    honest = estimate_block_uncertainty(information, fit)
     return float(np.clip(information.n_samples / max(honest.effective_samples, 1.0), 1.0, 100.0))

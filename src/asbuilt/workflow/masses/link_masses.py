@@ -11,23 +11,23 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.meshes import density_of
+from asbuilt.description.cad.meshes import look_up_density
 from asbuilt.description.cad.solids import GeometryKind, LinkSolid, read_solids
 from asbuilt.description.cad.table import read_cad_table
 from asbuilt.description.formats.xml import close_match
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, UsageError
-from asbuilt.findings import Finding, ranked
+from asbuilt.findings import Finding, rank_findings
 from asbuilt.workflow.masses.mass_findings import (
     LinkMass,
     Plausibility,
+    check_described_mass,
+    check_surface,
     copy_findings,
-    described_findings,
-    least_plausible_first,
-    link_finding,
-    plausible_size,
-    surface_findings,
+    has_plausible_size,
+    make_link_finding,
+    sort_by_plausibility,
 )
 
 Material = str | float
@@ -131,13 +131,16 @@ def link_masses(
         if folder is not None and not folder.is_dir():
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
-        links, findings = _from_solids(model, solids, _materials(model, density, material))
-    findings = [*findings, *(found for each in links for found in described_findings(each, limits))]
+        links, findings = _from_solids(model, solids, _read_materials(model, density, material))
+    findings = [
+        *findings,
+        *(found for each in links for found in check_described_mass(each, limits)),
+    ]
     findings += copy_findings(links, limits)
-    return LinkMasses(model, least_plausible_first(links, findings), ranked(findings))
+    return LinkMasses(model, sort_by_plausibility(links, findings), rank_findings(findings))
 
 
-def _materials(
+def _read_materials(
     model: RobotModel,
     density: float | Mapping[str, float] | None,
     material: str | Mapping[str, str] | None,
@@ -158,7 +161,7 @@ def _materials(
                     f"{model.name} has no link {name!r}{close_match(name, names)}; its links are"
                     f" {', '.join(names)}"
                 )
-            found[name] = density_of(value, f"link {name!r}" if name else model.name)
+            found[name] = look_up_density(value, f"link {name!r}" if name else model.name)
     return found
 
 
@@ -168,18 +171,20 @@ def _from_solids(
     links, findings = list[LinkMass](), list[Finding]()
     for k, link in enumerate(model.links):
         own = [solid for solid in solids if solid.link == k]
-        findings += [found for solid in own for found in surface_findings(link.name, solid)]
+        findings += [found for solid in own for found in check_surface(link.name, solid)]
         if not own:
-            findings.append(link_finding("no_geometry", "info", link.name, "it has no geometry"))
+            findings.append(
+                make_link_finding("no_geometry", "info", link.name, "it has no geometry")
+            )
         parts = dict(link.parts) or {link.name: link.inertia}
         scaled, complete = list[Array](), bool(own)
         for solid in own:
-            value = _density(solid, link.name, densities, parts)
+            value = _find_density(solid, link.name, densities, parts)
             complete = (
-                complete and value is not None and not solid.missing and plausible_size(solid)
+                complete and value is not None and not solid.missing and has_plausible_size(solid)
             )
             scaled += [] if value is None else [value * solid.inertia.parameters]
-        sized = [solid for solid in own if plausible_size(solid)]
+        sized = [solid for solid in own if has_plausible_size(solid)]
         corners = np.concatenate([solid.corners for solid in sized] or [np.zeros((0, 3))])
         links.append(
             LinkMass(
@@ -195,7 +200,7 @@ def _from_solids(
     return links, findings
 
 
-def _density(
+def _find_density(
     solid: LinkSolid,
     carrier: str,
     densities: Mapping[str, float] | None,
@@ -235,7 +240,7 @@ def _from_table(
         for link in model.links
     ]
     return links, [
-        link_finding("doubtful_table", "warning", name, doubt)
+        make_link_finding("doubtful_table", "warning", name, doubt)
         for name, cad in read.items()
         for doubt in cad.warnings
     ]

@@ -73,15 +73,15 @@ class LinkMass:
         return f"LinkMass({self.name!r}, described={self.described}, computed={self.computed})"
 
 
-def plausible_size(solid: LinkSolid) -> bool:
+def has_plausible_size(solid: LinkSolid) -> bool:
     """Whether the size is plausible, so that length unit and scale are right."""
     return not len(solid.corners) or float(np.ptp(solid.corners, axis=0).max()) <= PLAUSIBLE_SIZE[1]
 
 
-def surface_findings(link: str, solid: LinkSolid) -> list[Finding]:
+def check_surface(link: str, solid: LinkSolid) -> list[Finding]:
     """Return findings on meshes that are missing, open, unreadable or of doubtful size."""
     findings = [
-        link_finding(
+        make_link_finding(
             "missing_mesh",
             "warning",
             link,
@@ -91,14 +91,16 @@ def surface_findings(link: str, solid: LinkSolid) -> list[Finding]:
         for name in solid.missing
     ]
     findings += [
-        link_finding("doubtful_mesh", "warning", link, f"{solid.kind} of {solid.name}: {doubt}")
+        make_link_finding(
+            "doubtful_mesh", "warning", link, f"{solid.kind} of {solid.name}: {doubt}"
+        )
         for doubt in solid.doubts
-        if plausible_size(solid)
+        if has_plausible_size(solid)
     ]
-    if not plausible_size(solid):
+    if not has_plausible_size(solid):
         size = float(np.ptp(solid.corners, axis=0).max())
         findings.append(
-            link_finding(
+            make_link_finding(
                 "mesh_scale",
                 "error",
                 link,
@@ -109,11 +111,13 @@ def surface_findings(link: str, solid: LinkSolid) -> list[Finding]:
     return findings
 
 
-def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
+def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
     """Return what is implausible about the values of the description."""
     if link.described is None:
         return [
-            link_finding("no_inertia", "warning", link.name, "the description gives no inertia")
+            make_link_finding(
+                "no_inertia", "warning", link.name, "the description gives no inertia"
+            )
         ]
     body, reason = link.described, link.described.inconsistency()
     computed = float("nan") if link.computed is None else link.computed.mass
@@ -127,11 +131,11 @@ def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
     possible = (
         (
             reason is not None,
-            link_finding("inconsistent_inertia", "error", link.name, reason or ""),
+            make_link_finding("inconsistent_inertia", "error", link.name, reason or ""),
         ),
         (
             np.isfinite(link.density) and not limits.lightest <= link.density <= limits.heaviest,
-            link_finding(
+            make_link_finding(
                 "implausible_density",
                 "error",
                 link.name,
@@ -141,13 +145,13 @@ def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
         ),
         (
             body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=limits.equal),
-            link_finding(
+            make_link_finding(
                 "unit_inertia", "error", link.name, "its inertia is 1 kg m^2 about every axis"
             ),
         ),
         (
             abs(link.mass_change) > limits.change,
-            link_finding(
+            make_link_finding(
                 "mass_differs",
                 "info",
                 link.name,
@@ -156,7 +160,7 @@ def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
         ),
         (
             np.any(moments > (1.0 + limits.equal) * largest),
-            link_finding(
+            make_link_finding(
                 "inertia_too_large",
                 "error",
                 link.name,
@@ -166,7 +170,7 @@ def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
         ),
         (
             body.mass > 0.0 and outside > limits.equal * half.max(),
-            link_finding(
+            make_link_finding(
                 "com_outside",
                 "warning",
                 link.name,
@@ -192,11 +196,11 @@ def copy_findings(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
         ]
         if same:
             message = f"same mass and inertia as {', '.join(same)}"
-            findings.append(link_finding("copied_inertia", "warning", name, message))
+            findings.append(make_link_finding("copied_inertia", "warning", name, message))
     return findings
 
 
-def link_finding(
+def make_link_finding(
     code: str,
     severity: Literal["error", "warning", "info"],
     link: str,
@@ -207,7 +211,7 @@ def link_finding(
     return Finding(code, severity, f"link {link}: {message}", cure)
 
 
-def least_plausible_first(links: list[LinkMass], findings: list[Finding]) -> tuple[LinkMass, ...]:
+def sort_by_plausibility(links: list[LinkMass], findings: list[Finding]) -> tuple[LinkMass, ...]:
     """Sort links by their worst finding, then by the change of mass, both descending."""
     worst = {each.name: 3 for each in links}
     for finding in findings:

@@ -14,19 +14,19 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.effects.selection import RULES as EFFECT_RULES
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.identification.trajectories.friction_search import (
     is_friction_at_rest,
-    promised_fall,
-    widened,
+    predict_fall,
+    widen_parameters,
 )
 from asbuilt.identification.trajectories.refined_fit import (
     RefinedFit,
     refine_fit,
-    thinned_windows,
+    thin_windows,
 )
 from asbuilt.identification.trajectories.servo_coordinates import (
     STIFFNESS_SPREAD,
@@ -127,7 +127,7 @@ class Refined:
                 "refinement_undetermined",
                 "info",
                 "Trajectories hardly determine"
-                f" {joined(list(self.undetermined), 8)}; these stay near the fit to torques",
+                f" {join_names(list(self.undetermined), 8)}; these stay near the fit to torques",
                 Cure("record a motion that moves these joints faster, slower or with reversals"),
             ),
         )
@@ -193,7 +193,7 @@ def refine_study(
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
     began, given = time.perf_counter(), drive
     horizon = min(max(horizons, default=RULES.usual), RULES.longest)
-    windows = _windows(parts.trained, horizon)
+    windows = _cut_windows(parts.trained, horizon)
     driven = servo if kinds == {"command"} else None
 
     def refined(fit: Fit, servo: ServoEstimate | None, begin: Array | None = None) -> RefinedFit:
@@ -201,7 +201,7 @@ def refine_study(
             fit,
             windows,
             None if servo is None else servo.servo,
-            of_servo=_of_servo(servo),
+            of_servo=_make_servo_coordinates(servo),
             begin=begin,
             progress=lambda fraction: report("refine", fraction),
         )
@@ -212,19 +212,19 @@ def refine_study(
     term = term.with_nonlinear({each.name: each.default for each in term.nonlinear if each.fitted})
     if choose and _calls_for(found, term):
         wider, n = drive.with_term(term), fit.model.n_joints
-        begin = widened(found.refinement.point.chi, drive, wider, n)
-        before = None if driven is None else _servo_as_refined(driven, found)
+        begin = widen_parameters(found.refinement.point.chi, drive, wider, n)
+        before = None if driven is None else _update_servo(driven, found)
         other = refined(fitted(wider), before, begin)
         iterations += other.refinement.iterations
-        gained = _gained(found, other) > RULES.worth * n
+        gained = _measure_gain(found, other) > RULES.worth * n
         if gained and _is_better(found, other, wider, parts.held_out or parts.trained, horizon):
             found, drive = replace(other, start=found.start), wider
     seconds = time.perf_counter() - began
     tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
-    tried = _validated(tried, found.robot, parts.held_out or parts.trained)
+    tried = _validate_refinement(tried, found.robot, parts.held_out or parts.trained)
     if not tried.kept:
         return RefinedStudy(fit, servo, tried, given)
-    better = servo if servo is None or driven is None else _servo_as_refined(servo, found)
+    better = servo if servo is None or driven is None else _update_servo(servo, found)
     return RefinedStudy(found.fit, better, tried, drive)
 
 
@@ -234,10 +234,10 @@ def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
     keys, n = objective.trajectories.base.drive.keys, objective.trajectories.model.n_joints
     if "coulomb" not in keys or term.key in keys:
         return False
-    return promised_fall(objective, found.refinement, term) > RULES.no_effect * n
+    return predict_fall(objective, found.refinement, term) > RULES.no_effect * n
 
 
-def _gained(found: RefinedFit, other: RefinedFit) -> float:
+def _measure_gain(found: RefinedFit, other: RefinedFit) -> float:
     """Return by how much the cost of the windows is lower in another fit, weights as in the first.
 
     Infinite if only the first diverges.
@@ -270,7 +270,7 @@ def _is_better(
     if not is_friction_at_rest(wider, other.robot.values, other.value_errors):
         return False
     try:
-        before, after = _errors(found.robot, other.robot, parts, horizon)
+        before, after = _measure_rollout_errors(found.robot, other.robot, parts, horizon)
     except RecordingError:
         return False
     if before is None or after is None or after.diverged > before.diverged:
@@ -278,7 +278,7 @@ def _is_better(
     return after.rms_all_until**2 < (1.0 - EFFECT_RULES.worth) * before.rms_all_until**2
 
 
-def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
+def _make_servo_coordinates(servo: ServoEstimate | None) -> ServoCoordinates:
     """Return what of a servo is unknown, so that trajectories are fitted to it."""
     if servo is None:
         return ServoCoordinates()
@@ -286,11 +286,11 @@ def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
         stiffness=any(x != "given" for x in servo.errors.scale),
         delay=servo.errors.delay > 0.0,
         lead=servo.errors.lead > 0.0 or (servo.precedes_command and not any(servo.servo.lead)),
-        spread=_stiffness_spread(servo),
+        spread=_estimate_stiffness_spread(servo),
     )
 
 
-def _stiffness_spread(servo: ServoEstimate | None) -> float:
+def _estimate_stiffness_spread(servo: ServoEstimate | None) -> float:
     """Return the relative standard error of a common stiffness by the fit to torques."""
     if servo is None:
         return STIFFNESS_SPREAD
@@ -300,10 +300,12 @@ def _stiffness_spread(servo: ServoEstimate | None) -> float:
     return min(float(np.min(known)), STIFFNESS_SPREAD) if known.size else STIFFNESS_SPREAD
 
 
-def _validated(refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulated]) -> Refined:
+def _validate_refinement(
+    refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulated]
+) -> Refined:
     """Return the refinement with the errors of rollouts before and after it."""
     try:
-        before, after = _errors(refined.start, robot, parts, refined.horizon)
+        before, after = _measure_rollout_errors(refined.start, robot, parts, refined.horizon)
     except RecordingError:
         return refined
     if before is None or after is None:
@@ -312,21 +314,21 @@ def _validated(refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulate
     return replace(refined, before=before, after=after, kept=kept)
 
 
-def _errors(
+def _measure_rollout_errors(
     one: SimulatedRobot, other: SimulatedRobot, parts: Sequence[Simulated], horizon: float
 ) -> tuple[RolloutErrors | None, RolloutErrors | None]:
-    """Return the errors of two robots, None where one cannot start; raises as `_windows`."""
-    windows = thinned_windows(_windows(parts, horizon))
+    """Return the errors of two robots, None where one cannot start; raises as `_cut_windows`."""
+    windows = thin_windows(_cut_windows(parts, horizon))
     found = roll_out(
         other.model,
         windows,
-        [_driven(one, cut) for cut in windows],
-        [_driven(other, cut) for cut in windows],
+        [_drop_unused_servo(one, cut) for cut in windows],
+        [_drop_unused_servo(other, cut) for cut in windows],
     )
     return found.cad, found.as_built
 
 
-def _windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
+def _cut_windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
     """Cut what is long enough; raises RecordingError if nothing is."""
     found, problem = list[Windows](), None
     for recording, samples, signal in parts:
@@ -339,11 +341,11 @@ def _windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
     return found
 
 
-def _driven(robot: SimulatedRobot, windows: Windows) -> SimulatedRobot:
+def _drop_unused_servo(robot: SimulatedRobot, windows: Windows) -> SimulatedRobot:
     return robot if windows.signal.kind == "command" else robot.with_servo(None)
 
 
-def _servo_as_refined(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimate:
+def _update_servo(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimate:
     """Return the estimate of a servo with refined gains and delay, and their errors."""
     built: PositionServo | None = refined.servo
     if built is None:

@@ -16,7 +16,7 @@ from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
     as_recordings,
-    fitted_recordings,
+    read_fitted_recordings,
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
@@ -28,13 +28,13 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.simulated_robot import (
     SimulatedRobot,
-    robot_as_built,
-    robot_as_described,
+    build_robot_as_built,
+    build_robot_as_described,
 )
-from asbuilt.identification.trajectories.windows import cut_windows, driving_signal
+from asbuilt.identification.trajectories.windows import choose_driving_signal, cut_windows
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.options import ValidationOptions
-from asbuilt.workflow.prepare import digest
+from asbuilt.workflow.prepare import digest_recording
 from asbuilt.workflow.servo import with_described_servo, with_servo
 
 Simulated = tuple[Recording, Samples, DriveSignal]
@@ -85,11 +85,14 @@ def roll_out_result(
     options = options or ValidationOptions()
     refuse_ground(result.robot, result.model.contacts, horizons)
     logged = as_recordings(result.model, recordings)
-    parts = [_simulated(result, with_servo(item, result.servo), options.chain) for item in logged]
+    parts = [
+        _select_simulated_part(result, with_servo(item, result.servo), options.chain)
+        for item in logged
+    ]
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
-    results = [_not_of(result, item, options.chain) for item in logged]
-    return simulated_rollouts(results, parts, horizons, cad=cad, workers=workers)
+    results = [_select_result(result, item, options.chain) for item in logged]
+    return simulate_rollouts(results, parts, horizons, cad=cad, workers=workers)
 
 
 def roll_out_robot(
@@ -107,10 +110,13 @@ def roll_out_robot(
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     refuse_ground(model.name, model.contacts, horizons)
-    model, (logged,) = fitted_recordings(model, (recordings,))
+    model, (logged,) = read_fitted_recordings(model, (recordings,))
     chain = options.chain or SignalChain()
-    parts = [_whole(with_described_servo(model, item), chain) for item in logged]
-    described = [_driven(robot_as_described(model, _servo(each[0])), each) for each in parts]
+    parts = [_prepare_whole(with_described_servo(model, item), chain) for item in logged]
+    described = [
+        _drop_unused_servo(build_robot_as_described(model, _read_servo(each[0])), each)
+        for each in parts
+    ]
     return tuple(
         roll_out(
             model,
@@ -123,7 +129,7 @@ def roll_out_robot(
     )
 
 
-def simulated_rollouts(
+def simulate_rollouts(
     results: Sequence[IdentificationResult],
     parts: Sequence[Simulated],
     horizons: Sequence[float],
@@ -136,9 +142,11 @@ def simulated_rollouts(
         return ()
     by_cad, built = [], []
     for result, part in zip(results, parts, strict=True):
-        servo = result.servo or _servo(part[0])
-        by_cad.append(_driven(robot_as_described(cad or result.model, servo), part))
-        built.append(_driven(robot_as_built(result, servo), part))
+        servo = result.servo or _read_servo(part[0])
+        by_cad.append(
+            _drop_unused_servo(build_robot_as_described(cad or result.model, servo), part)
+        )
+        built.append(_drop_unused_servo(build_robot_as_built(result, servo), part))
     return tuple(
         roll_out(
             results[0].model,
@@ -159,7 +167,7 @@ class SimulatedParts:
     held_out: tuple[Simulated, ...] = ()
 
 
-def simulated_parts(
+def select_simulated_parts(
     recordings: Sequence[Recorded],
     validation: Sequence[Recorded],
     chain: SignalChain | None,
@@ -169,48 +177,48 @@ def simulated_parts(
     """Return what a study may simulate: all but what is held out, and that and other recordings."""
     held = () if holdout is None else recordings
     return SimulatedParts(
-        tuple(_part(item, chain, holdout, filters, train=True) for item in recordings),
+        tuple(_prepare_part(item, chain, holdout, filters, train=True) for item in recordings),
         (
-            *(_part(item, chain, holdout, filters) for item in held),
-            *(_part(item, chain, None, filters) for item in validation),
+            *(_prepare_part(item, chain, holdout, filters) for item in held),
+            *(_prepare_part(item, chain, None, filters) for item in validation),
         ),
     )
 
 
-def _servo(recording: Recording) -> PositionServo | None:
+def _read_servo(recording: Recording) -> PositionServo | None:
     return recording.servo
 
 
-def _driven(robot: SimulatedRobot, part: Simulated) -> SimulatedRobot:
+def _drop_unused_servo(robot: SimulatedRobot, part: Simulated) -> SimulatedRobot:
     """Return the robot with its servo only where a command drives it."""
     return robot if part[2].kind == "command" else robot.with_servo(None)
 
 
-def _simulated(
+def _select_simulated_part(
     result: IdentificationResult, item: Recorded, chain: SignalChain | None
 ) -> Simulated:
     """Return the part of a recording that the result was not identified from."""
-    holdout = result.holdout if _trained(result, item) and chain is None else None
-    return _part(item, chain or result.chain, holdout, MotionFilters())
+    holdout = result.holdout if _is_trained_on(result, item) and chain is None else None
+    return _prepare_part(item, chain or result.chain, holdout, MotionFilters())
 
 
-def _not_of(
+def _select_result(
     result: IdentificationResult, item: Recorded, chain: SignalChain | None
 ) -> IdentificationResult:
     """Return the result with values that are not of the part of a recording that is simulated."""
-    held = result.holdout is not None and chain is None and _trained(result, item)
+    held = result.holdout is not None and chain is None and _is_trained_on(result, item)
     return result.of_training if held else result
 
 
-def _trained(result: IdentificationResult, item: Recorded) -> bool:
-    return not isinstance(item, Samples) and digest(head_of(item)) in result.digests
+def _is_trained_on(result: IdentificationResult, item: Recorded) -> bool:
+    return not isinstance(item, Samples) and digest_recording(head_of(item)) in result.digests
 
 
-def _whole(item: Recorded, chain: SignalChain) -> Simulated:
-    return _part(item, chain, None, MotionFilters())
+def _prepare_whole(item: Recorded, chain: SignalChain) -> Simulated:
+    return _prepare_part(item, chain, None, MotionFilters())
 
 
-def _part(
+def _prepare_part(
     item: Recorded,
     chain: SignalChain | None,
     holdout: str | None,
@@ -226,7 +234,7 @@ def _part(
         settled = resolve_chain(chain or SignalChain(), recording, filters=filters)
         whole = replace(settled, rests=True, parallel=False, decimate=None)
         samples = filters.prepare(recording, whole).samples(whole.delay)
-    signal = driving_signal(recording)
+    signal = choose_driving_signal(recording)
     if holdout is not None:
         samples = hold_out(samples, holdout)[0 if train else 1]
     return recording, samples, signal

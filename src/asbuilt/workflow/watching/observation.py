@@ -11,18 +11,18 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.recording import Recording, advancing
+from asbuilt.experiment.recording import Recording, find_advancing_rows
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
 from asbuilt.experiment.signal.noise.velocity_choice import compare_velocities
 from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.resampling import uniform_segments
+from asbuilt.experiment.signal.resampling import resample_segments
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.causal_filter import largest_velocity_error, pole_for
+from asbuilt.monitoring.causal_filter import choose_pole, largest_velocity_error
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
 
@@ -30,7 +30,7 @@ FEWEST = 10
 """Samples of the shortest log."""
 
 
-def logged(recorded: Recorded) -> Recording | RecordingStream:
+def require_logged(recorded: Recorded) -> Recording | RecordingStream:
     """Return a recording as logged; raises `UsageError` for samples, which are filtered."""
     if isinstance(recorded, Samples):
         raise UsageError(
@@ -81,7 +81,7 @@ def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
     if not np.nanmax(np.ptp(head.q, axis=0)) > 0.0:
         return True
     cutoff = resolve_chain(SignalChain(), head).cutoff or 0.0
-    segments, rate, _ = uniform_segments(head)
+    segments, rate, _ = resample_segments(head)
     pairs = []
     for segment in segments:
         if segment.qd is None:
@@ -95,7 +95,7 @@ def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
     return bool(pairs) and compare_velocities(pairs, rate).helps
 
 
-def doubtful_speed(
+def estimate_doubtful_speed(
     logs: Sequence[Recording | RecordingStream], bandwidth: float, *, measured: bool
 ) -> Array:
     """Return the speeds (n,) [rad/s or m/s] below which the direction of motion is unknown.
@@ -105,31 +105,31 @@ def doubtful_speed(
     """
     heads = [head_of(log) for log in logs]
     steps = np.concatenate([np.diff(head.t) for head in heads])
-    pole = None if measured else pole_for(steps, bandwidth)
+    pole = None if measured else choose_pole(steps, bandwidth)
     return largest_velocity_error([(head.t, head.q, head.qd) for head in heads], pole)
 
 
-def observed_parts(
+def observe_parts(
     observer: Observer, recorded: Recording | RecordingStream, *, velocities: bool
 ) -> Iterator[Observed]:
     """Yield what the observer makes of a log, in one part or, for a stream, in several."""
     if isinstance(recorded, Recording):
-        yield _observed(observer, recorded, velocities=velocities)
+        yield _observe_recording(observer, recorded, velocities=velocities)
         return
     seen = 0
     end, tail = -np.inf, None
     for chunk in recorded:
-        whole = chunk if tail is None else _joined(tail, chunk)
-        found = _observed(observer, whole, velocities=velocities)
+        whole = chunk if tail is None else _join_recordings(tail, chunk)
+        found = _observe_recording(observer, whole, velocities=velocities)
         new = found if tail is None else found.select(found.t > end)
         yield replace(new, left_out=max(found.left_out - seen, 0))
         end = float(np.nanmax(chunk.t))
         # Seconds that chunks of a stream share, so that the observer has forgotten its start.
         tail = whole.taken(whole.t > end - 1.0)
-        seen = int(np.sum(~_valid(tail, velocities=velocities)))
+        seen = int(np.sum(~_find_valid_rows(tail, velocities=velocities)))
 
 
-def held_out_part(observed: Observed, rule: str) -> Observed:
+def cut_held_out_part(observed: Observed, rule: str) -> Observed:
     """Return what a rule of `hold_out` holds out of a log."""
     since, chosen = observed.t - observed.t[0], parse_rule(rule)
     if isinstance(chosen, Blocks):
@@ -138,9 +138,9 @@ def held_out_part(observed: Observed, rule: str) -> Observed:
     return observed.select(since >= (1.0 - chosen.share) * since[-1])
 
 
-def _observed(observer: Observer, recording: Recording, *, velocities: bool) -> Observed:
+def _observe_recording(observer: Observer, recording: Recording, *, velocities: bool) -> Observed:
     """Observe a recording without rows that are not finite or whose time does not advance."""
-    kept = _valid(recording, velocities=velocities)
+    kept = _find_valid_rows(recording, velocities=velocities)
     if kept.sum() < FEWEST:
         raise RecordingError(
             f"{recording.source}: {int(kept.sum())} valid samples are too few to watch; at least"
@@ -154,15 +154,15 @@ def _observed(observer: Observer, recording: Recording, *, velocities: bool) -> 
     return replace(found, left_out=int(np.sum(~kept)))
 
 
-def _valid(recording: Recording, *, velocities: bool) -> Mask:
+def _find_valid_rows(recording: Recording, *, velocities: bool) -> Mask:
     """Return which rows (N,) are finite and later than all before them."""
     columns = [recording.t[:, None], recording.q, recording.tau]
     if velocities and recording.qd is not None:
         columns.append(recording.qd)
-    return advancing(recording.t, np.all(np.isfinite(np.hstack(columns)), axis=1))
+    return find_advancing_rows(recording.t, np.all(np.isfinite(np.hstack(columns)), axis=1))
 
 
-def _joined(first: Recording, second: Recording) -> Recording:
+def _join_recordings(first: Recording, second: Recording) -> Recording:
     """Return two recordings as one, with the columns that the observer needs."""
     both = first.qd is not None and second.qd is not None
     return Recording(

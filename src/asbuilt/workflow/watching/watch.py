@@ -12,33 +12,33 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
 from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, Finding, ranked
-from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.events import Event, find_events, joined_events
+from asbuilt.monitoring.events import Event, find_events, join_events
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
-from asbuilt.workflow.prepare import Progress, digest
+from asbuilt.workflow.prepare import Progress, digest_recording
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.watching.observation import (
     check_joints,
-    doubtful_speed,
-    held_out_part,
-    logged,
-    observed_parts,
+    cut_held_out_part,
+    estimate_doubtful_speed,
+    observe_parts,
+    require_logged,
     uses_logged_velocities,
 )
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch_findings import (
     Tally,
-    calibration_findings,
-    expected_size,
-    log_findings,
-    model_findings,
-    velocity_findings,
+    predict_error_size,
+    report_calibration,
+    report_log,
+    report_model,
+    report_velocities,
 )
-from asbuilt.workflow.watching.watched_log import Trace, WatchedLog, traced
+from asbuilt.workflow.watching.watched_log import Trace, WatchedLog, trace_residual
 
 
 def watch(
@@ -91,9 +91,9 @@ def watch(
         result.model.n_floating,
         "forces that its feet exert count as external torque; watching one is not possible yet",
     )
-    payload_frame(result.model, options.frame)
-    log = logged(as_recordings(result.model, [recording])[0])
-    quiet = [logged(each) for each in as_recordings(result.model, calibrate or [])]
+    choose_payload_frame(result.model, options.frame)
+    log = require_logged(as_recordings(result.model, [recording])[0])
+    quiet = [require_logged(each) for each in as_recordings(result.model, calibrate or [])]
     if thresholds is None:
         _check_covariance(result)
     for each in (log, *quiet):
@@ -110,17 +110,17 @@ def watch(
         else not thresholds.filtered
     )
     _check_velocities(log, needed=measured)
-    findings = velocity_findings(log, measured=measured)
+    findings = report_velocities(log, measured=measured)
     if thresholds is None:
         report("thresholds", 0.0)
-        error = doubtful_speed(quiet or [log], bandwidth, measured=measured)
+        error = estimate_doubtful_speed(quiet or [log], bandwidth, measured=measured)
         observer = Observer(robot, bandwidth=bandwidth, velocity_error=error)
-        thresholds, of_thresholds = _thresholds(
+        thresholds, of_thresholds = _choose_thresholds(
             result, observer, log, quiet, options, measured=measured
         )
         findings += of_thresholds
     observer = Observer(robot, thresholds=thresholds)
-    return _watched(result, observer, thresholds, log, options, findings, measured, report)
+    return _watch_log(result, observer, thresholds, log, options, findings, measured, report)
 
 
 def _check_covariance(result: IdentificationResult) -> None:
@@ -141,7 +141,7 @@ def _check_velocities(log: Recording | RecordingStream, *, needed: bool) -> None
         )
 
 
-def _thresholds(
+def _choose_thresholds(
     result: IdentificationResult,
     observer: Observer,
     log: Recording | RecordingStream,
@@ -154,10 +154,10 @@ def _thresholds(
     findings: list[Finding] = []
     unseen = result.holdout is not None and result.trained is None
     for each in quiet or [log]:
-        trained = digest(head_of(each)) in result.digests
-        whole = list(observed_parts(observer, each, velocities=measured))
+        trained = digest_recording(head_of(each)) in result.digests
+        whole = list(observe_parts(observer, each, velocities=measured))
         if trained and unseen and quiet:
-            whole = [held_out_part(part, str(result.holdout)) for part in whole]
+            whole = [cut_held_out_part(part, str(result.holdout)) for part in whole]
         elif trained:
             findings.append(
                 Finding(
@@ -189,10 +189,10 @@ def _thresholds(
         held_out=bool(quiet),
         filtered=not measured,
     )
-    return found, [*findings, *calibration_findings(found)]
+    return found, [*findings, *report_calibration(found)]
 
 
-def _watched(
+def _watch_log(
     result: IdentificationResult,
     observer: Observer,
     thresholds: Thresholds,
@@ -202,12 +202,12 @@ def _watched(
     measured: bool,
     report: Callable[[str, float], None],
 ) -> WatchedLog:
-    name, link, placement = payload_frame(observer.model, options.frame)
+    name, link, placement = choose_payload_frame(observer.model, options.frame)
     events: list[Event] = []
     traces: list[Trace] = []
     tally = Tally(observer.model.joint_names, (link, placement), thresholds.filtered)
     report("observe", 0.0)
-    for observed in observed_parts(observer, log, velocities=measured):
+    for observed in observe_parts(observer, log, velocities=measured):
         scale, limit = thresholds.of_log(observed, observer.model_error)
         events += find_events(
             observer,
@@ -218,15 +218,15 @@ def _watched(
             tally.tool,
             apart=thresholds.block_seconds,
         )
-        traces.append(traced(observed, limit))
+        traces.append(trace_residual(observed, limit))
         tally.add(observer, observed, scale, limit)
     if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
-    found = joined_events(events, thresholds.block_seconds)
+    found = join_events(events, thresholds.block_seconds)
     units = tuple("N m" if joint.is_revolute else "N" for joint in observer.model.joints)
     of_log = [
-        *log_findings(thresholds, tally),
-        *model_findings(tally, expected_size(result, options.model), units, name, found),
+        *report_log(thresholds, tally),
+        *report_model(tally, predict_error_size(result, options.model), units, name, found),
     ]
     return WatchedLog(
         robot=result.robot,
@@ -238,7 +238,7 @@ def _watched(
         seconds=tally.seconds,
         thresholds=thresholds,
         events=found,
-        findings=ranked([*findings, *of_log]),
+        findings=rank_findings([*findings, *of_log]),
         trace=Trace.joined(traces),
         units=units,
         smallest_force=tally.smallest_force,

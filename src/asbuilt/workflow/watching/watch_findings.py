@@ -10,14 +10,14 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.contact import smallest_forces
-from asbuilt.monitoring.events import Event, payload_change
+from asbuilt.monitoring.contact import find_smallest_forces
+from asbuilt.monitoring.events import Event, estimate_payload_change
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds, sampling_rates
-from asbuilt.tables import plus_minus
+from asbuilt.tables import format_plus_minus
 from asbuilt.workflow.watching.options import Watched
 
 
@@ -62,9 +62,9 @@ class Tally:
         # Median of the absolute value of a standard normal variable.
         self.sizes.append(np.median(np.abs(observed.residual), axis=0) / 0.6745)
         self.forces.append(
-            smallest_forces(observer, observed, limit, self.tool, filtered=self.filtered)
+            find_smallest_forces(observer, observed, limit, self.tool, filtered=self.filtered)
         )
-        self.masses.append(payload_change(observer, observed, scale, self.tool[0]))
+        self.masses.append(estimate_payload_change(observer, observed, scale, self.tool[0]))
 
     @property
     def top_speed(self) -> Array:
@@ -116,7 +116,7 @@ class WatchRules:
 RULES = WatchRules()
 
 
-def velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
+def report_velocities(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
     """Return what to say of velocities that are not used."""
     if measured:
         return []
@@ -131,7 +131,7 @@ def velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> li
     ]
 
 
-def calibration_findings(thresholds: Thresholds) -> list[Finding]:
+def report_calibration(thresholds: Thresholds) -> list[Finding]:
     """Return what to say of the recordings that set thresholds."""
     seconds = 3600.0 * thresholds.hours
     if seconds >= RULES.short or not thresholds.held_out:
@@ -147,12 +147,12 @@ def calibration_findings(thresholds: Thresholds) -> list[Finding]:
     ]
 
 
-def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
+def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
     rate, top = log.rate, log.top_speed
     faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
     worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
-    names = joined([thresholds.joint_names[k] for k in faster])
+    names = join_names([thresholds.joint_names[k] for k in faster])
     possible = (
         (
             log.left_out,
@@ -191,13 +191,13 @@ def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
     return [finding for holds, finding in possible if holds]
 
 
-def expected_size(result: IdentificationResult, model: Watched) -> Array:
+def predict_error_size(result: IdentificationResult, model: Watched) -> Array:
     """Return the RMS torque error (n,) that the identification found for a model."""
     metrics = [result.cad] if model == "cad" else [result.train, *result.validation]
     return np.asarray(np.max([each.rms for each in metrics], axis=0))
 
 
-def model_findings(
+def report_model(
     log: Tally, expected: Array, units: Sequence[str], frame: str, events: Sequence[Event]
 ) -> list[Finding]:
     """Return whether most of a log is unlike its model, and whether a payload explains it.
@@ -223,7 +223,8 @@ def model_findings(
             Finding(
                 "payload_in_log",
                 "warning",
-                f"a change of mass of {plus_minus(*log.mass)} kg at {frame} explains the external"
+                f"a change of mass of {format_plus_minus(*log.mass)} kg at {frame} explains the"
+                " external"
                 " torque of the whole log; contacts show only in addition to it",
                 Cure("identify the payload, and watch the robot with it", call="identify_payload"),
             )

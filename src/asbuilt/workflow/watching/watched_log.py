@@ -12,14 +12,22 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.codec import FieldError, json_text, plain, restored
+from asbuilt.codec import FieldError, format_json, make_plain, restore_dataclass
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure, Finding
 from asbuilt.monitoring.events import Event
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.thresholds import Thresholds
-from asbuilt.tables import Column, Shown, Table, plus_minus, shortened, significant, wrapped
-from asbuilt.untrusted import parsed_json, read_text
+from asbuilt.tables import (
+    Column,
+    Shown,
+    Table,
+    format_plus_minus,
+    round_significant,
+    shorten_text,
+    wrap_text,
+)
+from asbuilt.untrusted import parse_json, read_text
 
 ELSEWHERE = 1e-3
 """Probability of the fit below which a force at the tool does not explain the torques."""
@@ -45,7 +53,7 @@ class Trace:
 
     def thinned(self, bins: int) -> Trace:
         """Return the samples of largest excess of at most `bins` bins, joint by joint."""
-        rows = _largest(np.abs(self.residual) / self.limit, bins)
+        rows = _find_largest(np.abs(self.residual) / self.limit, bins)
         return Trace(*(np.take_along_axis(x, rows, 0) for x in (self.t, self.residual, self.limit)))
 
     @classmethod
@@ -130,7 +138,7 @@ class WatchedLog:
             "smallest_force": self.smallest_force,
             "largest": dict(zip(("joint", "time", "ratio"), self.largest, strict=True)),
             "events": [event.as_document() for event in self.events],
-            "thresholds": plain(thresholds),
+            "thresholds": make_plain(thresholds),
             "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
         }
 
@@ -152,16 +160,18 @@ class WatchedLog:
             if kind in kinds
         )
         return (
-            f"{self.robot}, {shortened(self.source, 60)}: {self.n_samples} samples,"
-            f" {duration(self.seconds)}, watched with the model {model}.",
+            f"{self.robot}, {shorten_text(self.source, 60)}: {self.n_samples} samples,"
+            f" {format_duration(self.seconds)}, watched with the model {model}.",
             f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
-            f" ({significant(expected, 2)} expected in this log), from"
-            f" {duration(3600.0 * thresholds.hours)}"
+            f" ({round_significant(expected, 2)} expected in this log), from"
+            f" {format_duration(3600.0 * thresholds.hours)}"
             + (" without contact" if thresholds.held_out else " of this log itself")
             + ("." if self.rate_verified else ", which do not verify the rate."),
-            f"Events: {counts or 'none'}. The largest external torque is {significant(ratio, 2)}"
+            f"Events: {counts or 'none'}. The largest external torque is"
+            f" {round_significant(ratio, 2)}"
             f" times its threshold ({joint}, {time:.2f} s).",
-            f"A step of force at {self.frame} of {significant(self.smallest_force, 2)} N is seen"
+            f"A step of force at {self.frame} of {round_significant(self.smallest_force, 2)} N is"
+            " seen"
             " within 20 ms (median over directions and poses of this log).",
         )
 
@@ -186,7 +196,7 @@ class WatchedLog:
             tuple(self._row(event) for event in self.events),
             notes=(
                 f"A contact acts at the link named or beyond it. Torque and limit"
-                f" [{torque_unit(self.units)}] of the"
+                f" [{format_torque_unit(self.units)}] of the"
                 " joint farthest beyond its threshold; force on the robot if it acts at"
                 f" {self.frame}, or change of mass there, +/- standard error.",
             ),
@@ -198,7 +208,7 @@ class WatchedLog:
 
     def as_text(self, full: bool = False) -> str:
         """Return findings and events for a terminal of 80 columns."""
-        parts = [wrapped(line) for line in self.sentences()]
+        parts = [wrap_text(line) for line in self.sentences()]
         if self.events:
             parts += ["", self.table().as_text(full).rstrip("\n")]
         return "\n".join(parts) + "\n"
@@ -210,44 +220,44 @@ class WatchedLog:
         size = float(np.linalg.norm(force))
         along = force / size if size > 0.0 else np.zeros(3)
         error = float(np.sqrt(np.sum((along * errors) ** 2)))
-        shown = plus_minus(size, error)
+        shown = format_plus_minus(size, error)
         if event.kind == "fault":
             shown = ""
         elif event.contact.p_value < ELSEWHERE:
             shown = "not at the tool"
         if event.mass is not None:
-            shown = f"{plus_minus(event.mass, event.mass_error)} kg"
+            shown = f"{format_plus_minus(event.mass, event.mass_error)} kg"
         return (
             Shown(event.start, f"{event.start:.2f}"),
             Shown(event.duration, f"{event.duration:.2f}"),
             event.kind,
             event.joints[0] if event.kind == "fault" else event.link,
             self.joint_names[k],
-            Shown(float(event.residual[k]), significant(float(event.residual[k]))),
-            Shown(float(event.threshold[k]), significant(float(event.threshold[k]))),
+            Shown(float(event.residual[k]), round_significant(float(event.residual[k]))),
+            Shown(float(event.threshold[k]), round_significant(float(event.threshold[k]))),
             shown,
-            *(plus_minus(float(f), float(e)) for f, e in zip(force, errors, strict=True)),
+            *(format_plus_minus(float(f), float(e)) for f, e in zip(force, errors, strict=True)),
             event.contact.p_value,
         )
 
 
-def torque_unit(units: Sequence[str]) -> str:
+def format_torque_unit(units: Sequence[str]) -> str:
     """Return the unit of the torques of some joints as one text.
 
-    >>> torque_unit(("N m", "N", "N m")), torque_unit(("N m", "N m"))
+    >>> format_torque_unit(("N m", "N", "N m")), format_torque_unit(("N m", "N m"))
     ('N m or N', 'N m')
     """
     return " or ".join(dict.fromkeys(units))
 
 
-def traced(observed: Observed, limit: Array) -> Trace:
+def trace_residual(observed: Observed, limit: Array) -> Trace:
     """Return the samples of largest excess of at most `POINTS` bins, joint by joint."""
-    rows = _largest(np.abs(observed.residual) / limit, POINTS)
+    rows = _find_largest(np.abs(observed.residual) / limit, POINTS)
     residual, limits = (np.take_along_axis(x, rows, 0) for x in (observed.residual, limit))
     return Trace(observed.t[rows], residual, limits)
 
 
-def _largest(ratio: Array, bins: int) -> Indices:
+def _find_largest(ratio: Array, bins: int) -> Indices:
     """Return the row of the largest value in each of at most `bins` bins of columns (N, n)."""
     starts = np.unique(np.linspace(0, len(ratio), bins + 1).astype(int)[:-1])
     edges = np.append(starts, len(ratio))
@@ -257,16 +267,16 @@ def _largest(ratio: Array, bins: int) -> Indices:
     return rows
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Return a time [s] with its unit: seconds, minutes or hours."""
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"
 
 
-def thresholds_text(thresholds: Thresholds) -> str:
+def format_thresholds(thresholds: Thresholds) -> str:
     """Return thresholds as JSON that `read_thresholds` reads."""
-    return json_text({"format": FORMAT, **plain(thresholds)})
+    return format_json({"format": FORMAT, **make_plain(thresholds)})
 
 
 def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
@@ -280,10 +290,10 @@ def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
     text = read_text(Path(path), "thresholds", ResultError, LARGEST)
     again = Cure("give the thresholds.json that watch wrote")
     try:
-        whole = parsed_json(text)
+        whole = parse_json(text)
         if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
             raise ResultError(f"{path} holds no thresholds", cure=again, file=str(path))
-        found = restored(Thresholds, whole)
+        found = restore_dataclass(Thresholds, whole)
     except ResultError:
         raise
     except (ValueError, TypeError, KeyError, FieldError) as problem:

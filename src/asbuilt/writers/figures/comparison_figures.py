@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asbuilt.identification.effects.groups import group_title
-from asbuilt.tables import significant
+from asbuilt.identification.effects.groups import name_group
+from asbuilt.tables import round_significant
 from asbuilt.validation import Attribution, Claim, Comparison, Drift, Review
 from asbuilt.writers.figures.figure_style import (
     AS_BUILT,
@@ -20,9 +20,9 @@ from asbuilt.writers.figures.figure_style import (
     ORANGE,
     QUIET,
     VERMILION,
-    broken,
-    drawn,
+    break_name,
     label_once,
+    open_figure,
 )
 
 CAUSE_COLOURS: dict[str, str] = {
@@ -46,19 +46,19 @@ CUT = 3.0
 have no bound."""
 
 
-def attribution_figure(attribution: Attribution) -> Figure:
+def draw_attribution(attribution: Attribution) -> Figure:
     """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
     n = len(attribution.joint_names)
-    place, (low, high) = np.arange(n), _span(attribution)
+    place, (low, high) = np.arange(n), _find_span(attribution)
     gap = 0.015 * (high - low)
     bar: dict[str, Any] = {"width": 0.68, "edgecolor": "white", "linewidth": 0.6}
     small: dict[str, Any] = {"ha": "center", "fontsize": 7.5}
     title = f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
-    with drawn(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
+    with open_figure(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
         above, below = np.zeros(n), np.zeros(n)
         for number, each in enumerate(attribution.shares):
             colour = CAUSE_COLOURS.get(each.effect, FURTHER[number % len(FURTHER)])
-            name = group_title(each.effect)
+            name = name_group(each.effect)
             ink = "white" if each.effect in ("friction", "payload", "links", "spring") else INK
             up, down = np.maximum(each.share, 0.0), np.minimum(each.share, 0.0)
             axis.bar(place, 100 * up, bottom=100 * above, color=colour, label=name, **bar)
@@ -81,7 +81,10 @@ def attribution_figure(attribution: Attribution) -> Figure:
         )
         top = above + attribution.unexplained
         for k, (rms, unit) in enumerate(zip(attribution.rms_cad, attribution.units, strict=True)):
-            height, error = 100 * (min(top[k], high) + gap), f"{significant(float(rms))} {unit}"
+            height, error = (
+                100 * (min(top[k], high) + gap),
+                f"{round_significant(float(rms))} {unit}",
+            )
             axis.text(k, height, error, va="bottom", **small)
             for end, whole, mark in ((high, top[k], "\u25b2"), (low, below[k], "\u25bc")):
                 if abs(whole) > abs(end):
@@ -101,7 +104,7 @@ def attribution_figure(attribution: Attribution) -> Figure:
             )
             figure.supxlabel(against, fontsize=7.5, color=QUIET)
         axis.axhline(0.0, color=INK, linewidth=0.6)
-        names = [broken(name, 14) for name in attribution.joint_names]
+        names = [break_name(name, 14) for name in attribution.joint_names]
         axis.set_xticks(place, names, rotation=0 if n <= 8 else 30)
         axis.set(
             ylim=(
@@ -115,7 +118,7 @@ def attribution_figure(attribution: Attribution) -> Figure:
     return figure
 
 
-def _span(attribution: Attribution) -> tuple[float, float]:
+def _find_span(attribution: Attribution) -> tuple[float, float]:
     """Return the lowest and the highest share that is drawn, within `CUT`."""
     shares = np.array([each.share for each in attribution.shares])
     lowest = float(np.minimum(shares, 0.0).sum(axis=0).min(initial=0.0))
@@ -123,7 +126,7 @@ def _span(attribution: Attribution) -> tuple[float, float]:
     return max(-CUT, lowest), min(CUT, highest)
 
 
-def difference_figure(comparison: Comparison) -> Figure:
+def draw_differences(comparison: Comparison) -> Figure:
     """Draw the parameters whose difference has the most torque, with the part that is their own.
 
     Those below a fiftieth of the largest are left out.
@@ -139,7 +142,7 @@ def difference_figure(comparison: Comparison) -> Figure:
     own = [each.torque_own or 0.0 for each in shown]
     colours = [AS_BUILT if each.verdict == "differs" else GREY for each in shown]
     title = f"{comparison.robot}: differences from CAD and their torque"
-    with drawn(7.6, 0.24 * max(len(shown), 1) + 1.2, title) as (figure, (axis,)):
+    with open_figure(7.6, 0.24 * max(len(shown), 1) + 1.2, title) as (figure, (axis,)):
         axis.barh(place, total, height=0.7, color=colours, alpha=0.35)
         axis.barh(place, own, height=0.7, color=colours)
         for k, each in enumerate(shown):
@@ -173,7 +176,7 @@ CHANCE = "#D5D9DE"
 """Colour of the change expected by chance."""
 
 
-def drift_figure(drift: Drift) -> Figure:
+def draw_drift(drift: Drift) -> Figure:
     """Draw the RMS torque of all changes at each joint, and what standard errors explain below."""
     change = "difference" if drift.of_models else "change"
     joints, place = drift.joints, np.arange(len(drift.joints))
@@ -183,7 +186,7 @@ def drift_figure(drift: Drift) -> Figure:
     longest = max(torque.max(initial=0.0), by_chance.max(initial=0.0)) or 1.0
     units = ", ".join(sorted({each.unit for each in joints}, reverse=True))
     title = f"{drift.robot}: {change} of torque, and what standard errors explain"
-    with drawn(7.6, 0.46 * len(joints) + 1.3, title) as (figure, (axis,)):
+    with open_figure(7.6, 0.46 * len(joints) + 1.3, title) as (figure, (axis,)):
         for label, shift, height, colour, lengths, shown in (
             (f"{change}, significant", -0.2, 0.38, AS_BUILT, torque, sure),
             (f"{change}, within errors", -0.2, 0.38, GREY, torque, ~sure),
@@ -202,12 +205,12 @@ def drift_figure(drift: Drift) -> Figure:
                 axis.text(
                     lengths[k] + 0.008 * longest,
                     k + shift,
-                    f"{significant(lengths[k])} {joints[k].unit}",
+                    f"{round_significant(lengths[k])} {joints[k].unit}",
                     va="center",
                     fontsize=7.5 if height > 0.3 else 6.5,
                     color=QUIET,
                 )
-        axis.set_yticks(place, [broken(each.joint, 20) for each in joints])
+        axis.set_yticks(place, [break_name(each.joint, 20) for each in joints])
         axis.set(
             xlabel=f"RMS on the same motion [{units}]",
             xlim=(0.0, 1.12 * longest),
@@ -227,25 +230,28 @@ SIGMAS = 2.0
 
 def review_figure(review: Review) -> Figure:
     """Draw each number of the drives with its error bar, next to its claim, joint by joint."""
-    kinds = [kind for kind in SHOWN if any(_shown(claim, kind) for claim in review.claims)]
+    kinds = [kind for kind in SHOWN if any(_is_drawn(claim, kind) for claim in review.claims)]
     joints = list(review.result.joint_names)
     columns = max(1, min(3, len(kinds)))
     rows = max(1, -(-len(kinds) // columns))
     width, height = 2.9 * columns + 0.6, rows * (0.24 * len(joints) + 0.9) + 0.5
     title = f"{review.robot}: numbers of its drives against the log"
-    with drawn(width, height, title, rows=rows, columns=columns, sharey=True) as (figure, axes):
+    with open_figure(width, height, title, rows=rows, columns=columns, sharey=True) as (
+        figure,
+        axes,
+    ):
         for axis in axes[len(kinds) :]:
             axis.set_visible(False)
         for axis, kind in zip(axes, kinds, strict=False):
-            claims = [claim for claim in review.claims if _shown(claim, kind)]
+            claims = [claim for claim in review.claims if _is_drawn(claim, kind)]
             _draw(axis, claims, joints)
-            axis.set_yticks(range(len(joints)), [broken(name, 16) for name in joints])
+            axis.set_yticks(range(len(joints)), [break_name(name, 16) for name in joints])
             axis.set(title=f"{kind} [{claims[0].unit}]", ylim=(len(joints) - 0.5, -0.5))
         label_once(figure, axes, loc="outside lower left", ncols=4)
     return figure
 
 
-def _shown(claim: Claim, kind: str) -> bool:
+def _is_drawn(claim: Claim, kind: str) -> bool:
     return claim.what == kind and claim.estimate is not None and claim.std_error is not None
 
 

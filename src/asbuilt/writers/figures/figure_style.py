@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from asbuilt.errors import UsageError
-from asbuilt.tables import shortened
+from asbuilt.tables import shorten_text
 from asbuilt.writers.files import atomic_write, data_address
 
 BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
@@ -69,10 +69,10 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def broken(name: str, width: int) -> str:
+def break_name(name: str, width: int) -> str:
     r"""Break a name after underscores or spaces into up to three lines of `width` characters.
 
-    >>> broken("shoulder_lift_joint", 14)
+    >>> break_name("shoulder_lift_joint", 14)
     'shoulder_lift_\njoint'
     """
     lines = [""]
@@ -82,7 +82,7 @@ def broken(name: str, width: int) -> str:
             lines[-1] = joined
         else:
             lines.append(part)
-    return "\n".join(shortened(line, width) for line in lines[:3])
+    return "\n".join(shorten_text(line, width) for line in lines[:3])
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160) -> Path:
@@ -92,25 +92,25 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160)
         raise UsageError(
             f"figure {str(path)!r} has an unknown suffix; expected .{', .'.join(FORMATS)}"
         )
-    return atomic_write(path, _drawing(figure, suffix, dpi=dpi))
+    return atomic_write(path, _draw_figure(figure, suffix, dpi=dpi))
 
 
-def _drawing(figure: Figure, kind: str, **how: Any) -> bytes:
+def _draw_figure(figure: Figure, kind: str, **how: Any) -> bytes:
     """Return a figure as a file of a kind, without a date."""
     stream, dated = io.BytesIO(), {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
-    with styled():
+    with apply_style():
         figure.savefig(stream, format=kind, metadata={dated[kind]: None}, **how)
     return stream.getvalue()
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def apply_style() -> Iterator[None]:
     """Draw in the house style within this context."""
     with mpl.rc_context(_STYLE):
         yield
 
 
-def blank_figure(width: float, height: float) -> Figure:
+def make_blank_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size [inch]."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
@@ -118,17 +118,17 @@ def blank_figure(width: float, height: float) -> Figure:
 
 
 @contextmanager
-def drawn(
+def open_figure(
     width: float, height: float, title: str = "", *, rows: int = 1, columns: int = 1, **how: Any
 ) -> Iterator[tuple[Figure, list[Any]]]:
     """Draw within this context on the axes of a new figure [inch], row by row, with a headline.
 
     `how` goes to `Figure.subplots`.
     """
-    with styled():
-        figure = blank_figure(width, height)
+    with apply_style():
+        figure = make_blank_figure(width, height)
         yield figure, [*figure.subplots(rows, columns, squeeze=False, **how).flat]
-        headline(figure, title)
+        add_headline(figure, title)
 
 
 def label_once(figure: Figure, axes: Iterable[Any], **how: Any) -> None:
@@ -140,12 +140,12 @@ def label_once(figure: Figure, axes: Iterable[Any], **how: Any) -> None:
     figure.legend([*handles.values()], [*handles], **how)
 
 
-def headline(figure: Figure, title: str) -> None:
+def add_headline(figure: Figure, title: str) -> None:
     """Put a title above the whole figure, if there is one."""
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
 
 
-def figure_address(figure: Figure) -> str:
+def encode_figure(figure: Figure) -> str:
     """Return a figure as a `data:` address of an SVG; equal figures give equal texts."""
-    return data_address(_drawing(figure, "svg"), "image/svg+xml")
+    return data_address(_draw_figure(figure, "svg"), "image/svg+xml")

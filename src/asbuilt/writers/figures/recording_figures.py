@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asbuilt.experiment import FreeMotion, Recording, RecordingCheck
-from asbuilt.tables import shortened
-from asbuilt.workflow.watching.watched_log import WatchedLog, torque_unit
+from asbuilt.tables import shorten_text
+from asbuilt.workflow.watching.watched_log import WatchedLog, format_torque_unit
 from asbuilt.writers.figures.figure_style import (
     BLUE,
     GREEN,
@@ -17,23 +17,23 @@ from asbuilt.writers.figures.figure_style import (
     ORANGE,
     POINTS,
     VERMILION,
-    broken,
-    drawn,
+    break_name,
     label_once,
+    open_figure,
 )
-from asbuilt.writers.figures.thinning import thinned
+from asbuilt.writers.figures.thinning import thin_curves
 
 MARKS = {"error": VERMILION, "warning": ORANGE, "info": GREY}
 """Colours of findings by severity."""
 
 
-def recording_figure(recording: Recording, check: RecordingCheck) -> Figure:
+def draw_recording(recording: Recording, check: RecordingCheck) -> Figure:
     """Draw position and torque of every joint over time.
 
     Joints that a finding names have their name in its colour, with a line where it begins.
     """
     n = len(recording.joint_names)
-    with drawn(8.6, 0.9 * n + 0.8, rows=n, columns=2, sharex=True) as (figure, axes):
+    with open_figure(8.6, 0.9 * n + 0.8, rows=n, columns=2, sharex=True) as (figure, axes):
         for k, name in enumerate(recording.joint_names):
             own = axes[2 * k : 2 * k + 2]
             findings = [each for each in check.findings if each.joint == name]
@@ -41,12 +41,14 @@ def recording_figure(recording: Recording, check: RecordingCheck) -> Figure:
             for axis, values in zip(own, (recording.q, recording.tau), strict=True):
                 shown = np.isfinite(values[:, k])
                 if np.any(shown):
-                    thin = thinned(recording.t[shown], values[shown, k], points=POINTS)
+                    thin = thin_curves(recording.t[shown], values[shown, k], points=POINTS)
                     axis.plot(*thin, color=BLUE, linewidth=0.8)
                 for each in check.findings:
                     if each.time is not None and each.joint in (None, name):
                         axis.axvline(each.time, color=MARKS[each.severity], linewidth=1.0)
-            own[0].set_ylabel(broken(name, 14), color=colour, rotation=0, ha="right", va="center")
+            own[0].set_ylabel(
+                break_name(name, 14), color=colour, rotation=0, ha="right", va="center"
+            )
         for axis, last, title in zip(
             axes, axes[-2:], ("position [rad or m]", "torque as logged"), strict=False
         ):
@@ -70,11 +72,11 @@ def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
     # 600: bins of a narrow figure.
     trace, n = watched.trace.thinned(600) if narrow else watched.trace, len(watched.joint_names)
     start, last = float(trace.t.min()), float(trace.t.max())
-    subject = f"external torque [{torque_unit(watched.units)}] and its thresholds"
+    subject = f"external torque [{format_torque_unit(watched.units)}] and its thresholds"
     title = subject if narrow else f"{watched.robot}: {subject}"
     mixed = len(set(watched.units)) > 1
     width = 3.9 if narrow else 8.6
-    with drawn(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):
+    with open_figure(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):
         for j, (axis, name) in enumerate(zip(axes, watched.joint_names, strict=True)):
             t, limit, residual = trace.t[:, j], trace.limit[:, j], trace.residual[:, j]
             axis.fill_between(t, -limit, limit, color=BAND, linewidth=0.0, label="within threshold")
@@ -87,7 +89,7 @@ def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
                     axis.axvspan(event.start, end, label=event.kind, **look)
             tallest = MARGIN * float(max(np.abs(residual).max(), np.quantile(limit, 0.5)))
             label = f"{name} [{watched.units[j]}]" if mixed else name
-            axis.set(ylim=(-tallest, tallest), ylabel=broken(label, 12))
+            axis.set(ylim=(-tallest, tallest), ylabel=break_name(label, 12))
         axes[-1].set(xlabel="time [s]", xlim=(start, last))
         label_once(figure, axes, loc="outside lower right", ncols=2 if narrow else 5)
     return figure
@@ -111,7 +113,7 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         (balance, ORANGE, (0, (3, 2)), 1.2, "start + work - friction"),
         (motion.dissipated, VERMILION, "-", 1.2, "dissipated by friction"),
     ]
-    with drawn(
+    with open_figure(
         8.5,
         5.2,
         title or f"{model.name}: {motion.release}",
@@ -122,12 +124,14 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         for name, q, colour in zip(
             model.joint_names, (motion.q - motion.q[0]).T, colours, strict=True
         ):
-            above.plot(*thinned(t, q, points=POINTS), color=colour, label=shortened(name, 20))
+            above.plot(
+                *thin_curves(t, q, points=POINTS), color=colour, label=shorten_text(name, 20)
+            )
         above.set_ylabel(f"moved [{unit}]")
         above.legend(handlelength=1.2, **legend_place)
         for values, colour, style, width, label in curves:
             look = {"color": colour, "linestyle": style, "linewidth": width}
-            below.plot(*thinned(t, values, points=POINTS), label=label, **look)
+            below.plot(*thin_curves(t, values, points=POINTS), label=label, **look)
         below.set(xlabel="time [s]", ylabel="energy [J]")
         below.margins(x=0.01)
         legend = below.legend(handlelength=1.6, **legend_place)

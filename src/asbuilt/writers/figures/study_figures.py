@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormat
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.tables import significant
+from asbuilt.tables import round_significant
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.writers.figures.figure_style import (
     AS_BUILT,
@@ -27,10 +27,10 @@ from asbuilt.writers.figures.figure_style import (
     MEASURED,
     POINTS,
     VERMILION,
-    broken,
-    drawn,
+    break_name,
+    open_figure,
 )
-from asbuilt.writers.figures.thinning import thinned
+from asbuilt.writers.figures.thinning import thin_curves
 
 
 def torque_figure(
@@ -69,12 +69,12 @@ def torque_figure(
     shape = {"rows": n, "columns": 2, "sharex": True, "width_ratios": (3, 2)}
     legend_place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
     narrow = {"handlelength": 1.2, "columnspacing": 1.2, "borderaxespad": 0.1, "fontsize": 7.5}
-    with drawn(10.5, 1.25 * n + 0.95, title, **shape) as (figure, axes):
+    with open_figure(10.5, 1.25 * n + 0.95, title, **shape) as (figure, axes):
         lefts, rights = axes[::2], axes[1::2]
         for k, (left, right) in enumerate(zip(lefts, rights, strict=True)):
             by_cad = None if cad is None else cad[:, k]
             draw_torque(left, t, measured[:, k], predicted[:, k], label, beside=by_cad)
-            left.set_ylabel(torque_label(names[k], kinds[k]))
+            left.set_ylabel(label_torque_axis(names[k], kinds[k]))
             draw_errors(right, t, measured[:, k], predicted[:, k], label, cad=by_cad)
             low, high = right.get_ylim()
             right.set_ylim(low, high + 0.45 * (high - low))
@@ -101,7 +101,7 @@ def draw_torque(
 ) -> None:
     """Draw measured and predicted torque (N,), thinned as a curve `beside` them."""
     curves = [measured, predicted] + ([] if beside is None else [beside])
-    instants, torque, modelled, *_ = thinned(t, *curves, points=POINTS)
+    instants, torque, modelled, *_ = thin_curves(t, *curves, points=POINTS)
     axis.plot(instants, torque, color=MEASURED, linewidth=1.5, label="measured")
     dashed: dict[str, Any] = {"linewidth": 0.9, "linestyle": (0, (4, 1.6))}
     axis.plot(instants, modelled, color=AS_BUILT, label=f"predicted, {label}", **dashed)
@@ -118,30 +118,30 @@ def draw_errors(
 ) -> None:
     """Draw measured less predicted torque (N,), with CAD's error behind it."""
     errors = {
-        f"{name}, RMS {_rms(measured - curve)}": measured - curve
+        f"{name}, RMS {_format_rms(measured - curve)}": measured - curve
         for name, curve in (("CAD", cad), (label, predicted))
         if curve is not None
     }
-    instants, *thin = thinned(t, *errors.values(), points=POINTS)
+    instants, *thin = thin_curves(t, *errors.values(), points=POINTS)
     looks = [(CAD, 0.8), (GREEN, 0.9)][-len(errors) :]
     for name, error, (colour, width) in zip(errors, thin, looks, strict=True):
         axis.plot(instants, error, color=colour, linewidth=width, label=name)
     axis.axhline(0.0, color=INK, linewidth=0.5)
 
 
-def torque_label(joint: str, unit: str) -> str:
+def label_torque_axis(joint: str, unit: str) -> str:
     """Return the label of a joint's axis."""
-    return f"{broken(joint, 14)}\n[{unit}]"
+    return f"{break_name(joint, 14)}\n[{unit}]"
 
 
-def _rms(error: ArrayLike) -> str:
-    return significant(float(np.sqrt(np.mean(np.square(error)))))
+def _format_rms(error: ArrayLike) -> str:
+    return round_significant(float(np.sqrt(np.mean(np.square(error)))))
 
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
     """Draw held-out error and the whiteness of the residual against the cutoff."""
     cutoffs = [trial.cutoff for trial in sweep.trials]
-    with drawn(7.0, 4.6, title, rows=2, sharex=True, height_ratios=(3, 2)) as (figure, axes):
+    with open_figure(7.0, 4.6, title, rows=2, sharex=True, height_ratios=(3, 2)) as (figure, axes):
         upper, lower = axes
         right = lower.twinx()
         for axis, name, factor, colour, mark, size, style, label in (
@@ -167,7 +167,7 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
         lower.set_ylabel("Durbin-Watson\n(white: 2)", color=BLUE)
         lower.set_ylim(bottom=0.0)
         lower.set(xscale="log", xlabel="cutoff [Hz]")
-        lower.set_xticks(cutoffs, [significant(cutoff, 2) for cutoff in cutoffs])
+        lower.set_xticks(cutoffs, [round_significant(cutoff, 2) for cutoff in cutoffs])
         lower.minorticks_off()
         for axis in (upper, lower):
             axis.axvline(sweep.chosen, color=VERMILION, linewidth=0.8, linestyle=":")

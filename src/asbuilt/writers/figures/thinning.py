@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.validation.residuals import contiguous_segments
+from asbuilt.validation.residuals import find_contiguous_segments
 
 
-def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
+def thin_curves(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     """Return `t` (M,) and each curve (M,) thinned to about `points`.
 
     Every bucket of time keeps the samples where any curve is smallest and largest, and each
@@ -18,8 +18,8 @@ def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     kept: list[list[Array]] = [[] for _ in curves]
     share = points / max(len(t), 1)
     gap = np.array([np.nan])
-    for start, stop in contiguous_segments(t):
-        index = start + _extremes(
+    for start, stop in find_contiguous_segments(t):
+        index = start + _find_extremes(
             [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))
         )
         t_out += [t[index], gap]
@@ -30,7 +30,7 @@ def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     return np.concatenate(t_out[:-1]), *(np.concatenate(parts[:-1]) for parts in kept)
 
 
-def _extremes(curves: list[Array], points: int) -> Indices:
+def _find_extremes(curves: list[Array], points: int) -> Indices:
     """Return the indices of the bucket-wise extremes of every curve, and of both ends."""
     n = len(curves[0])
     if n <= points:

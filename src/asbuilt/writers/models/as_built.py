@@ -16,9 +16,9 @@ from asbuilt.dynamics import (
     inverse_dynamics,
 )
 from asbuilt.identification import IdentificationResult, StandardParameters, as_built_parameters
-from asbuilt.identification.bodies.cad_prior import non_negative_columns
+from asbuilt.identification.bodies.cad_prior import find_non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.sample_states import draw_sample_states
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     rigid = 10 * model.n_links
     robot = model.with_parameters(parameters[:rigid])
     drives = np.array(parameters[rigid:])
-    bounded = non_negative_columns(model.n_links, model.n_joints, drive) - rigid
+    bounded = find_non_negative_columns(model.n_links, model.n_joints, drive) - rigid
     drives[bounded] = np.where(
         drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded]
     )
@@ -94,7 +94,7 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     return replace(robot, joints=tuple(joints), drives_by_design=True)
 
 
-def keeping_described_drives(
+def keep_described_drives(
     robot: RobotModel, described: RobotModel
 ) -> tuple[RobotModel, tuple[str, ...]]:
     """Return a robot with the described values of plain drive terms not identified, and notes.
@@ -147,7 +147,7 @@ def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
     if not drive.needs_load:
         return 0.0
     # Random states at which torques are compared.
-    q, qd, qdd = sample_states(built.model, 100)
+    q, qd, qdd = draw_sample_states(built.model, 100)
     rigid, shares = len(built.model.parameters), built.model.motor_shares
     together = np.zeros(result.n_standard)
     together[result.base.columns] = built.parameters.beta

@@ -13,12 +13,12 @@ from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError, UsageError
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 from asbuilt.workflow.masses.link_masses import LinkMasses
 from asbuilt.writers.files import file_lines
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.urdf import write_urdf
 
 
@@ -130,7 +130,7 @@ def _write_as_named(
     }
     lost = [what for what, is_there in there.items() if is_there]
     if lost:
-        notes = (*notes, f"{title} has no place for {joined(lost)}; the robot file (.toml) has")
+        notes = (*notes, f"{title} has no place for {join_names(lost)}; the robot file (.toml) has")
     return written, notes
 
 
@@ -142,7 +142,7 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
         return np.full(model.n_joints, np.nan), ("not read back: MuJoCo is not installed",)
     order = [read.joint_names.index(name) for name in model.joint_names]
     # Random states at which torques are compared.
-    states = sample_states(model, 100)
+    states = draw_sample_states(model, 100)
     expected = inverse_dynamics(model, *states)
     there = [np.empty_like(part) for part in states]
     for given, part in zip(there, states, strict=True):

@@ -16,21 +16,21 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.ensembles.ensemble import QUANTILES, Ensemble
-from asbuilt.tables import Column, Shown, Table, significant
+from asbuilt.tables import Column, Shown, Table, round_significant
 from asbuilt.writers.files import atomic_write, file_lines, file_set, path_texts
 from asbuilt.writers.models.as_built import (
-    keeping_described_drives,
+    keep_described_drives,
     with_servo,
     with_standard_parameters,
 )
-from asbuilt.writers.models.export import delay_notes, held_notes, urdf_to_edit
-from asbuilt.writers.models.mjcf import mjcf_notes, write_mjcf
+from asbuilt.writers.models.export import find_urdf_to_edit, note_held_base, note_missing_servo
+from asbuilt.writers.models.mjcf import note_mjcf_limits, write_mjcf
 from asbuilt.writers.models.urdf import write_urdf
-from asbuilt.writers.models.urdf_edit import urdf_notes
+from asbuilt.writers.models.urdf_edit import note_urdf_limits
 from asbuilt.writers.tables.tabular import write_json
 
 
-def parquet_table(ensemble: Ensemble) -> bytes:
+def encode_parquet(ensemble: Ensemble) -> bytes:
     """Return the table as Parquet: a row for every robot, units in the metadata of the file.
 
     The column `draw` is the number of the model file, the others are named as in a result.
@@ -47,7 +47,7 @@ def parquet_table(ensemble: Ensemble) -> bytes:
     return content.getvalue()
 
 
-def ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
+def summarise_ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
     """Return name, unit, owner, value, spread and quantiles of every column."""
     spread, keys = ensemble.table.std(axis=0), [f"q{round(100 * each):02d}" for each in QUANTILES]
     return [
@@ -62,7 +62,7 @@ def ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
         for name, unit, owner, value, std, column in zip(
             ensemble.names,
             ensemble.units,
-            _owners(ensemble),
+            _list_owners(ensemble),
             ensemble.middle.tolist(),
             spread.tolist(),
             ensemble.quantiles.T.tolist(),
@@ -71,7 +71,7 @@ def ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
     ]
 
 
-def correlation(ensemble: Ensemble) -> dict[str, Any]:
+def summarise_correlation(ensemble: Ensemble) -> dict[str, Any]:
     """Return the correlation matrix of the columns that vary, with their names."""
     table = ensemble.table
     spread, size = table.std(axis=0), np.abs(table).mean(axis=0)
@@ -84,7 +84,7 @@ def correlation(ensemble: Ensemble) -> dict[str, Any]:
     return {"names": names, "matrix": np.round(matrix, 6).tolist()}
 
 
-def _owners(ensemble: Ensemble) -> list[dict[str, str]]:
+def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
     """Return the link or joint that each column belongs to."""
     model, drive = ensemble.result.model, ensemble.result.base.drive
     links = [{"link": name} for name in model.link_names for _ in PARAMETER_NAMES]
@@ -100,7 +100,7 @@ def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
         result.model, result.base.drive, ensemble.parameters[draw].copy()
     )
     robot = with_servo(robot, ensemble.servo(draw))
-    kept, _ = keeping_described_drives(robot, result.model)
+    kept, _ = keep_described_drives(robot, result.model)
     servo = ensemble.servo(draw)
     late = "" if servo is None else f"; delay of the servo {servo.delay!r} s"
     note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters{late}"
@@ -139,7 +139,7 @@ class EnsembleFiles:
                 row["name"],
                 row.get("joint", row.get("link", "")),
                 row["unit"],
-                *(Shown(row[key], significant(row[key], 4)) for key in ("q05", "q50", "q95")),
+                *(Shown(row[key], round_significant(row[key], 4)) for key in ("q05", "q50", "q95")),
             )
             for row in shown
         )
@@ -184,19 +184,21 @@ def write_ensemble(
     digits = max(3, len(str(n - 1)))
     names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(n)]
     notes = (*ensemble.notes, *_format_notes(ensemble, models))
-    document = _document(ensemble, seed, names, notes)
+    document = _build_document(ensemble, seed, names, notes)
     older = [path.name for ends in SUFFIXES.values() for path in place.glob(f"model_*{ends}")]
     with file_set(place, MARK, [*older, "parameters.parquet", "load_ensemble.py", MARK]):
         written = [_write_model(place / name, ensemble, k, models) for k, name in enumerate(names)]
         files = {
-            "parameters": atomic_write(place / "parameters.parquet", parquet_table(ensemble)),
-            "loader": atomic_write(place / "load_ensemble.py", loader_text(SUFFIXES[models])),
+            "parameters": atomic_write(place / "parameters.parquet", encode_parquet(ensemble)),
+            "loader": atomic_write(
+                place / "load_ensemble.py", choose_loader_text(SUFFIXES[models])
+            ),
             "ensemble": write_json(place / MARK, document),
         }
     return EnsembleFiles(ensemble, files, tuple(written), notes, document)
 
 
-def _document(
+def _build_document(
     ensemble: Ensemble, seed: int | None, names: list[str], notes: tuple[str, ...]
 ) -> dict[str, Any]:
     result = ensemble.result
@@ -208,8 +210,8 @@ def _document(
         "sources": list(result.sources),
         "moved": ensemble.moved,
         "models": names,
-        "parameters": ranges(ensemble),
-        "correlation": correlation(ensemble),
+        "parameters": summarise_ranges(ensemble),
+        "correlation": summarise_correlation(ensemble),
         "notes": list(notes),
     }
 
@@ -218,19 +220,19 @@ def _write_model(path: Path, ensemble: Ensemble, draw: int, models: ModelFormat)
     robot = ensemble_model(ensemble, draw)
     if models == "mjcf":
         return write_mjcf(path, robot)[0]
-    original, _ = urdf_to_edit(ensemble.result.model)
+    original, _ = find_urdf_to_edit(ensemble.result.model)
     return write_urdf(path, robot, original=original)[0]
 
 
 def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     """Return what files of this format cannot hold."""
     first = ensemble_model(ensemble, 0)
-    _, kept = keeping_described_drives(first, ensemble.result.model)
-    notes = mjcf_notes(first) if models == "mjcf" else urdf_notes(first)
+    _, kept = keep_described_drives(first, ensemble.result.model)
+    notes = note_mjcf_limits(first) if models == "mjcf" else note_urdf_limits(first)
     own = f"numbers are from draw 0: {'; '.join(notes)}" if notes else ""
-    held = held_notes(ensemble.result.model) if models == "mjcf" else ()
+    held = note_held_base(ensemble.result.model) if models == "mjcf" else ()
     return tuple(
-        each for each in (own, *kept, *delay_notes(ensemble.result, models), *held) if each
+        each for each in (own, *kept, *note_missing_servo(ensemble.result, models), *held) if each
     )
 
 
@@ -327,6 +329,6 @@ if __name__ == "__main__":
 '''
 
 
-def loader_text(suffix: str) -> str:
+def choose_loader_text(suffix: str) -> str:
     """Return the module for model files that end so."""
     return LOADER.replace("@SUFFIX@", suffix)

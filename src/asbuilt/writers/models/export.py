@@ -10,33 +10,33 @@ from typing import Any, Literal
 
 import numpy as np
 
-from asbuilt.description.formats.xml import described_text, outermost_tag
+from asbuilt.description.formats.xml import described_text, find_outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import IdentificationResult, StandardParameters
-from asbuilt.identification.information.random_motion import random_motion_rows
-from asbuilt.identification.result.torque_prediction import carrying
+from asbuilt.identification.information.random_motion import build_random_motion_rows
+from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.monitoring import ModelError, Thresholds
-from asbuilt.tables import significant
-from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
+from asbuilt.tables import round_significant
+from asbuilt.validation.nearest_consistent import NearestModel, compare_with_nearest
 from asbuilt.writers.files import atomic_write, file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     AsBuilt,
     as_built,
-    keeping_described_drives,
+    keep_described_drives,
     load_counted,
 )
 from asbuilt.writers.models.c.c_code import write_c
-from asbuilt.writers.models.c.c_observer import observer_code
-from asbuilt.writers.models.mjcf import elastic_mjcf, with_rotors_described, write_mjcf
+from asbuilt.writers.models.c.c_observer import generate_observer_code
+from asbuilt.writers.models.mjcf import add_elastic_joints, with_rotors_described, write_mjcf
 from asbuilt.writers.models.physical import (
+    note_left_out_servo,
     refuse_inconsistent_result,
     refuse_poor_nearest_model,
-    servo_left_out,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.simulators.simulator_format import ExportedDrives, simulator_format
+from asbuilt.writers.models.simulators.simulator_format import ExportedDrives, find_simulator_format
 from asbuilt.writers.models.urdf import write_urdf
 
 Place = str | os.PathLike[str]
@@ -142,7 +142,7 @@ def export_result(
     UsageError
         If no file is named, or options do not go together.
     """
-    formats = {simulator_format(key): place for key, place in (simulators or {}).items()}
+    formats = {find_simulator_format(key): place for key, place in (simulators or {}).items()}
     models = (urdf, mjcf, toml, c)
     if all(place is None for place in (*models, observer)) and not formats:
         files_to_name = dict.fromkeys(("urdf", "mjcf", "toml", "c", "observer"), "FILE")
@@ -189,10 +189,10 @@ def export_result(
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     refuse_inconsistent_result(result, model)
-    cost = nearest_model(result, found.beta) if found.substituted else None
+    cost = compare_with_nearest(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
-    in_simulators, kept = keeping_described_drives(model, result.model)
+    in_simulators, kept = keep_described_drives(model, result.model)
     load = load_note(result, built)
     if c is not None:
         files["c"], files["header"] = write_c(
@@ -200,15 +200,20 @@ def export_result(
         )
         notes["c"] = load
     if urdf is not None:
-        edited, missing = urdf_to_edit(result.model, original)
+        edited, missing = find_urdf_to_edit(result.model, original)
         files["urdf"], remarks = write_urdf(urdf, in_simulators, original=edited)
-        notes["urdf"] = (*missing, *remarks, *kept, *delay_notes(result, "urdf"))
+        notes["urdf"] = (*missing, *remarks, *kept, *note_missing_servo(result, "urdf"))
     if mjcf is not None:
         files["mjcf"], remarks = write_mjcf(mjcf, in_simulators)
         if elastic:
-            text = elastic_mjcf(files["mjcf"].read_text(encoding="utf-8"), result.encoders)
+            text = add_elastic_joints(files["mjcf"].read_text(encoding="utf-8"), result.encoders)
             atomic_write(mjcf, text)
-        notes["mjcf"] = (*remarks, *kept, *delay_notes(result, "mjcf"), *held_notes(result.model))
+        notes["mjcf"] = (
+            *remarks,
+            *kept,
+            *note_missing_servo(result, "mjcf"),
+            *note_held_base(result.model),
+        )
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
@@ -222,33 +227,34 @@ def export_result(
         files,
         {kind: remarks for kind, remarks in notes.items() if remarks},
         cost,
-        _beyond(result, found) if found.substituted else "",
+        _describe_difference(result, found) if found.substituted else "",
     )
 
 
-def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
+def _describe_difference(result: IdentificationResult, found: StandardParameters) -> str:
     """Return the torque difference of the two models in random motion, with its error."""
-    W = random_motion_rows(result.model, result.base)
+    W = build_random_motion_rows(result.model, result.base)
     error = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
     apart, of = (
         float(np.sqrt(np.mean(torque**2)))
         for torque in (found.torque_rms, found.torque_rms_of_motion)
     )
     return (
-        f"In random motion the torques of the two models differ by {significant(apart, 2)} N m RMS"
-        f" (of {significant(of)}); the standard error of the identified torque there is"
-        f" {significant(float(error), 2)} N m."
+        f"In random motion the torques of the two models differ by {round_significant(apart, 2)}"
+        " N m RMS"
+        f" (of {round_significant(of)}); the standard error of the identified torque there is"
+        f" {round_significant(float(error), 2)} N m."
     )
 
 
-def urdf_to_edit(
+def find_urdf_to_edit(
     model: RobotModel, given: Place | None = None
 ) -> tuple[Path | None, tuple[str, ...]]:
     """Return the URDF to edit, given or the robot's, and a note if that is missing."""
     place = Path(given if given is not None else model.source)
     if given is not None or place.is_file():
         content, source = described_text(place)
-        if outermost_tag(content) == "robot":
+        if find_outermost_tag(content) == "robot":
             return place, ()
         if given is not None:
             raise DescriptionError(
@@ -266,15 +272,17 @@ def urdf_to_edit(
     return None, ()
 
 
-def delay_notes(result: IdentificationResult, kind: Literal["mjcf", "urdf"]) -> tuple[str, ...]:
+def note_missing_servo(
+    result: IdentificationResult, kind: Literal["mjcf", "urdf"]
+) -> tuple[str, ...]:
     """Return what a model file cannot hold of the servo of a result."""
     if result.servo is None:
         return ()
     gains = ("URDF has no place for the gains of the servo",) if kind == "urdf" else ()
-    return (*servo_left_out(result.servo, kind.upper()), *gains)
+    return (*note_left_out_servo(result.servo, kind.upper()), *gains)
 
 
-def held_notes(model: RobotModel) -> tuple[str, ...]:
+def note_held_base(model: RobotModel) -> tuple[str, ...]:
     """Return what a model file lacks of a robot whose free joint was held."""
     held = [note for note in model.notes if note.startswith("the free joint of ")]
     return tuple(
@@ -316,13 +324,13 @@ def write_observer(
     if thresholds is not None:
         thresholds.check_joints(result.model.joint_names)
     torque = result.torque_model
-    model = carrying(result.model, result.base, result.estimates)
+    model = set_link_parameters(result.model, result.base, result.estimates)
     return write_c(
         path,
         model,
         drive=torque.drive,
         drive_values=torque.values,
-        observer=lambda name: observer_code(
+        observer=lambda name: generate_observer_code(
             name,
             model.n_joints,
             thresholds=thresholds,

@@ -19,13 +19,17 @@ from xml.etree.ElementTree import (
 
 import numpy as np
 
-from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.model import Joint, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import EncoderPair, IdentificationResult
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_inconsistent
+from asbuilt.writers.models.physical import (
+    convert_to_plain_friction,
+    note_left_out_drives,
+    refuse_inconsistent,
+)
 
 STIFF_FRICTION = ("0.002 1", "0.9999 0.9999 0.001 0.5 2")
 """Reference (two steps of 1 ms) and impedance (the hardest) of dry friction at small speeds."""
@@ -38,7 +42,7 @@ CARRIED = frozenset(
 """Drive terms that MJCF holds, in addition to plain ones and friction written as plain."""
 
 
-def exported_mjcf(model: RobotModel) -> str:
+def export_mjcf(model: RobotModel) -> str:
     """Return the robot as MJCF, with what MJCF cannot hold in comments.
 
     Armature, viscous and dry friction are the joint's; asymmetric dry friction is symmetric
@@ -57,13 +61,13 @@ def exported_mjcf(model: RobotModel) -> str:
         If the model is physically inconsistent.
     """
     refuse_inconsistent(model)
-    plain = in_plain_friction(model)
-    root = fromstring(mjcf_text(plain))
+    plain = convert_to_plain_friction(model)
+    root = fromstring(format_mjcf(plain))
     elements = {element.get("name"): element for element in root.iter("joint")}
     for joint in plain.joints:
         element = elements[joint.name]
         if joint.drive.coulomb:
-            element.attrib.update(_dry_friction(joint.drive.coulomb))
+            element.attrib.update(_write_dry_friction(joint.drive.coulomb))
     for motor, joint in zip([*root.iter("motor")], plain.joints, strict=True):
         if joint.drive.kp is not None:
             _as_servo(motor, elements[joint.name], joint)
@@ -74,14 +78,14 @@ def exported_mjcf(model: RobotModel) -> str:
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
     if model.n_floating:
-        _free(root, model)
-    for place, note in enumerate((*model.notes, *mjcf_notes(model))):
+        _free_base(root, model)
+    for place, note in enumerate((*model.notes, *note_mjcf_limits(model))):
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
 
-def _free(root: Element, model: RobotModel) -> None:
+def _free_base(root: Element, model: RobotModel) -> None:
     """Take the actuators of the base's joints out, and make one free joint of six of them."""
     names = set(model.joint_names[: model.n_floating])
     for actuators in root.iter("actuator"):
@@ -140,21 +144,21 @@ def _add_motors(root: Element, model: RobotModel) -> None:
             },
         )
         if coulomb:
-            tendon.attrib.update(_dry_friction(coulomb))
+            tendon.attrib.update(_write_dry_friction(coulomb))
         for k in np.flatnonzero(shares):
             SubElement(tendon, "joint", joint=model.joints[k].name, coef=repr(float(shares[k])))
     if len(tendons) and not written:
         root.insert(list(root).index(next(root.iter("actuator"))), tendons)
 
 
-def _dry_friction(size: float) -> dict[str, str]:
+def _write_dry_friction(size: float) -> dict[str, str]:
     reference, impedance = STIFF_FRICTION
     return {"frictionloss": repr(size), "solreffriction": reference, "solimpfriction": impedance}
 
 
-def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
+def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:
     """Return notes on what changes torques and has no, or an unexpected, place in MJCF."""
-    plain = in_plain_friction(model)
+    plain = convert_to_plain_friction(model)
     offsets = [
         f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset
     ]
@@ -173,13 +177,13 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
     }
     return (
         *(note for note, holds in cases.items() if holds),
-        *left_out_drives(plain, CARRIED, "MJCF"),
+        *note_left_out_drives(plain, CARRIED, "MJCF"),
     )
 
 
 def write_mjcf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
     """Write the robot for MuJoCo; returns the path and notes on what the file cannot hold."""
-    return atomic_write(path, exported_mjcf(model)), mjcf_notes(model)
+    return atomic_write(path, export_mjcf(model)), note_mjcf_limits(model)
 
 
 KEPT = ("type", "axis", "pos")
@@ -218,7 +222,7 @@ def with_rotors_described(result: IdentificationResult) -> IdentificationResult:
     return replace(result, model=replace(result.model, joints=joints))
 
 
-def elastic_mjcf(text: str, pairs: Sequence[EncoderPair]) -> str:
+def add_elastic_joints(text: str, pairs: Sequence[EncoderPair]) -> str:
     """Return MJCF in which each of the joints moves its motor, and a further one its link.
 
     The further joint, `NAME link`, is about the same axis and is the twist of the drive: its spring

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.inconsistency import find_inconsistency
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import SIGNIFICANT_SIGMAS, significant
+from asbuilt.tables import SIGNIFICANT_SIGMAS, round_significant
 from asbuilt.validation.comparison.significance import chi_square
 from asbuilt.validation.nearest_consistent import POOR, NearestModel
 
@@ -32,9 +32,9 @@ FORCED = Cure(
 )
 
 
-def impossibilities(model: RobotModel) -> tuple[str, ...]:
+def list_impossibilities(model: RobotModel) -> tuple[str, ...]:
     """Return one sentence per inconsistent link and per non-passive drive parameter."""
-    reasons = list(inconsistencies(model))
+    reasons = list(find_inconsistencies(model))
     for number, joint in enumerate(model.joints, start=1):
         plain = {
             "armature": joint.drive.armature,
@@ -56,7 +56,7 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def in_plain_friction(model: RobotModel) -> RobotModel:
+def convert_to_plain_friction(model: RobotModel) -> RobotModel:
     """Return a robot with plain Coulomb friction, for files that hold no other.
 
     Asymmetric friction becomes symmetric friction and an offset, smooth friction dry friction.
@@ -81,7 +81,7 @@ def in_plain_friction(model: RobotModel) -> RobotModel:
     return replace(model, joints=tuple(joints))
 
 
-def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:
+def note_left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:
     """Return a note on drive terms, with their joints, that a kind of file does not hold."""
     joints: dict[str, list[str]] = {}
     for joint in model.joints:
@@ -103,7 +103,7 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
 
 def refuse_inconsistent(model: RobotModel) -> None:
     """Raise `InertiaError` with every reason if the model is physically inconsistent."""
-    reasons = impossibilities(model)
+    reasons = list_impossibilities(model)
     if reasons:
         raise InertiaError(
             f"{model.name} is not exported, because its model is physically inconsistent:"
@@ -114,20 +114,23 @@ def refuse_inconsistent(model: RobotModel) -> None:
 
 def refuse_inconsistent_result(result: IdentificationResult, model: RobotModel) -> None:
     """Raise `InertiaError` with the proof if the robot as built is physically inconsistent."""
-    if impossibilities(model):
+    if list_impossibilities(model):
         raise InertiaError(
             f"{result.robot} is not exported, because its model is physically inconsistent:"
-            f" {_reasons(result, model)}",
+            f" {_name_reasons(result, model)}",
             cure=CURE,
         )
 
 
-def _reasons(result: IdentificationResult, model: RobotModel) -> str:
+def _name_reasons(result: IdentificationResult, model: RobotModel) -> str:
     """Return which base parameters are inconsistent, or else what of the model is.
 
     Dropped parameters prove nothing: they count as unknown.
     """
-    prior, dropped = cad_prior(result.model, result.base.drive), np.flatnonzero(result.dropped)
+    prior, dropped = (
+        build_cad_prior(result.model, result.base.drive),
+        np.flatnonzero(result.dropped),
+    )
     covariance = np.array(result.covariance)
     # Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown.
     covariance[dropped, dropped] = (
@@ -137,7 +140,7 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
     zero = f"; the {len(dropped)} dropped parameters count as zero, which is rare for links"
-    return "; ".join(impossibilities(model)) + (zero if dropped.size else "")
+    return "; ".join(list_impossibilities(model)) + (zero if dropped.size else "")
 
 
 def refuse_poor_nearest_model(
@@ -156,16 +159,16 @@ def refuse_poor_nearest_model(
         if cost.bad or cost.worse_than_cad:
             raise InertiaError(f"{head}: on {cost.judged_by}, {cost.objection()}", cure=FORCED)
         return
-    grown = _error_growth(result, beta)
+    grown = _measure_error_growth(result, beta)
     if grown > POOR.error:
         raise InertiaError(
-            f"{head}: its error on the training data is {significant(grown)} times the"
+            f"{head}: its error on the training data is {round_significant(grown)} times the"
             " identified model's",
             cure=FORCED,
         )
 
 
-def _error_growth(result: IdentificationResult, beta: Array) -> float:
+def _measure_error_growth(result: IdentificationResult, beta: Array) -> float:
     """Return the error of other base parameters (p,) on the data used relative to the estimate's.
 
     `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's
@@ -175,7 +178,7 @@ def _error_growth(result: IdentificationResult, beta: Array) -> float:
     return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
 
 
-def servo_left_out(
+def note_left_out_servo(
     servo: PositionServo | None, kind: str, *, delay: bool = False, falling: bool = False
 ) -> tuple[str, ...]:
     """Return notes on what a format of this name lacks of a servo.

@@ -14,7 +14,7 @@ import tomli_w
 from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf_text import reference_posture
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.lengths import length_values
+from asbuilt.description.lengths import evaluate_lengths
 from asbuilt.description.model import (
     PLAIN_TERMS,
     ROOT,
@@ -31,7 +31,7 @@ _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
-def robot_toml(model: RobotModel) -> str:
+def format_robot_toml(model: RobotModel) -> str:
     """Return a robot file: rotation matrices, inertias about link origins, full precision."""
     passive = [joint.name for joint in model.followers if joint.is_passive]
     head = {
@@ -44,35 +44,35 @@ def robot_toml(model: RobotModel) -> str:
         "lengths": model.lengths or None,
         "drives_by_design": None if model.drives_by_design else False,
         "passive": passive or None,
-        "posture": _posture(model) if model.loops else None,
+        "posture": _find_posture(model) if model.loops else None,
     }
     moved = [joint for joint in model.moving_joints if joint.mimic and not joint.is_passive]
-    blocks = [_fields(head)]
-    for k in _order(model):
-        blocks += _link_blocks(model, model.moving_joints[k], model.links[k])
+    blocks = [_write_fields(head)]
+    for k in _order_links(model):
+        blocks += _write_link_blocks(model, model.moving_joints[k], model.links[k])
     for joint in moved:
         if joint.has_motor:
-            blocks.append(_block("motors", {"name": joint.name, **_drive_fields(joint)}))
-    blocks += [_coupling_block(joint) for joint in moved]
-    blocks += [_loop_block(loop) for loop in model.loops]
+            blocks.append(_write_block("motors", {"name": joint.name, **_list_drive_fields(joint)}))
+    blocks += [_write_coupling_block(joint) for joint in moved]
+    blocks += [_write_loop_block(loop) for loop in model.loops]
     names, coupling = model.joint_names, model.motor_coupling
     for k, row in enumerate(() if coupling is None else coupling):
         if not np.array_equal(row, np.eye(len(names))[k]):
             turns = {other: share for other, share in zip(names, row, strict=True) if share}
-            blocks.append(_block("couplings", {"motor": names[k], "turns": turns}))
+            blocks.append(_write_block("couplings", {"motor": names[k], "turns": turns}))
     for frame in model.frames:
-        place = _placement(frame.placement, None, model)
-        link = _link_name(model, frame.link)
-        blocks.append(_block("frames", {"name": frame.name, "link": link, **place}))
+        place = _list_placement_fields(frame.placement, None, model)
+        link = _name_link(model, frame.link)
+        blocks.append(_write_block("frames", {"name": frame.name, "link": link, **place}))
     return "\n\n".join(blocks) + "\n"
 
 
 def write_robot_toml(path: str | os.PathLike[str], model: RobotModel) -> Path:
     """Write a robot file that `load_robot` reads back to the same torques."""
-    return atomic_write(path, robot_toml(model))
+    return atomic_write(path, format_robot_toml(model))
 
 
-def _order(model: RobotModel) -> Sequence[int]:
+def _order_links(model: RobotModel) -> Sequence[int]:
     """Return links with parents first, driven ones and followers each in their own order.
 
     So that both are numbered in the same way when the file is read. Where no such order is, the
@@ -87,55 +87,57 @@ def _order(model: RobotModel) -> Sequence[int]:
     return order
 
 
-def _link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]:
+def _write_link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]:
     """Return the block of a link, and the blocks of its parts where it has any."""
     parts = [inertia.parameters for _, inertia in link.parts]
     by_parts = bool(parts) and np.array_equal(np.sum(parts, axis=0), link.inertia.parameters)
-    after = _placement(joint.after, joint.after_symbols, model)
+    after = _list_placement_fields(joint.after, joint.after_symbols, model)
     placed = not np.array_equal(joint.after, np.eye(4)) or joint.after_symbols is not None
     fields = {
         "name": link.name,
         "joint": joint.name_in_tree,
         "kind": joint.kind,
-        "parent": _link_name(model, joint.parent),
-        "origin": _placement(joint.before, joint.before_symbols, model),
+        "parent": _name_link(model, joint.parent),
+        "origin": _list_placement_fields(joint.before, joint.before_symbols, model),
         "after": after if placed else None,
         "negligible": link.negligible or None,
-        **(_inertia_fields(link.inertia) if link.inertia_known and not by_parts else {}),
-        **(_drive_fields(joint) if joint.mimic is None or not joint.has_motor else {}),
+        **(_list_inertia_fields(link.inertia) if link.inertia_known and not by_parts else {}),
+        **(_list_drive_fields(joint) if joint.mimic is None or not joint.has_motor else {}),
     }
     own = [
-        _block("links.parts", {"name": name, **_inertia_fields(inertia)})
+        _write_block("links.parts", {"name": name, **_list_inertia_fields(inertia)})
         for name, inertia in (link.parts if by_parts else ())
     ]
-    return [_block("links", fields), *own]
+    return [_write_block("links", fields), *own]
 
 
-def _coupling_block(joint: Joint) -> str:
+def _write_coupling_block(joint: Joint) -> str:
     mimic = joint.mimic or Mimic({})
-    return _block("couplings", {joint.name_in_tree: mimic.factors, "offset": mimic.offset or None})
+    return _write_block(
+        "couplings", {joint.name_in_tree: mimic.factors, "offset": mimic.offset or None}
+    )
 
 
-def _posture(model: RobotModel) -> dict[str, float]:
+def _find_posture(model: RobotModel) -> dict[str, float]:
     """Return where all joints are at the posture from which assembly modes are kept."""
     at = reference_posture(model)
     return {joint.name_in_tree: float(q) for joint, q in zip(model.moving_joints, at, strict=True)}
 
 
-def _loop_block(loop: Loop) -> str:
+def _write_loop_block(loop: Loop) -> str:
     head = {"name": loop.name or None, "kind": loop.kind}
     if loop.kind == "joint":
-        return _block("loops", {**head, "joints": loop.joints, "polynomial": loop.polynomial})
+        return _write_block("loops", {**head, "joints": loop.joints, "polynomial": loop.polynomial})
     ends = {
         f"{what}_{side}": value
         for side, end in zip("ab", loop.ends, strict=True)
         for what, value in zip(("link", "point"), end, strict=True)
     }
     turned = not np.array_equal(loop.rotation, np.eye(3))
-    return _block("loops", {**head, **ends, "rotation": loop.rotation if turned else None})
+    return _write_block("loops", {**head, **ends, "rotation": loop.rotation if turned else None})
 
 
-def _drive_fields(joint: Joint) -> dict[str, Any]:
+def _list_drive_fields(joint: Joint) -> dict[str, Any]:
     """Return limits and drive of a joint or a motor."""
     limits = {
         name: value for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))
@@ -146,7 +148,7 @@ def _drive_fields(joint: Joint) -> dict[str, Any]:
     return {"limits": limits or None, "drive": known or None}
 
 
-def _inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
+def _list_inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
     return {
         "mass": inertia.mass,
         "first_moment": inertia.first_moment,
@@ -154,16 +156,21 @@ def _inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
     }
 
 
-def _placement(placement: Array, symbols: Symbols | None, model: RobotModel) -> dict[str, Any]:
+def _list_placement_fields(
+    placement: Array, symbols: Symbols | None, model: RobotModel
+) -> dict[str, Any]:
     p, R = placement[:3, 3], placement[:3, :3]
     xyz: Any = p if np.any(p != 0.0) else None
     # Largest difference [m] of a length from its symbols, which are written in its place.
-    if symbols is not None and np.max(np.abs(length_values(symbols, model.lengths) - p)) <= 1e-12:
-        xyz = [_length_sum(terms) if terms else 0.0 for terms in symbols]
+    if (
+        symbols is not None
+        and np.max(np.abs(evaluate_lengths(symbols, model.lengths) - p)) <= 1e-12
+    ):
+        xyz = [_write_length_sum(terms) if terms else 0.0 for terms in symbols]
     return {"xyz": xyz, "rotation": None if np.array_equal(R, np.eye(3)) else R}
 
 
-def _length_sum(terms: Sequence[tuple[float, str]]) -> str:
+def _write_length_sum(terms: Sequence[tuple[float, str]]) -> str:
     text = " ".join(
         f"{'-' if factor < 0 else '+'} "
         + ("" if abs(factor) == 1.0 else f"{abs(factor)!r}*")
@@ -173,35 +180,39 @@ def _length_sum(terms: Sequence[tuple[float, str]]) -> str:
     return text[2:] if text.startswith("+ ") else "-" + text[2:]
 
 
-def _link_name(model: RobotModel, index: int) -> str:
+def _name_link(model: RobotModel, index: int) -> str:
     return model.root_link if index == ROOT else model.links[index].name
 
 
-def _block(name: str, fields: Mapping[str, Any]) -> str:
-    return f"[[{name}]]\n{_fields(fields)}"
+def _write_block(name: str, fields: Mapping[str, Any]) -> str:
+    return f"[[{name}]]\n{_write_fields(fields)}"
 
 
-def _fields(fields: Mapping[str, Any]) -> str:
+def _write_fields(fields: Mapping[str, Any]) -> str:
     """Return a line for each field that is there."""
     there = ((name, value) for name, value in fields.items() if value is not None)
-    return "\n".join(f"{_key(name)} = {_value(value)}" for name, value in there)
+    return "\n".join(f"{_write_key(name)} = {_write_value(value)}" for name, value in there)
 
 
-def _value(value: Any) -> str:
+def _write_value(value: Any) -> str:
     """Return a value on one line, as `tomli_w` does not write tables and lists."""
     if isinstance(value, Mapping):
-        there = (f"{_key(key)} = {_value(each)}" for key, each in value.items() if each is not None)
+        there = (
+            f"{_write_key(key)} = {_write_value(each)}"
+            for key, each in value.items()
+            if each is not None
+        )
         return f"{{{', '.join(there)}}}"
     if isinstance(value, list | tuple | np.ndarray):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(_write_value, value))}]"
     if isinstance(value, bool | str):
         return tomli_w.dumps({"x": value})[4:].rstrip("\n")
     return repr(float(value) + 0.0)
 
 
-def _key(name: str) -> str:
+def _write_key(name: str) -> str:
     return (
         name
         if name.replace("_", "").replace("-", "").isalnum() and name.isascii()
-        else _value(name)
+        else _write_value(name)
     )

@@ -8,7 +8,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 
 
-def sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
+def draw_sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
     """Return `count` random q, qd, qdd within the limits, each (count, n); the same every time."""
     rng, n = np.random.default_rng(0), model.n_joints
     reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]

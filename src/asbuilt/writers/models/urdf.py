@@ -12,13 +12,18 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description import ROOT, Joint, Link, LinkInertia, Mimic, RobotModel
-from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
-from asbuilt.dynamics.kinematics import random_postures
+from asbuilt.description.rotation import (
+    compose_placements,
+    invert_placement,
+    placement,
+    rpy_from_rotation,
+)
+from asbuilt.dynamics.kinematics import draw_postures
 from asbuilt.errors import DescriptionError
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.physical import in_plain_friction, refuse_inconsistent
-from asbuilt.writers.models.urdf_edit import TENSOR, edited_urdf, urdf_notes
+from asbuilt.writers.models.physical import convert_to_plain_friction, refuse_inconsistent
+from asbuilt.writers.models.urdf_edit import TENSOR, edit_urdf, note_urdf_limits
 
 PROPORTIONAL = 1e-9
 """Largest change of a share for which a passive joint counts as one that follows."""
@@ -28,7 +33,7 @@ UNLIMITED = 1e9
 """Value of a required limit that is unknown [rad, m, rad/s, m/s, N m or N]."""
 
 
-def urdf_text(model: RobotModel) -> str:
+def format_urdf(model: RobotModel) -> str:
     """Return the robot as a URDF in full precision, with what URDF cannot hold in comments.
 
     URDF has the joint axis through the origin of the link frame. If the model has the origin
@@ -44,26 +49,26 @@ def urdf_text(model: RobotModel) -> str:
         If a joint follows several others.
     """
     refuse_inconsistent(model)
-    model = _in_urdf_terms(model)
+    model = _adapt_to_urdf(model)
     root = Element("robot", name=model.name)
-    for note in (*model.notes, *urdf_notes(model)):
+    for note in (*model.notes, *note_urdf_limits(model)):
         root.append(Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
-    moved = [_shift(joint) for joint in model.moving_joints]
+    moved = [_find_shift(joint) for joint in model.moving_joints]
     carriers = dict(enumerate(zip(model.link_names, moved, strict=True)))
     carriers[ROOT] = model.root_link, np.eye(4)
-    joints = in_plain_friction(model).moving_joints
+    joints = convert_to_plain_friction(model).moving_joints
     for joint, link, shift in zip(joints, model.links, moved, strict=True):
-        _link(root, link, shift)
+        _add_link(root, link, shift)
         parent, carried = carriers[joint.parent]
-        place = composed(carried, joint.before, joint.after, inverted(shift))
-        _joint(root, joint, place, shift, parent, link.name)
+        place = compose_placements(carried, joint.before, joint.after, invert_placement(shift))
+        _add_joint(root, joint, place, shift, parent, link.name)
         if not np.array_equal(shift, np.eye(4)):
-            _fixed(root, _free_name(f"{link.name}_frame", taken), link.name, shift)
+            _add_fixed_link(root, _reserve_name(f"{link.name}_frame", taken), link.name, shift)
     for frame in model.frames:
         parent, carried = carriers[frame.link]
-        _fixed(root, frame.name, parent, composed(carried, frame.placement))
+        _add_fixed_link(root, frame.name, parent, compose_placements(carried, frame.placement))
     if model.n_floating:
         _without_base(root, model)
     indent(root)
@@ -83,7 +88,7 @@ def _without_base(root: Element, model: RobotModel) -> None:
             root.remove(each)
 
 
-def _in_urdf_terms(model: RobotModel) -> RobotModel:
+def _adapt_to_urdf(model: RobotModel) -> RobotModel:
     """Return the robot with a joint for every coordinate, as URDF needs; refuse what it cannot."""
     model = _without_loops(model).with_rotors
     for joint in model.followers:
@@ -103,7 +108,7 @@ def _without_loops(model: RobotModel) -> RobotModel:
     """
     if not model.loops:
         return model
-    q = random_postures(model, np.random.default_rng(0), POSTURES)
+    q = draw_postures(model, np.random.default_rng(0), POSTURES)
     moved = model.link_motion(q)
     n, G = model.n_joints, moved.shares[0]
     joints = list(model.followers)
@@ -111,7 +116,7 @@ def _without_loops(model: RobotModel) -> RobotModel:
         if not joint.is_passive:
             continue
         if np.ptp(moved.shares[:, n + k], axis=0).max() > PROPORTIONAL:
-            loops = joined([str(loop) for loop in model.loops])
+            loops = join_names([str(loop) for loop in model.loops])
             raise DescriptionError(
                 f"URDF has no loops, and joint {joint.name!r} of {model.name} does not move in"
                 f" proportion to a motor ({loops})",
@@ -135,16 +140,16 @@ def write_urdf(
 ) -> tuple[Path, tuple[str, ...]]:
     """Write `original` with the inertias and friction of the model, or else a new URDF.
 
-    Returns the path and notes on what the file cannot hold; raises as `edited_urdf` and `urdf_text`
+    Returns the path and notes on what the file cannot hold; raises as `edit_urdf` and `format_urdf`
     do.
     """
     if original is None:
-        return atomic_write(path, urdf_text(model)), urdf_notes(model)
-    edited = edited_urdf(original, model)
+        return atomic_write(path, format_urdf(model)), note_urdf_limits(model)
+    edited = edit_urdf(original, model)
     return atomic_write(path, edited.content), edited.notes
 
 
-def _shift(joint: Joint) -> Array:
+def _find_shift(joint: Joint) -> Array:
     """Return the pose of the model's link frame in the URDF's link frame."""
     # 1e-12: largest distance [m] of a link origin on the joint axis.
     if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= 1e-12:
@@ -152,7 +157,7 @@ def _shift(joint: Joint) -> Array:
     return np.array(joint.after)
 
 
-def _link(root: Element, link: Link, shift: Array) -> None:
+def _add_link(root: Element, link: Link, shift: Array) -> None:
     element = SubElement(root, "link", name=link.name)
     inertia: LinkInertia = (
         link.inertia if np.array_equal(shift, np.eye(4)) else link.inertia.moved(shift)
@@ -160,14 +165,16 @@ def _link(root: Element, link: Link, shift: Array) -> None:
     if not inertia.parameters.any():
         return
     inertial, tensor = SubElement(element, "inertial"), inertia.inertia_about_com
-    SubElement(inertial, "origin", xyz=_numbers(inertia.com), rpy="0 0 0")
-    SubElement(inertial, "mass", value=_numbers([inertia.mass]))
+    SubElement(inertial, "origin", xyz=_write_numbers(inertia.com), rpy="0 0 0")
+    SubElement(inertial, "mass", value=_write_numbers([inertia.mass]))
     SubElement(
-        inertial, "inertia", {name: _numbers([tensor[place]]) for name, place in TENSOR.items()}
+        inertial,
+        "inertia",
+        {name: _write_numbers([tensor[place]]) for name, place in TENSOR.items()},
     )
 
 
-def _joint(
+def _add_joint(
     root: Element, joint: Joint, origin: Array, shift: Array, parent: str, child: str
 ) -> None:
     limits, drive = joint.limits, joint.drive
@@ -176,28 +183,32 @@ def _joint(
     )
     kind = "prismatic" if not joint.is_revolute else "revolute" if limited else "continuous"
     element = SubElement(root, "joint", name=joint.name, type=kind)
-    _origin(element, origin)
+    _add_origin(element, origin)
     SubElement(element, "parent", link=parent)
     SubElement(element, "child", link=child)
-    axis = (joint.after @ inverted(shift))[2, :3]
-    SubElement(element, "axis", xyz=_numbers(axis))
+    axis = (joint.after @ invert_placement(shift))[2, :3]
+    SubElement(element, "axis", xyz=_write_numbers(axis))
     bounds = (
         {}
         if kind == "continuous"
-        else {"lower": _bound(limits.lower), "upper": _bound(limits.upper)}
+        else {"lower": _write_bound(limits.lower), "upper": _write_bound(limits.upper)}
     )
     if bounds or math.isfinite(limits.torque) or math.isfinite(limits.velocity):
         SubElement(
             element,
             "limit",
-            bounds | {"effort": _bound(limits.torque), "velocity": _bound(limits.velocity)},
+            bounds
+            | {"effort": _write_bound(limits.torque), "velocity": _write_bound(limits.velocity)},
         )
     if joint.mimic is not None:
         ((other, factor),) = joint.mimic.factors.items()
-        follows = {"multiplier": _numbers([factor]), "offset": _numbers([joint.mimic.offset])}
+        follows = {
+            "multiplier": _write_numbers([factor]),
+            "offset": _write_numbers([joint.mimic.offset]),
+        }
         SubElement(element, "mimic", {"joint": other, **follows})
     known = {"damping": drive.viscous, "friction": drive.coulomb}
-    given = {name: _numbers([value]) for name, value in known.items() if value is not None}
+    given = {name: _write_numbers([value]) for name, value in known.items() if value is not None}
     if given:
         SubElement(element, "dynamics", given)
     silent = [
@@ -207,34 +218,34 @@ def _joint(
         element.append(Comment(f" {', '.join(silent)}: URDF has no place for it "))
 
 
-def _fixed(root: Element, name: str, parent: str, pose: Array) -> None:
+def _add_fixed_link(root: Element, name: str, parent: str, pose: Array) -> None:
     SubElement(root, "link", name=name)
     element = SubElement(root, "joint", name=f"{name}_fixed", type="fixed")
-    _origin(element, pose)
+    _add_origin(element, pose)
     SubElement(element, "parent", link=parent)
     SubElement(element, "child", link=name)
 
 
-def _origin(element: Element, pose: Array) -> None:
+def _add_origin(element: Element, pose: Array) -> None:
     if not np.array_equal(pose, placement()):
         SubElement(
             element,
             "origin",
-            xyz=_numbers(pose[:3, 3]),
-            rpy=_numbers(rpy_from_rotation(pose[:3, :3])),
+            xyz=_write_numbers(pose[:3, 3]),
+            rpy=_write_numbers(rpy_from_rotation(pose[:3, :3])),
         )
 
 
-def _free_name(name: str, taken: set[str]) -> str:
+def _reserve_name(name: str, taken: set[str]) -> str:
     while name in taken:
         name += "_"
     taken.add(name)
     return name
 
 
-def _bound(value: float) -> str:
+def _write_bound(value: float) -> str:
     return repr(min(max(float(value), -UNLIMITED), UNLIMITED))
 
 
-def _numbers(values: Array | list[float]) -> str:
+def _write_numbers(values: Array | list[float]) -> str:
     return " ".join(repr(float(value) + 0.0) for value in values)

@@ -11,12 +11,16 @@ from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, described_text
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
-from asbuilt.description.structure.free_base import base_of
+from asbuilt.description.structure.free_base import classify_base
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
-from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_inconsistent
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.physical import (
+    convert_to_plain_friction,
+    note_left_out_drives,
+    refuse_inconsistent,
+)
+from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, attribute_edits
 
 TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
@@ -50,7 +54,7 @@ class EditedUrdf:
     notes: tuple[str, ...]
 
 
-def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
+def edit_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
     All other bytes are kept. The identified inertia of a moving link includes everything fixed to
@@ -67,10 +71,10 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         If the file is no URDF or describes another robot.
     """
     refuse_inconsistent(model)
-    plain = in_plain_friction(model)
+    plain = convert_to_plain_friction(model)
     content, source = described_text(original)
-    kind = base_of(model.n_floating)
-    described = _locked_alike(read_urdf(original, base=kind), model)
+    kind = classify_base(model.n_floating)
+    described = _lock_alike(read_urdf(original, base=kind), model)
     _check_same_robot(described, model, source)
     file = XmlFile.of(content, source)
     links = {span.attributes["name"].strip(): span for span in file.root.all("link")}
@@ -95,7 +99,7 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
             for name, _ in fixed:
                 edits += [Edit(span.start, span.stop, "") for span in links[name].all("inertial")]
                 emptied.append(name)
-        edits += _inertial_edits(file, links[link.name], own)
+        edits += _list_inertial_edits(file, links[link.name], own)
         changed_links.append(link.name)
     for before, joint in zip(described.joints, plain.joints, strict=True):
         given = {
@@ -103,19 +107,21 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
             "friction": (before.drive.coulomb, joint.drive.coulomb),
         }
         values = {
-            name: _number(new)
+            name: _write_number(new)
             for name, (old, new) in given.items()
             if new is not None and new != (old or 0.0)
         }
         if values and joint.name in joints:
-            edits += _dynamics_edits(file, joints[joint.name], values)
+            edits += _list_dynamics_edits(file, joints[joint.name], values)
             driven = model.link_shares[model.n_joints :, model.joint_names.index(joint.name)]
             for follower, share in zip(model.followers, driven, strict=True):
                 edits += _without_friction(joints[follower.name], values) if share else []
             changed_joints.append(joint.name)
     edited = file.edited(edits)
     reread, literal = (
-        _difference(model, _locked_alike(read_urdf(edited, straighten=exact, base=kind), model))
+        _measure_torque_difference(
+            model, _lock_alike(read_urdf(edited, straighten=exact, base=kind), model)
+        )
         for exact in (True, False)
     )
     worst = int(np.argmax(literal))
@@ -143,13 +149,13 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         tuple(emptied),
         reread,
         literal,
-        (*(note for note, holds in cases.items() if holds), *urdf_notes(model)),
+        (*(note for note, holds in cases.items() if holds), *note_urdf_limits(model)),
     )
 
 
-def urdf_notes(model: RobotModel) -> tuple[str, ...]:
+def note_urdf_limits(model: RobotModel) -> tuple[str, ...]:
     """Return notes on what changes torques and has no place in URDF."""
-    plain, notes = in_plain_friction(model), []
+    plain, notes = convert_to_plain_friction(model), []
     for term, note in (
         (
             "asymmetric_coulomb",
@@ -179,7 +185,7 @@ def urdf_notes(model: RobotModel) -> tuple[str, ...]:
                 f"URDF has no place for the {key} of the drives; add it in the simulator ({symbol}"
                 f" [{unit}]: {listed})"
             )
-    notes += left_out_drives(plain, (), "URDF")
+    notes += note_left_out_drives(plain, (), "URDF")
     if not np.array_equal(model.gravity, USUAL_GRAVITY):
         notes.append(
             "URDF has no place for gravity; the model has"
@@ -224,16 +230,16 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
             refuse(f"the placement of joint {here.name!r} differs by {off:.3g}")
 
 
-def _inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
-    tensor, com = inertia.inertia_about_com, " ".join(map(_number, inertia.com))
-    moments = {name: _number(tensor[place]) for name, place in TENSOR.items()}
+def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
+    tensor, com = inertia.inertia_about_com, " ".join(map(_write_number, inertia.com))
+    moments = {name: _write_number(tensor[place]) for name, place in TENSOR.items()}
     inertial = link.first("inertial")
     if inertial is None:
         tag = link.named_as
         attributes = " ".join(f'{name}="{value}"' for name, value in moments.items())
         parts = (
             f'<{tag("origin")} xyz="{com}" rpy="0 0 0"/><{tag("mass")}'
-            f' value="{_number(inertia.mass)}"/><{tag("inertia")} {attributes}/>'
+            f' value="{_write_number(inertia.mass)}"/><{tag("inertia")} {attributes}/>'
         )
         return [file.prepended(link, f"<{tag('inertial')}>{parts}</{tag('inertial')}>")]
     origin, mass, moment = (inertial.first(tag) for tag in ("origin", "mass", "inertia"))
@@ -241,7 +247,7 @@ def _inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edi
         raise DescriptionError(
             f"link {link.attributes['name']!r}: <inertial> lacks <mass> or <inertia>"
         )
-    edits = attribute_edits(mass, {"value": _number(inertia.mass)}) + attribute_edits(
+    edits = attribute_edits(mass, {"value": _write_number(inertia.mass)}) + attribute_edits(
         moment, moments
     )
     if origin is None:
@@ -257,7 +263,7 @@ def _inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edi
     return edits + attribute_edits(origin, {"xyz": com} | turned)
 
 
-def _dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[Edit]:
+def _list_dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[Edit]:
     dynamics = joint.first("dynamics")
     if dynamics is not None:
         return attribute_edits(dynamics, values)
@@ -273,8 +279,8 @@ def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
     return attribute_edits(dynamics, {each: "0" for each in values if each in dynamics.attributes})
 
 
-def _difference(model: RobotModel, read: RobotModel) -> Array:
-    q, qd, qdd = sample_states(model, 200)
+def _measure_torque_difference(model: RobotModel, read: RobotModel) -> Array:
+    q, qd, qdd = draw_sample_states(model, 200)
     chi = model.parameters
     for k in (k for k, link in enumerate(model.links) if link.negligible):
         chi[10 * k : 10 * k + 10] = read.links[k].inertia.parameters
@@ -286,7 +292,7 @@ def _difference(model: RobotModel, read: RobotModel) -> Array:
     )
 
 
-def _locked_alike(described: RobotModel, model: RobotModel) -> RobotModel:
+def _lock_alike(described: RobotModel, model: RobotModel) -> RobotModel:
     """Return a described robot with the joints locked that are locked in the model."""
     held = {
         name: value
@@ -296,5 +302,5 @@ def _locked_alike(described: RobotModel, model: RobotModel) -> RobotModel:
     return described.locked(held)
 
 
-def _number(value: float) -> str:
+def _write_number(value: float) -> str:
     return repr(float(value) + 0.0)

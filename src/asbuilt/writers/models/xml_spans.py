@@ -74,7 +74,7 @@ class XmlFile:
     @classmethod
     def of(cls, content: bytes, source: str) -> XmlFile:
         """Locate every element; raises `DescriptionError` if the file cannot be edited."""
-        encoding = _encoding(content)
+        encoding = _detect_encoding(content)
         try:
             decoded = content.decode(encoding)
             faithful = decoded.encode(encoding) == content
@@ -201,7 +201,7 @@ class _Spotter:
         pass
 
 
-def _encoding(content: bytes) -> str:
+def _detect_encoding(content: bytes) -> str:
     for mark, encoding in (
         (codecs.BOM_UTF16_LE, "utf-16-le"),
         (codecs.BOM_UTF16_BE, "utf-16-be"),

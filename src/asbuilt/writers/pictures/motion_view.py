@@ -62,11 +62,11 @@ class MotionView:
         solids = link_solids(model)
         strength = np.linalg.norm(model.gravity)
         up = -model.gravity / strength if strength > 0 else np.array([0.0, 0.0, 1.0])
-        ends = np.concatenate([np.zeros((1, 3)), *(_ends(solid, along) for solid in solids)])
+        ends = np.concatenate([np.zeros((1, 3)), *(_place_ends(solid, along) for solid in solids)])
         thickest = max(solid.radius for solid in solids)
         low, high = ends.min(axis=0) - thickest, ends.max(axis=0) + thickest
         floor = min(0.0, float(np.min(ends @ up)) - thickest)
-        last, place = _tip(model)
+        last, place = _find_tip(model)
         traced = along[:, last]
         return cls(
             model=model,
@@ -90,7 +90,7 @@ class MotionView:
         Without a motion the robot rests near the middle of its ranges.
         """
         if motion is None:
-            return cls.of(model, [0.0], resting_pose(model)[None])
+            return cls.of(model, [0.0], choose_resting_pose(model)[None])
         frames = int(np.clip(np.ceil(motion.duration * rate), 2, most))
         t = np.linspace(0.0, motion.duration, frames)
         # 1000: most points of the drawn path of the tip.
@@ -111,7 +111,7 @@ class MotionView:
         return replace(self, t=self.t[:1], q=self.q[:1], poses=self.poses[:1])
 
 
-def resting_pose(model: RobotModel) -> Array:
+def choose_resting_pose(model: RobotModel) -> Array:
     """Return the zero position, bent and moved into the joints' ranges, shape (n,).
 
     Bent, no two axes hide each other.
@@ -140,7 +140,7 @@ def motion_of_recording(recording: Recording | RecordingStream) -> SplineMotion:
     return SplineMotion.through(q[chosen], t[chosen] - t[0], degree=3, ends="natural")
 
 
-def _ends(solid: Solid, poses: Array) -> Array:
+def _place_ends(solid: Solid, poses: Array) -> Array:
     if solid.link == ROOT:
         return np.stack([solid.start, solid.stop])
     pose = poses[:, solid.link]
@@ -149,7 +149,7 @@ def _ends(solid: Solid, poses: Array) -> Array:
     )
 
 
-def _tip(model: RobotModel) -> tuple[int, Array]:
+def _find_tip(model: RobotModel) -> tuple[int, Array]:
     """Return the link of the tool and the point whose path is drawn: a frame, or its origin."""
     last = model.tool_link
     on_it = [frame.placement[:3, 3] for frame in model.frames if frame.link == last]

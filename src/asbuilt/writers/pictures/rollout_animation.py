@@ -17,7 +17,7 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.validation import Rollout, SimulatedMotion, position_unit
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
+from asbuilt.writers.pictures.skeleton import Camera, draw_skeleton_frames
 from asbuilt.writers.pictures.view import write_frames
 
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -68,11 +68,11 @@ def write_rollout_animation(
     UsageError
         If the suffix is unknown, or no robot was simulated.
     """
-    shown = _shown(rollout.motions[0])
-    return write_frames(path, [*_frames(model, shown, rollout, WIDTH)], float(shown.t[-1]))
+    shown = _select_frames(rollout.motions[0])
+    return write_frames(path, [*_draw_frames(model, shown, rollout, WIDTH)], float(shown.t[-1]))
 
 
-def _shown(motion: SimulatedMotion) -> _Shown:
+def _select_frames(motion: SimulatedMotion) -> _Shown:
     """Return the frames of the first windows, one after another."""
     cut = motion.windows
     paths = {"CAD": motion.cad, "as built": motion.as_built}
@@ -102,17 +102,17 @@ def _without_gaps(t: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.where(steps > 1.5 * usual, usual, steps))])
 
 
-def _frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> Iterator[Image]:
+def _draw_frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> Iterator[Image]:
     panel = (width - (len(shown.errors) + 1) * MARGIN) // len(shown.errors)
     size = (panel, round(0.66 * panel))
     view = MotionView.of(model, shown.t, shown.q)
     view = replace(view, path=view.path[:1].repeat(2, axis=0))
     camera = Camera.around(view, *size)
-    lines = {name: _lines(model, camera, shown, name) for name in shown.errors}
+    lines = {name: _project_lines(model, camera, shown, name) for name in shown.errors}
     canvas = Pillow.new("RGB", (width, TITLE + size[1] + STRIP + 2 * MARGIN), "white")
-    boxes = _titled(canvas, shown, rollout, size)
-    curves = _curves(canvas, shown, TITLE + size[1] + MARGIN, width, position_unit(model))
-    for k, robot in enumerate(skeleton_frames(view, *size)):
+    boxes = _write_titles(canvas, shown, rollout, size)
+    curves = _draw_axes(canvas, shown, TITLE + size[1] + MARGIN, width, position_unit(model))
+    for k, robot in enumerate(draw_skeleton_frames(view, *size)):
         frame = canvas.copy()
         for name, left in boxes.items():
             picture = Pillow.fromarray(robot).convert("L").convert("RGB")
@@ -129,7 +129,7 @@ def _frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> I
         yield np.asarray(frame)
 
 
-def _lines(model: RobotModel, camera: Camera, shown: _Shown, name: str) -> Array:
+def _project_lines(model: RobotModel, camera: Camera, shown: _Shown, name: str) -> Array:
     """Return the ends of the simulated robot's rods in the picture, shape (N, rods, 2, 2)."""
     poses = link_poses(model, shown.q + shown.factor * shown.errors[name])
     ends = []
@@ -154,7 +154,7 @@ def _draw_simulated(
             draw.ellipse((x - thick, y - thick, x + thick, y + thick), fill=colour)
 
 
-def _titled(
+def _write_titles(
     canvas: Pillow.Image, shown: _Shown, rollout: Rollout, size: tuple[int, int]
 ) -> dict[str, int]:
     """Write the titles of the panels; return the left edge of each."""
@@ -178,14 +178,14 @@ def _titled(
     return lefts
 
 
-def _curves(
+def _draw_axes(
     canvas: Pillow.Image, shown: _Shown, top: int, width: int, unit: str
 ) -> dict[str, list[tuple[float, float]]]:
     """Draw the axes of the errors; return their points in the picture."""
     draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(11)
     left, right, bottom = MARGIN + 34, width - MARGIN, top + STRIP - 22
     sizes = {name: 1e3 * shown.size(name) for name in shown.errors}
-    most = _rounded_up(max(float(np.nanmax(each)) for each in sizes.values()))
+    most = _round_up(max(float(np.nanmax(each)) for each in sizes.values()))
     for share in (0.0, 0.5, 1.0):
         y = bottom - share * (bottom - top - 14)
         draw.line((left, y, right, y), fill=PALE)
@@ -207,7 +207,7 @@ def _curves(
     }
 
 
-def _rounded_up(value: float) -> float:
+def _round_up(value: float) -> float:
     """Return the next of 1, 2, 5, 10, ... times a power of ten."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
     return float(power * next(x for x in (1.0, 2.0, 5.0, 10.0) if x * power >= value))

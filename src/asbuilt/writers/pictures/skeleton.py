@@ -15,7 +15,7 @@ from asbuilt.description import ROOT, Solid, rotation_onto
 from asbuilt.writers.pictures.motion_view import MotionView
 
 
-def round_mesh(
+def build_round_mesh(
     solid: Solid, slices: int = 28, rings: int = 7, segments: int = 1
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return vertices (v, 3) and outward triangles (f, 3) of a rod or a housing.
@@ -101,7 +101,7 @@ class Camera:
         right = np.cross(forward, view.up) / np.cos(ELEVATION)
         axes = np.stack([right, np.cross(right, forward), forward])
         camera = cls(axes, view.centre - DRAWING.distance * view.radius * forward, 1.0, np.zeros(2))
-        points, radii = _balls(view)
+        points, radii = _list_balls(view)
         flat, depth = camera.project(points)
         grown = (radii / depth)[:, None] * 1.05
         low, high = (flat - grown).min(axis=0), (flat + grown).max(axis=0)
@@ -115,13 +115,13 @@ class Camera:
         return self.scale * np.stack([right, -up], axis=1) / depth[:, None] + self.shift, depth
 
 
-def skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image]:
+def draw_skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image]:
     """Yield every frame of a motion as an image (height, width, 3)."""
     camera = Camera.around(view, DRAWING.oversampling * width, DRAWING.oversampling * height)
     coarse = len(view.t) > 1
     slices, rings, segments = (16, 4, 4) if coarse else (36, 8, 10)
     solids = [*view.solids, *view.stand]
-    meshes = [round_mesh(solid, slices, rings, segments) for solid in solids]
+    meshes = [build_round_mesh(solid, slices, rings, segments) for solid in solids]
     colours = [
         STAND if k >= len(view.solids) else ROD if solid.kind == "rod" else HOUSING
         for k, solid in enumerate(solids)
@@ -133,21 +133,21 @@ def skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image
     )
     for k in range(len(view.t)):
         vertices = [
-            _placed(view, k, solid, points)
+            _place_points(view, k, solid, points)
             for solid, (points, _) in zip(solids, meshes, strict=True)
         ]
         canvas = Pillow.new(
             "RGB", (DRAWING.oversampling * width, DRAWING.oversampling * height), "white"
         )
         draw = ImageDraw.Draw(canvas)
-        _floor(draw, camera, view)
+        _draw_floor(draw, camera, view)
         corners = np.concatenate([v[f] for v, (_, f) in zip(vertices, meshes, strict=True)])
-        _shadows(draw, camera, view, corners)
-        _bodies(draw, camera, view, corners, shades, nearer)
+        _draw_shadows(draw, camera, view, corners)
+        _draw_bodies(draw, camera, view, corners, shades, nearer)
         yield np.asarray(canvas.resize((width, height), Pillow.Resampling.BOX))
 
 
-def _bodies(
+def _draw_bodies(
     draw: ImageDraw.ImageDraw,
     camera: Camera,
     view: MotionView,
@@ -183,7 +183,9 @@ def _bodies(
             draw.line(lines[place - len(triangles)], fill=tuple(PATH.tolist()), width=thick)
 
 
-def _shadows(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView, corners: Array) -> None:
+def _draw_shadows(
+    draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView, corners: Array
+) -> None:
     points = corners.reshape(-1, 3)
     flat, _ = camera.project(points - np.outer(points @ view.up - view.floor, view.up))
     fill = tuple(SHADOW.tolist())
@@ -191,7 +193,7 @@ def _shadows(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView, corner
         draw.polygon(tuple(map(tuple, triangle)), fill=fill)
 
 
-def _floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
+def _draw_floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
     """Draw the floor as a grid around the robot."""
     along = camera.axes[0]
     other = np.cross(view.up, along)
@@ -205,14 +207,14 @@ def _floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
             draw.line(tuple(map(tuple, flat.tolist())), fill=tuple(GRID.tolist()), width=2)
 
 
-def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
+def _place_points(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
     if solid.link == ROOT:
         return points
     pose = view.poses[k, solid.link]
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
-def _balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:
+def _list_balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:
     """Return centres (N, 3) and radii (N,) of balls that hold everything drawn but the floor."""
     points, radii = [view.path], [np.zeros(len(view.path))]
     for solid in (*view.solids, *view.stand):

@@ -16,7 +16,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation import Motion, read_motion
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import skeleton_frames
+from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
 from asbuilt.writers.pictures.viewer import Viewer
 
 STILLS, ANIMATIONS = (".png",), (".gif", ".webp")
@@ -111,7 +111,7 @@ def write_picture(
     # 125: longer motions are shown with fewer frames per second.
     view = MotionView.of_motion(model, motion, most=125 if moving else 2, rate=12.5)
     images = []
-    for k, image in enumerate(skeleton_frames(view if moving else view.first(), *size)):
+    for k, image in enumerate(draw_skeleton_frames(view if moving else view.first(), *size)):
         images.append(image)
         if progress is not None:
             progress((k + 1) / len(view.t))

@@ -22,7 +22,7 @@ from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import round_mesh
+from asbuilt.writers.pictures.skeleton import build_round_mesh
 
 LOOPBACK = ("127.0.0.1", "localhost")
 ROD, HOUSING, STAND, PATH, COM, INERTIA = (
@@ -86,8 +86,8 @@ class Viewer:
         self.view = MotionView.of_motion(
             model, motion, most=VIEWING.saved_frames, rate=VIEWING.frame_rate
         )
-        self.port = _free_port(host, port)
-        with contextlib.redirect_stdout(io.StringIO()), _own_origin_only(host, self.port):
+        self.port = _find_free_port(host, port)
+        with contextlib.redirect_stdout(io.StringIO()), _refuse_foreign_origins(host, self.port):
             self.server: Any = viser.ViserServer(
                 host=host, port=self.port, label=f"asbuilt: {model.name}", verbose=False
             )
@@ -151,7 +151,7 @@ class Viewer:
             plane_color=(250, 250, 251),
             plane_opacity=1.0,
             shadow_opacity=0.2,
-            wxyz=_wxyz(seat),
+            wxyz=_convert_to_wxyz(seat),
             position=tuple((view.floor - 2e-3) * view.up),
         )
         for place, solid in zip(("/stand", "/column"), view.stand, strict=False):
@@ -214,7 +214,7 @@ class Viewer:
             color=INERTIA,
             opacity=0.45,
             scale=tuple(np.maximum(semi_axes, 0.1 * size)),
-            wxyz=_wxyz(axes),
+            wxyz=_convert_to_wxyz(axes),
             position=centre,
             cast_shadow=False,
             visible=False,
@@ -222,7 +222,7 @@ class Viewer:
         self._layers["inertia ellipsoids"].append(handle)
 
     def _mesh(self, name: str, solid: Solid, colour: tuple[int, int, int]) -> Any:
-        vertices, faces = round_mesh(solid)
+        vertices, faces = build_round_mesh(solid)
         return self.server.scene.add_mesh_simple(
             name, vertices.astype(np.float32), faces.astype(np.uint32), color=colour
         )
@@ -230,7 +230,7 @@ class Viewer:
     def _pose(self, q: Array) -> None:
         with self.server.atomic():
             for handle, pose in zip(self._links, link_poses(self.model, q), strict=True):
-                handle.wxyz, handle.position = _wxyz(pose[:3, :3]), tuple(pose[:3, 3])
+                handle.wxyz, handle.position = _convert_to_wxyz(pose[:3, :3]), tuple(pose[:3, 3])
 
     def _show(self, visible: dict[str, bool], *, opacity: float | None) -> None:
         for layer, shown in visible.items():
@@ -315,12 +315,12 @@ class _Controls:
             self.place.value = self.shown = round(self.now, 2)
 
 
-def _wxyz(rotation: Array) -> tuple[float, ...]:
+def _convert_to_wxyz(rotation: Array) -> tuple[float, ...]:
     return tuple(float(x) for x in quaternion_from_rotation(rotation))
 
 
 @contextlib.contextmanager
-def _own_origin_only(host: str, port: int) -> Iterator[None]:
+def _refuse_foreign_origins(host: str, port: int) -> Iterator[None]:
     """Have the server that is started meanwhile refuse connections from pages of other sites.
 
     viser has no such setting, so the origins are given to its web socket server. A program without
@@ -338,7 +338,7 @@ def _own_origin_only(host: str, port: int) -> Iterator[None]:
         server.serve = serve  # type: ignore[misc]
 
 
-def _free_port(host: str, port: int) -> int:
+def _find_free_port(host: str, port: int) -> int:
     """Return the first free port from `port` on."""
     if not 0 < port < 65536:
         raise UsageError(f"a port is a number from 1 to 65535, got {port}")

@@ -17,7 +17,7 @@ from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motions.motion import JUMPING, Motion
 from asbuilt.findings import Cure
 from asbuilt.registry import Registry
-from asbuilt.writers.programs.naming import file_stem
+from asbuilt.writers.programs.naming import make_file_stem
 
 DRY_RUN_SLOWDOWN = 10.0
 """Factor of the dry run's duration: 10 % of the speed, 1 % of the acceleration."""
@@ -105,7 +105,7 @@ class ProgramRequest:
     @property
     def stem(self) -> str:
         """The name of the files, without suffix."""
-        return file_stem(self.name)
+        return make_file_stem(self.name)
 
     @property
     def revolute(self) -> tuple[bool, ...]:

@@ -6,7 +6,7 @@ import re
 import unicodedata
 
 
-def plain_text(text: str) -> str:
+def make_plain_text(text: str) -> str:
     r"""Return printable ASCII on one line that is safe in comments and strings of any language.
 
     Backslashes, double quotes, backticks and the marks that end comments become other characters;
@@ -14,7 +14,7 @@ def plain_text(text: str) -> str:
 
     Examples
     --------
-    >>> plain_text('Müller\u2019s "arm" */ \\u000a')
+    >>> make_plain_text('Müller\u2019s "arm" */ \\u000a')
     "Mullers 'arm' * / /u000a"
     """
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode("ascii")
@@ -30,12 +30,12 @@ def plain_text(text: str) -> str:
     )
 
 
-def yaml_string(text: str) -> str:
+def quote_yaml(text: str) -> str:
     r"""Return a text as YAML, where JSON's pairs of surrogates would be two characters.
 
     Examples
     --------
-    >>> print(yaml_string('a "b" \u540d'))
+    >>> print(quote_yaml('a "b" \u540d'))
     "a \U00000022b\U00000022 \U0000540d"
     """
     plain = (
@@ -44,41 +44,46 @@ def yaml_string(text: str) -> str:
     return f'"{"".join(plain)}"'
 
 
-def file_stem(name: str, *, default: str = "motion") -> str:
+def make_file_stem(name: str, *, default: str = "motion") -> str:
     """Return a file name without suffix of characters a-z, A-Z, digits, `_` and `-`.
 
     Examples
     --------
-    >>> file_stem("../my robot: run 1"), file_stem("///")
+    >>> make_file_stem("../my robot: run 1"), make_file_stem("///")
     ('my_robot_run_1', 'motion')
     """
     # 60: longest name made here.
-    return re.sub(r"[^A-Za-z0-9-]+", "_", plain_text(name)).strip("_-")[:60].strip("_-") or default
+    return (
+        re.sub(r"[^A-Za-z0-9-]+", "_", make_plain_text(name)).strip("_-")[:60].strip("_-")
+        or default
+    )
 
 
-def identifier(name: str, *, prefix: str) -> str:
+def make_lowercase_identifier(name: str, *, prefix: str) -> str:
     """Return `prefix` and the name as one lower-case identifier.
 
     The prefix keeps it from being a keyword.
 
     Examples
     --------
-    >>> identifier("2 fast; halt", prefix="asbuilt_")
+    >>> make_lowercase_identifier("2 fast; halt", prefix="asbuilt_")
     'asbuilt_2_fast_halt'
     """
-    return prefix + file_stem(name).replace("-", "_").lower()
+    return prefix + make_file_stem(name).replace("-", "_").lower()
 
 
-def class_name(name: str, *, suffix: str) -> str:
+def make_class_name(name: str, *, suffix: str) -> str:
     """Return the name as a Java class name that ends in `suffix`.
 
     The suffix keeps it from being the name of a library's class.
 
     Examples
     --------
-    >>> class_name("iiwa 7, run-2", suffix="Excitation"), class_name("7", suffix="Excitation")
-    ('Iiwa7Run2Excitation', 'Motion7Excitation')
+    >>> make_class_name("iiwa 7, run-2", suffix="Excitation")
+    'Iiwa7Run2Excitation'
+    >>> make_class_name("7", suffix="Excitation")
+    'Motion7Excitation'
     """
-    words = re.findall(r"[A-Za-z0-9]+", file_stem(name))
+    words = re.findall(r"[A-Za-z0-9]+", make_file_stem(name))
     joined = "".join(word[0].upper() + word[1:] for word in words)
     return ("Motion" + joined if joined[0].isdigit() else joined) + suffix

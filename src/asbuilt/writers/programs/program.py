@@ -9,8 +9,8 @@ from typing import Any
 
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.excitation import Motion, read_motion
-from asbuilt.excitation.collision.constraint import clearance_along
-from asbuilt.tables import wrapped
+from asbuilt.excitation.collision.constraint import measure_clearance
+from asbuilt.tables import wrap_text
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.programs.format import (
     DRY_RUN_SLOWDOWN,
@@ -18,7 +18,7 @@ from asbuilt.writers.programs.format import (
     ProgramRequest,
     program_format,
 )
-from asbuilt.writers.tables.design_tables import margin_table, margin_verdict
+from asbuilt.writers.tables.design_tables import describe_margins, tabulate_margins
 
 
 def program_request(
@@ -34,7 +34,7 @@ def program_request(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     chosen = program_format(form, model)
     moved = motion if isinstance(motion, Motion) else read_motion(motion, model)
-    clearance = None if collision is None else clearance_along(model, moved, collision)
+    clearance = None if collision is None else measure_clearance(model, moved, collision)
     frequency = chosen.default_rate if rate is None else float(rate)
     return ProgramRequest(model, moved, name, frequency, clearance)
 
@@ -136,11 +136,11 @@ def program_text(request: ProgramRequest, form: str, *, full: bool = False) -> s
     )
     return "\n".join(
         [
-            wrapped(title),
-            wrapped(margin_verdict(request.report)),
-            wrapped(collisions),
+            wrap_text(title),
+            wrap_text(describe_margins(request.report)),
+            wrap_text(collisions),
             "Run the dry run first; the header of the program says how.",
             "",
-            margin_table(request.report).as_text(full).rstrip(),
+            tabulate_margins(request.report).as_text(full).rstrip(),
         ]
     )

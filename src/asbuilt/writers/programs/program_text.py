@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asbuilt.excitation import Motion, times_to_end
 from asbuilt.writers.programs.format import DRY_RUN_SLOWDOWN, ProgramRequest
-from asbuilt.writers.programs.naming import plain_text
+from asbuilt.writers.programs.naming import make_plain_text
 
 
 def render(template: str, **values: Any) -> str:
@@ -24,32 +24,32 @@ def render(template: str, **values: Any) -> str:
 
     A value that the template needs and does not get is an error.
     """
-    return _environment().get_template(template).render(**values)
+    return _load_environment().get_template(template).render(**values)
 
 
-def numbers(values: Iterable[float], decimals: int = 6) -> str:
+def format_numbers(values: Iterable[float], decimals: int = 6) -> str:
     """Return numbers with a fixed count of decimals, separated by commas; no minus before zero.
 
     Examples
     --------
-    >>> numbers([1.0, -0.25, -1e-9], 3)
+    >>> format_numbers([1.0, -0.25, -1e-9], 3)
     '1.000, -0.250, 0.000'
     """
     return ", ".join(f"{round(float(value), decimals) + 0.0:.{decimals}f}" for value in values)
 
 
-def rounded_down(value: float, decimals: int = 4) -> str:
+def format_rounded_down(value: float, decimals: int = 4) -> str:
     """Return a positive number with fixed decimals, rounded down as a limit must be.
 
     Examples
     --------
-    >>> rounded_down(0.06999), rounded_down(0.5)
+    >>> format_rounded_down(0.06999), format_rounded_down(0.5)
     ('0.0699', '0.5000')
     """
     return f"{floor(value * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
 
 
-def motion_csv(motion: Motion, columns: Sequence[str], rate: float, decimals: int) -> str:
+def format_motion_csv(motion: Motion, columns: Sequence[str], rate: float, decimals: int) -> str:
     """Return times and the first `columns` of positions, velocities, accelerations as CSV.
 
     The end of the motion is the last line whatever the rate.
@@ -62,15 +62,15 @@ def motion_csv(motion: Motion, columns: Sequence[str], rate: float, decimals: in
     return text.getvalue()
 
 
-def streamed_motion(request: ProgramRequest) -> str:
+def format_streamed_motion(request: ProgramRequest) -> str:
     """Return the table that programs in C++ read: `t,q1,...,qn,qd1,...,qdn`."""
     joints = range(1, request.model.n_joints + 1)
     names = [f"{symbol}{j}" for symbol in ("q", "qd") for j in joints]
-    return motion_csv(request.motion, names, request.rate, STREAMED_DECIMALS)
+    return format_motion_csv(request.motion, names, request.rate, STREAMED_DECIMALS)
 
 
 @cache
-def _environment() -> Environment:
+def _load_environment() -> Environment:
     return Environment(
         loader=PackageLoader("asbuilt.writers.programs"),
         undefined=StrictUndefined,
@@ -91,13 +91,13 @@ DRY_RUN_PART = f"{100 / DRY_RUN_SLOWDOWN:g} %"
 """Speed of the dry run as text."""
 
 
-def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[str, ...]:
+def compose_preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[str, ...]:
     """Return the lines of the header; `use` says step by step how the program is run.
 
     ASCII, no line longer than `WIDTH`.
     """
     model, motion = request.model, request.motion
-    names = [plain_text(name) for name in model.joint_names]
+    names = [make_plain_text(name) for name in model.joint_names]
     start = ", ".join(f"{q:.4f}" for q in motion.start)
     degrees = ", ".join(
         f"{q * (180 / np.pi if turns else 1000):.2f}"
@@ -106,8 +106,14 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
     length = "m" if not any(request.revolute) else "rad" if all(request.revolute) else "rad or m"
     facts = [
         ("", f"{title}, written by asbuilt"),
-        ("Robot:    ", f"{plain_text(model.name)}, {model.n_joints} joints: {', '.join(names)}"),
-        ("Motion:   ", f"{plain_text(request.name)} ({plain_text(motion.parametrisation)})"),
+        (
+            "Robot:    ",
+            f"{make_plain_text(model.name)}, {model.n_joints} joints: {', '.join(names)}",
+        ),
+        (
+            "Motion:   ",
+            f"{make_plain_text(request.name)} ({make_plain_text(motion.parametrisation)})",
+        ),
         (
             "Duration: ",
             (
@@ -120,7 +126,7 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             "Start:    ",
             f"{start} {length}" + (f" ({degrees} deg)" if all(request.revolute) else ""),
         ),
-        ("Approach: ", f"to the start pose at no more than {_approach(request)}"),
+        ("Approach: ", f"to the start pose at no more than {_describe_approach(request)}"),
     ]
     limits = [
         (
@@ -134,17 +140,17 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             limits.append((label, "NOT CHECKED, the description gives no limit"))
             continue
         place = (
-            f"{plain_text(margin.joint)} at {margin.time:.2f} s: {margin.value:.4g}, limit"
+            f"{make_plain_text(margin.joint)} at {margin.time:.2f} s: {margin.value:.4g}, limit"
             f" {margin.limit:.4g} {margin.unit}"
         )
         limits.append((label, f"{100 * margin.margin:5.1f} %  {place}"))
         known = {each.joint for each in request.report.margins if each.quantity == quantity}
-        missing = [plain_text(each) for each in model.joint_names if each not in known]
+        missing = [make_plain_text(each) for each in model.joint_names if each not in known]
         if missing:
             limits.append((" " * len(label), f"NOT CHECKED for {', '.join(missing)}"))
     safety = [
         ("", "SAFETY"),
-        ("- ", _checked(request)),
+        ("- ", _describe_checks(request)),
         (
             "- ",
             (
@@ -169,29 +175,31 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
     ]
     steps = [
         ("", "HOW TO RUN"),
-        *((f"{k}. ", plain_text(step)) for k, step in enumerate(use, start=1)),
+        *((f"{k}. ", make_plain_text(step)) for k, step in enumerate(use, start=1)),
     ]
     lines: list[str] = []
     for paragraph in (facts, limits, safety, steps):
         for label, text in paragraph:
-            lines += wrapped(text, label)
+            lines += wrap_lines(text, label)
         lines.append("")
     return tuple(lines[:-1])
 
 
-def _approach(request: ProgramRequest) -> str:
+def _describe_approach(request: ProgramRequest) -> str:
     """Return the top speeds of the approach, with their joints if they differ."""
     joints: dict[str, list[str]] = {}
     for name, turns, speed in zip(
         request.model.joint_names, request.revolute, request.approach_speed, strict=True
     ):
-        joints.setdefault(f"{speed:.3g} {'rad/s' if turns else 'm/s'}", []).append(plain_text(name))
+        joints.setdefault(f"{speed:.3g} {'rad/s' if turns else 'm/s'}", []).append(
+            make_plain_text(name)
+        )
     if len(joints) == 1:
         return f"{next(iter(joints))} per joint"
     return "; ".join(f"{speed} ({', '.join(names)})" for speed, names in joints.items())
 
 
-def _checked(request: ProgramRequest) -> str:
+def _describe_checks(request: ProgramRequest) -> str:
     """Return what is checked and what is not."""
     limits = "Checked: the joint limits above, on the description of the robot."
     load = "nor the load of a tool that is not in the description."
@@ -208,7 +216,7 @@ def _checked(request: ProgramRequest) -> str:
         if known.left_out
         else ""
     )
-    return plain_text(
+    return make_plain_text(
         f"{limits} Checked on the motion: bodies of the robot{around}, as {known.source} has them,"
         f" keep at least {1000 * known.distance:.0f} mm from each other.{touching} NOT checked:"
         f" collisions on the approach to the start pose; collisions with anything that"
@@ -216,7 +224,7 @@ def _checked(request: ProgramRequest) -> str:
     )
 
 
-def wrapped(text: str, label: str = "") -> list[str]:
+def wrap_lines(text: str, label: str = "") -> list[str]:
     """Return the text in lines of at most `WIDTH` characters behind a label; names stay whole."""
     return textwrap.wrap(
         text,
@@ -227,7 +235,7 @@ def wrapped(text: str, label: str = "") -> list[str]:
     )
 
 
-def commented(lines: Sequence[str], mark: str) -> str:
+def comment_lines(lines: Sequence[str], mark: str) -> str:
     """Return the lines as comments that begin with `mark`."""
     return "\n".join(f"{mark} {line}".rstrip() for line in lines)
 
@@ -238,7 +246,7 @@ GAINS_TO_FILL_IN = (
 )
 
 
-def sheet_text(
+def format_sheet(
     request: ProgramRequest,
     comments: Sequence[str],
     fields: Mapping[str, Any],
@@ -250,12 +258,16 @@ def sheet_text(
     `gains` says what belongs into the line of gains that waits to be filled in.
     """
     title = f"Recording sheet for the log of motion {request.name} on {request.model.name}."
-    lines = [line for comment in (title, *comments) for line in wrapped(plain_text(comment))]
+    lines = [
+        line for comment in (title, *comments) for line in wrap_lines(make_plain_text(comment))
+    ]
     scalars = {key: value for key, value in fields.items() if not isinstance(value, Mapping)}
     tables = {key: value for key, value in fields.items() if isinstance(value, Mapping)}
     text = tomli_w.dumps(scalars)
     if gains is not None:
         places = ", ".join(f"g{k}" for k in range(1, request.model.n_joints + 1))
-        text += commented([*wrapped(plain_text(gains)), f"gains = [{places}]"], "#") + "\n"
-    parts = [commented(lines, "#") + "\n", text, *([tomli_w.dumps(tables)] if tables else [])]
+        text += (
+            comment_lines([*wrap_lines(make_plain_text(gains)), f"gains = [{places}]"], "#") + "\n"
+        )
+    parts = [comment_lines(lines, "#") + "\n", text, *([tomli_w.dumps(tables)] if tables else [])]
     return "\n".join(parts)

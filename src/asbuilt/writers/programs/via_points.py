@@ -32,7 +32,7 @@ class Segment:
     dwell: float
 
 
-def hermite_knots(motion: Motion, tolerance: float) -> Array:
+def choose_hermite_knots(motion: Motion, tolerance: float) -> Array:
     """Return equally spaced times whose cubics stay within `tolerance` of the motion.
 
     The cubics match position and velocity; the tolerance is in rad or m.
@@ -40,31 +40,31 @@ def hermite_knots(motion: Motion, tolerance: float) -> Array:
 
     def error(knots: Array) -> float:
         cubic = CubicHermiteSpline(knots, motion.derivative(knots), motion.derivative(knots, 1))
-        return _largest_deviation(motion, cubic)
+        return _measure_largest_deviation(motion, cubic)
 
-    return _equal_times(motion, error, tolerance, KNOT_STEPS, "cubics")
+    return _choose_equal_times(motion, error, tolerance, KNOT_STEPS, "cubics")
 
 
-def spline_times(motion: Motion, tolerance: float) -> Array:
+def choose_spline_times(motion: Motion, tolerance: float) -> Array:
     """Return equally spaced times whose cubic spline stays within `tolerance` of the motion.
 
     The spline passes the poses then and is at rest at both ends.
     """
 
     def error(times: Array) -> float:
-        return _largest_deviation(
+        return _measure_largest_deviation(
             motion, CubicSpline(times, motion.derivative(times), bc_type="clamped")
         )
 
-    return _equal_times(motion, error, tolerance, SPLINE_STEPS, "a spline")
+    return _choose_equal_times(motion, error, tolerance, SPLINE_STEPS, "a spline")
 
 
-def point_to_point_segments(motion: Motion) -> tuple[Segment, ...] | None:
+def divide_point_to_point(motion: Motion) -> tuple[Segment, ...] | None:
     """Return the straight segments between rests, or None for other motions.
 
     A rest is where every joint moves slower than it can start within one step of a 1 kHz grid.
     """
-    t = _grid(motion)
+    t = _make_grid(motion)
     q, speed = motion.derivative(t), np.abs(motion.derivative(t, 1))
     slow = np.all(speed <= motion.peaks(2) / GRID_RATE + 1e-12, axis=1)
     slow[[0, -1]] = True
@@ -91,7 +91,7 @@ def point_to_point_segments(motion: Motion) -> tuple[Segment, ...] | None:
     return tuple(segments)
 
 
-def _equal_times(
+def _choose_equal_times(
     motion: Motion,
     error: Callable[[Array], float],
     tolerance: float,
@@ -114,10 +114,10 @@ def _equal_times(
         intervals = int(np.ceil(intervals * 1.25))
 
 
-def _largest_deviation(motion: Motion, curve: CubicSpline | CubicHermiteSpline) -> float:
-    t = _grid(motion)
+def _measure_largest_deviation(motion: Motion, curve: CubicSpline | CubicHermiteSpline) -> float:
+    t = _make_grid(motion)
     return float(np.max(np.abs(curve(t) - motion.derivative(t))))
 
 
-def _grid(motion: Motion) -> Array:
+def _make_grid(motion: Motion) -> Array:
     return np.linspace(0.0, motion.duration, int(np.ceil(motion.duration * GRID_RATE)) + 1)

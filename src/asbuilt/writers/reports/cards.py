@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from asbuilt.identification import Determination, IdentificationResult, non_passive_drives
-from asbuilt.tables import share
+from asbuilt.tables import format_share
 from asbuilt.validation import Comparison, position_unit
 from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
@@ -27,7 +27,7 @@ def error_card(found: Verdict, unit: str) -> Card:
 
     def text(value: float | None) -> str:
         if found.measure == "torque" or value is None:
-            return share(value)
+            return format_share(value)
         return f"{1e3 * value:.3g} {unit}"
 
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
@@ -40,11 +40,13 @@ def error_card(found: Verdict, unit: str) -> Card:
 def torque_card(comparison: Comparison) -> Card:
     """Return how well torque is predicted as built, compared with CAD if that is known."""
     cad, built = comparison.torque[0]
-    error, label = share(built.relative_error), "torque error as built"
+    error, label = format_share(built.relative_error), "torque error as built"
     if cad is None:
         return Card("neutral", error, label)
     better = built.relative_error < cad.relative_error
-    return Card("good" if better else "bad", error, f"{label}, CAD {share(cad.relative_error)}")
+    return Card(
+        "good" if better else "bad", error, f"{label}, CAD {format_share(cad.relative_error)}"
+    )
 
 
 def consistency_card(result: IdentificationResult) -> Card:

@@ -8,19 +8,19 @@ from typing import Any
 
 from markupsafe import Markup
 
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.identification import Determination, IdentificationResult
-from asbuilt.identification.effects.groups import group_title
-from asbuilt.tables import share, significant, wrapped
+from asbuilt.identification.effects.groups import name_group
+from asbuilt.tables import format_share, round_significant, wrap_text
 from asbuilt.validation import Attribution, Comparison, Drift, recording_name
-from asbuilt.validation.comparison.torque_change import joint_table
+from asbuilt.validation.comparison.torque_change import tabulate_joint_changes
 from asbuilt.workflow.controller_model import ControllerComparison
 from asbuilt.writers.figures.comparison_figures import (
-    attribution_figure,
-    difference_figure,
-    drift_figure,
+    draw_attribution,
+    draw_differences,
+    draw_drift,
 )
-from asbuilt.writers.figures.figure_style import figure_address, save_figure
+from asbuilt.writers.figures.figure_style import encode_figure, save_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.cards import determination_card, difference_card, torque_card
 from asbuilt.writers.reports.page import (
@@ -30,8 +30,8 @@ from asbuilt.writers.reports.page import (
     cards_markup,
     image_markup,
     list_markup,
-    page,
     paragraph_markup,
+    render_page,
     table_markup,
 )
 
@@ -59,20 +59,20 @@ class CadVerdict:
             Show everything; else what fits one screen of 80 columns.
         """
         comparison, found = self.comparison, self.attribution
-        parts = [wrapped(self.headline), comparison.heading(full)]
+        parts = [wrap_text(self.headline), comparison.heading(full)]
         if found is None or full:
             parts += [comparison.torque_table().as_text(full)] if comparison.torque else []
         if found is None:
-            parts.append(wrapped(NO_CAUSES) + "\n")
+            parts.append(wrap_text(NO_CAUSES) + "\n")
         elif full:
             parts.append(found.as_text(full))
         else:
-            sentences = [wrapped(line, lines=2) for line in found.findings[:3]]
+            sentences = [wrap_text(line, lines=2) for line in found.findings[:3]]
             table = found.joint_table(comparison.torque[0][1].rms)
             parts.append("\n".join([*sentences, "", table.as_text()]))
         parts.append(comparison.parameter_table().as_text(full))
         if full:
-            sentences = [wrapped(line, "  ") for line in self.determination.sentences]
+            sentences = [wrap_text(line, "  ") for line in self.determination.sentences]
             parts.append("\n".join(["What the recording determines:", *sentences]) + "\n")
         return "\n".join(parts)
 
@@ -84,13 +84,14 @@ class CadVerdict:
         if not comparison.torque:
             return f"{counts}; the result has no torques to compare."
         cad, built = comparison.torque[0]
-        error, source = share(built.relative_error), recording_name(built.source)
+        error, source = format_share(built.relative_error), recording_name(built.source)
         if cad is None:
             return f"As built the torque error is {error} on {source}; {counts}."
         causes = () if self.attribution is None else self.attribution.chosen[:2]
-        why = f", most by {joined([group_title(key) for key in causes])}" if causes else ""
+        why = f", most by {join_names([name_group(key) for key in causes])}" if causes else ""
         return (
-            f"{comparison.cad_source} is off by {share(cad.relative_error)} of the torque (as built"
+            f"{comparison.cad_source} is off by {format_share(cad.relative_error)} of the torque"
+            " (as built"
             f" {error}){why}; {counts}."
         )
 
@@ -130,20 +131,20 @@ class CadVerdict:
         if found is not None:
             mood: Mood = "good" if found.explained > 0.9 else "bad"
             label = "of the squared CAD error explained by causes"
-            cards.insert(-1, Card(mood, share(found.explained), label))
+            cards.insert(-1, Card(mood, format_share(found.explained), label))
             causes = (
                 image_markup(
-                    figure_address(attribution_figure(found)),
+                    encode_figure(draw_attribution(found)),
                     "Shares of the squared CAD error by cause, joint by joint; the numbers are in"
                     " the table below",
                 ),
                 table_markup(found.share_table(), "shares"),
             )
             drawn = image_markup(
-                figure_address(difference_figure(comparison)),
+                encode_figure(draw_differences(comparison)),
                 "Torque of each difference; the numbers are in the table below",
             )
-        return page(
+        return render_page(
             result.robot,
             f"as built against {comparison.cad_source}",
             [
@@ -194,8 +195,8 @@ def write_comparison(
         return files
     return files | {
         "attribution": atomic_write(folder / "attribution.csv", found.share_table().as_csv()),
-        "attribution_figure": save_figure(attribution_figure(found), folder / "attribution.png"),
-        "difference_figure": save_figure(difference_figure(comparison), folder / "differences.png"),
+        "attribution_figure": save_figure(draw_attribution(found), folder / "attribution.png"),
+        "difference_figure": save_figure(draw_differences(comparison), folder / "differences.png"),
     }
 
 
@@ -205,17 +206,17 @@ def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[st
     return {
         "comparison": atomic_write(folder / "drift.csv", drift.table().as_csv()),
         "text": atomic_write(folder / "drift.txt", compared.as_text(full=True)),
-        "report": atomic_write(folder / "drift.html", drift_html(compared)),
+        "report": atomic_write(folder / "drift.html", render_drift(compared)),
     }
 
 
-def drift_html(compared: Drift | ControllerComparison) -> str:
+def render_drift(compared: Drift | ControllerComparison) -> str:
     """Return the page of two results of one robot, or of a result and its controller's model."""
     drift = compared if isinstance(compared, Drift) else compared.difference
-    cards, sentences = _drift_cards(drift), [drift.verdict(), *drift.sentences]
+    cards, sentences = _make_drift_cards(drift), [drift.verdict(), *drift.sentences]
     verdict: list[Markup] = []
     if isinstance(compared, ControllerComparison):
-        cards.insert(0, _prediction_card(compared))
+        cards.insert(0, _make_prediction_card(compared))
         sentences.insert(0, compared.verdict())
         verdict.append(table_markup(compared.torque_table(), "torque-table"))
     drawn: list[Markup] = []
@@ -224,8 +225,8 @@ def drift_html(compared: Drift | ControllerComparison) -> str:
             "Torque of the changes at every joint next to what standard errors explain; the numbers"
             " are in the table below"
         )
-        joints = joint_table(drift.joints, drift.level, of_models=drift.of_models)
-        drawn.append(image_markup(figure_address(drift_figure(drift)), words))
+        joints = tabulate_joint_changes(drift.joints, drift.level, of_models=drift.of_models)
+        drawn.append(image_markup(encode_figure(draw_drift(drift)), words))
         drawn.append(table_markup(joints, "joints-by-torque"))
     changed, others = (
         [table_markup(drift.table(changed=which), name, "scroll parameters")] if count else []
@@ -236,7 +237,7 @@ def drift_html(compared: Drift | ControllerComparison) -> str:
     )
     none = f"No parameter {'differs' if drift.of_models else 'changed'} significantly."
     order = "Parameters" + (", those with the most torque first" if drift.joints else "")
-    return page(
+    return render_page(
         drift.robot,
         f"{drift.after} against {drift.before}",
         [
@@ -249,13 +250,13 @@ def drift_html(compared: Drift | ControllerComparison) -> str:
     )
 
 
-def _prediction_card(controller: ControllerComparison) -> Card:
+def _make_prediction_card(controller: ControllerComparison) -> Card:
     built, maker = controller.as_built.relative_error, controller.controller.relative_error
-    label = f"torque error as built, controller's model {share(maker)}"
-    return Card("good" if built < maker else "neutral", share(built), label)
+    label = f"torque error as built, controller's model {format_share(maker)}"
+    return Card("good" if built < maker else "neutral", format_share(built), label)
 
 
-def _drift_cards(drift: Drift) -> list[Card]:
+def _make_drift_cards(drift: Drift) -> list[Card]:
     verb = "differ" if drift.of_models else "changed"
     tested = sum(parameter.sigmas is not None for parameter in drift.parameters)
     changed = [joint for joint in drift.joints if joint.holm <= drift.level]
@@ -269,7 +270,7 @@ def _drift_cards(drift: Drift) -> list[Card]:
     ]
     if changed:
         most = max(changed, key=lambda joint: joint.torque)
-        of = f"{significant(most.torque_of_motion)} {most.unit} RMS torque"
-        figure = f"{significant(most.torque)} {most.unit}"
+        of = f"{round_significant(most.torque_of_motion)} {most.unit} RMS torque"
+        figure = f"{round_significant(most.torque)} {most.unit}"
         cards.append(Card("neutral", figure, f"largest, at {most.joint}, of {of}"))
     return cards

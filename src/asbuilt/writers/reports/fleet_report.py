@@ -11,8 +11,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from asbuilt.tables import Column, Table, share
-from asbuilt.validation.comparison.significance import probability_text
+from asbuilt.tables import Column, Table, format_share
+from asbuilt.validation.comparison.significance import format_probability
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, RobotDrift, TypeVariation
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
@@ -20,11 +20,11 @@ from asbuilt.writers.reports.page import (
     Card,
     cards_markup,
     list_markup,
-    page,
+    render_page,
     section_markup,
     table_markup,
 )
-from asbuilt.writers.tables.fleet_tables import drift_verdict
+from asbuilt.writers.tables.fleet_tables import describe_drift_outcome
 
 SMALL, LARGE = (220, 40), (640, 150)
 """Width and height of a history in a row, and in a robot's own part."""
@@ -59,10 +59,10 @@ def write_fleet_report(path: str | os.PathLike[str], drift: FleetDrift) -> Path:
     drift
         What `fleet_drift` found.
     """
-    return atomic_write(path, fleet_html(drift))
+    return atomic_write(path, render_fleet(drift))
 
 
-def fleet_html(drift: FleetDrift) -> str:
+def render_fleet(drift: FleetDrift) -> str:
     """Return the page as text."""
     order = sorted(
         drift.robots,
@@ -73,9 +73,9 @@ def fleet_html(drift: FleetDrift) -> str:
             each.id,
         ),
     )
-    rows = [_row(each) for each in order]
-    changes = section_markup(CHANGES, {"verdict": drift_verdict(drift), "rows": rows})
-    return page(
+    rows = [_build_row(each) for each in order]
+    changes = section_markup(CHANGES, {"verdict": describe_drift_outcome(drift), "rows": rows})
+    return render_page(
         "Fleet",
         f"{len(drift.robots)} robots",
         [
@@ -83,7 +83,7 @@ def fleet_html(drift: FleetDrift) -> str:
                 "verdict",
                 "Verdict",
                 (
-                    cards_markup(_cards(drift)),
+                    cards_markup(_make_cards(drift)),
                     changes,
                     list_markup((each.severity, each.text) for each in drift.findings),
                 ),
@@ -101,7 +101,7 @@ def fleet_html(drift: FleetDrift) -> str:
     )
 
 
-def _torque_text(kind: TypeVariation) -> str:
+def _format_torques(kind: TypeVariation) -> str:
     """Return the torque of each joint, neighbours of the same unit followed by it once."""
     each = zip(kind.torque_units, kind.torque, strict=True)
     return ", ".join(
@@ -115,11 +115,11 @@ TYPES = (
     Column("robots", align="right", of="n_robots"),
     Column("days", align="right", of="n_days"),
     Column("directions", align="right", of="n_directions"),
-    Column("natural variation, RMS torque of each joint", of=_torque_text),
+    Column("natural variation, RMS torque of each joint", of=_format_torques),
 )
 
 
-def _cards(drift: FleetDrift) -> list[Card]:
+def _make_cards(drift: FleetDrift) -> list[Card]:
     last = max((each.last for each in drift.robots), default="")[:10]
     return [
         Card(
@@ -129,26 +129,30 @@ def _cards(drift: FleetDrift) -> list[Card]:
         ),
         Card("neutral", f"{sum(each.n_logs for each in drift.robots)}", "logs"),
         Card("neutral", last, "last log"),
-        Card("neutral", share(drift.false_discovery_rate, 0), "of the robots named may be wrong"),
+        Card(
+            "neutral",
+            format_share(drift.false_discovery_rate, 0),
+            "of the robots named may be wrong",
+        ),
     ]
 
 
-def _row(robot: RobotDrift) -> dict[str, Any]:
+def _build_row(robot: RobotDrift) -> dict[str, Any]:
     """Return what the page shows of a robot."""
     quiet = "too few days" if robot.p_value is None else "no change"
     return {
         "robot": robot,
         "status": f"changed {(robot.when or '')[:10]}" if robot.changed else quiet,
-        "p_value": "" if robot.p_value is None else probability_text(robot.p_value),
+        "p_value": "" if robot.p_value is None else format_probability(robot.p_value),
         "span": f"{robot.first[:10]} to {robot.last[:10]}",
-        "small": _history(robot, *SMALL, labels=False),
-        "large": _history(robot, *LARGE, labels=True),
+        "small": _draw_history(robot, *SMALL, labels=False),
+        "large": _draw_history(robot, *LARGE, labels=True),
     }
 
 
-def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Markup:
+def _draw_history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Markup:
     """Return the distances over the days as SVG, on a linear scale of their own."""
-    points = _thinned(robot)
+    points = _thin_distances(robot)
     if not points:
         return Markup("")
     left, bottom, top = (34, 20, 8) if labels else (2, 2, 2)
@@ -188,7 +192,7 @@ def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Mar
     )
 
 
-def _thinned(robot: RobotDrift) -> list[tuple[int, float]]:
+def _thin_distances(robot: RobotDrift) -> list[tuple[int, float]]:
     """Return days as ordinals and distances, the largest of neighbours where there are many."""
     points = [
         (date.fromisoformat(day).toordinal(), value)

@@ -14,26 +14,26 @@ from PIL import Image
 from asbuilt.arrays import Array
 from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
-from asbuilt.excitation.information.information import limited_model
-from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
+from asbuilt.excitation.information.information import complete_limits
+from asbuilt.writers.figures.figure_style import apply_style, encode_figure, make_blank_figure
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import skeleton_frames
+from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
 from asbuilt.writers.reports.page import (
     Block,
     facts_markup,
     image_markup,
     list_markup,
-    page,
+    render_page,
     section_markup,
     table_markup,
 )
 from asbuilt.writers.tables.design_tables import (
+    describe_margins,
     design_facts,
     design_table,
     design_title,
-    margin_table,
-    margin_verdict,
+    tabulate_margins,
 )
 
 POINTS = 400
@@ -54,22 +54,24 @@ CURVE, LIMIT, PATH_SIZE = "#0072b2", "#b3261e", (900, 675)
 
 def write_motion_report(path: str | os.PathLike[str], design: Design | StaticDesign) -> Path:
     """Write the page of a designed motion as a self-contained HTML file."""
-    return atomic_write(path, motion_html(design))
+    return atomic_write(path, render_motion(design))
 
 
-def motion_html(design: Design | StaticDesign) -> str:
+def render_motion(design: Design | StaticDesign) -> str:
     """Return the page of a designed motion; it needs no network, and every name is escaped."""
     limits = design.limits
     remarks = [
-        ("" if limits.is_respected else "bad", margin_verdict(limits)),
+        ("" if limits.is_respected else "bad", describe_margins(limits)),
         *(
             ("" if each.severity == "info" else "bad", each.message)
             for each in design_findings(design)
         ),
     ]
     title = "Predicted standard errors" if isinstance(design, Design) else "Poses"
-    drawn = zip(design.model.joint_names, map(figure_address, joint_figures(design)), strict=True)
-    return page(
+    drawn = zip(
+        design.model.joint_names, map(encode_figure, draw_joint_figures(design)), strict=True
+    )
+    return render_page(
         design.model.name,
         design_title(design),
         [
@@ -79,10 +81,10 @@ def motion_html(design: Design | StaticDesign) -> str:
                 (
                     list_markup(remarks),
                     facts_markup(design_facts(design)),
-                    table_markup(margin_table(limits), "margins"),
+                    table_markup(tabulate_margins(limits), "margins"),
                 ),
             ),
-            Block("path", "Path of the tool", (image_markup(_path_address(design), PATH),), "Path"),
+            Block("path", "Path of the tool", (image_markup(_draw_path(design), PATH),), "Path"),
             Block(
                 "joints-drawn",
                 "Joints and their limits",
@@ -95,10 +97,10 @@ def motion_html(design: Design | StaticDesign) -> str:
     )
 
 
-def joint_figures(design: Design | StaticDesign) -> list[Figure]:
+def draw_joint_figures(design: Design | StaticDesign) -> list[Figure]:
     """Draw position, velocity, acceleration and torque of each joint against their limits."""
     model, motion = design.model, design.motion
-    bounds = MotionBounds.of(limited_model(model)[0])
+    bounds = MotionBounds.of(complete_limits(model)[0])
     t = np.linspace(0.0, motion.duration, POINTS)
     q, qd, qdd = motion.at(t)
     drive, values = described_drive(model)
@@ -115,8 +117,8 @@ def joint_figures(design: Design | StaticDesign) -> list[Figure]:
             f"acceleration\n{unit}/s\u00b2",
             f"torque\n{'N m' if joint.is_revolute else 'N'}",
         )
-        figure = blank_figure(4.6, 5.4)
-        with styled():
+        figure = make_blank_figure(4.6, 5.4)
+        with apply_style():
             all_axes = figure.subplots(4, 1, sharex=True)
             for k, (axes, x) in enumerate(zip(all_axes, (q, qd, qdd, torque), strict=True)):
                 _draw(axes, t, x[:, j], float(lower[k][j]), float(upper[k][j]), names[k])
@@ -135,9 +137,9 @@ def _draw(axes: Axes, t: Array, x: Array, low: float, high: float, name: str) ->
     axes.margins(x=0.0)
 
 
-def _path_address(design: Design | StaticDesign) -> str:
+def _draw_path(design: Design | StaticDesign) -> str:
     """Return the skeleton at the start and the path of the tool as a data address."""
     view = MotionView.of_motion(design.model, design.motion, most=2).first()
     stream = io.BytesIO()
-    Image.fromarray(next(skeleton_frames(view, *PATH_SIZE))).save(stream, "PNG")
+    Image.fromarray(next(draw_skeleton_frames(view, *PATH_SIZE))).save(stream, "PNG")
     return data_address(stream.getvalue(), "image/png")

@@ -45,7 +45,7 @@ class Block:
     folded: bool = False
 
 
-def page(heading: str, subject: str, blocks: Iterable[Block], **fields: Any) -> str:
+def render_page(heading: str, subject: str, blocks: Iterable[Block], **fields: Any) -> str:
     """Return a page; blocks without parts are left out.
 
     `fields` belong to the template: `title`, `subtitle`, and for plots `script` and `data`.
@@ -55,16 +55,16 @@ def page(heading: str, subject: str, blocks: Iterable[Block], **fields: Any) -> 
         "subject": subject,
         "title": f"{heading}: {subject}",
         "blocks": [block for block in blocks if any(block.parts)],
-        "version": _version(),
+        "version": _read_version(),
         "citation": CITATION,
-        "style": resource("report.css"),
+        "style": read_resource("report.css"),
     }
-    return _environment().get_template("page.html.j2").render(own | fields)
+    return _load_environment().get_template("page.html.j2").render(own | fields)
 
 
 def section_markup(template: str, fields: Mapping[str, Any]) -> Markup:
     """Return the text of a template filled with fields; all text but `Markup` is escaped."""
-    return Markup(_environment().from_string(template).render(**fields))
+    return Markup(_load_environment().from_string(template).render(**fields))
 
 
 def cards_markup(cards: Sequence[Card]) -> Markup:
@@ -112,13 +112,13 @@ def table_markup(table: Table, identifier: str, kind: str = "scroll") -> Markup:
     return Markup('<div class="{}">{}</div>').format(kind, Markup(table.as_html(identifier)))
 
 
-def resource(name: str) -> Markup:
+def read_resource(name: str) -> Markup:
     """Return the text of a file in the folder of templates, unescaped."""
     return Markup((Path(__file__).parent / "templates" / name).read_text(encoding="utf-8"))
 
 
 @cache
-def _environment() -> Environment:
+def _load_environment() -> Environment:
     return Environment(
         loader=PackageLoader("asbuilt.writers.reports", "templates"),
         autoescape=True,
@@ -128,7 +128,7 @@ def _environment() -> Environment:
     )
 
 
-def _version() -> str:
+def _read_version() -> str:
     try:
         return version("asbuilt")
     except PackageNotFoundError:

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.validation import ResidualAnalysis, Validation, VelocityCurve, recording_name
 from asbuilt.workflow.study import Study
-from asbuilt.writers.figures.thinning import thinned
+from asbuilt.writers.figures.thinning import thin_curves
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.reports.page import Block, page, resource, section_markup
+from asbuilt.writers.reports.page import Block, read_resource, render_page, section_markup
 from asbuilt.writers.reports.section import Report, sections
 
 
@@ -66,14 +66,14 @@ def report_html(
             shown.append(Block(identifier, section.title, (body,), folded=section.folded))
     robot = study.result.robot
     sources = ", ".join(recording_name(source) for source in study.result.sources)
-    return page(
+    return render_page(
         robot,
         "as built",
         shown,
         title=f"{robot}, as built",
         subtitle=f"Identified from {sources}",
-        data=plain(plot_data(report)),
-        script=resource("plot.js") + resource("report.js"),
+        data=make_plain(plot_data(report)),
+        script=read_resource("plot.js") + read_resource("report.js"),
     )
 
 
@@ -90,31 +90,31 @@ def plot_data(report: Report) -> dict[str, Any]:
     points = int(np.clip(CURVE_POINTS / joints / 4, FEWEST, MOST))
     return {
         "joints": list(result.joint_names),
-        "recordings": [_recording_data(each, points) for each in predictions],
-        "singular_values": _listed(result.singular_values),
+        "recordings": [_collect_recording_data(each, points) for each in predictions],
+        "singular_values": _round_values(result.singular_values),
         "rank": result.rank,
     }
 
 
-def _recording_data(validation: Validation, points: int) -> dict[str, Any]:
+def _collect_recording_data(validation: Validation, points: int) -> dict[str, Any]:
     curves, analysis = validation.friction_curves(), validation.residuals()
     return {
         "n_samples": len(validation.t),
         "joints": [
-            _joint_data(validation, analysis, curves[k], k, points)
+            _collect_joint_data(validation, analysis, curves[k], k, points)
             for k in range(len(validation.joint_names))
         ],
     }
 
 
-def _joint_data(
+def _collect_joint_data(
     validation: Validation, analysis: ResidualAnalysis, friction: VelocityCurve, k: int, points: int
 ) -> dict[str, Any]:
     measured, built, cad = (
         torque[:, k]
         for torque in (validation.measured, validation.predicted, validation.predicted_cad)
     )
-    t, *curves = thinned(validation.t, measured, built, cad, measured - built, points=points)
+    t, *curves = thin_curves(validation.t, measured, built, cad, measured - built, points=points)
     error = measured - built
     spread = float(np.std(error)) or 1.0
     clipped = np.clip((error - error.mean()) / spread, -5, 5)
@@ -129,29 +129,29 @@ def _joint_data(
         "speed_unit": "rad/s" if validation.units[k] == "N m" else "m/s",
         "rms": float(f"{validation.metrics_as_built.rms[k]:.3g}"),
         "rms_cad": float(f"{validation.metrics_cad.rms[k]:.3g}"),
-        "t": _listed(t, 6),
-        "measured": _listed(curves[0]),
-        "built": _listed(curves[1]),
-        "cad": _listed(curves[2]),
+        "t": _round_values(t, 6),
+        "measured": _round_values(curves[0]),
+        "built": _round_values(curves[1]),
+        "cad": _round_values(curves[2]),
         "histogram": {
-            "z": _listed(0.5 * (edges[1:] + edges[:-1])),
-            "density": _listed(counts),
+            "z": _round_values(0.5 * (edges[1:] + edges[:-1])),
+            "density": _round_values(counts),
             "spread": float(f"{spread:.3g}"),
         },
-        "lags": _listed(analysis.lags[::step]),
-        "correlation": _listed(analysis.autocorrelation[::step, k], 3),
+        "lags": _round_values(analysis.lags[::step]),
+        "correlation": _round_values(analysis.autocorrelation[::step, k], 3),
         "band": float(f"{1.96 / math.sqrt(analysis.n_samples):.4g}"),
         "friction": {
-            "speed": _listed(validation.velocity[order, k], 4),
-            "torque": _listed(error[order] + validation.drive[order, k], 4),
-            "law": _listed(validation.drive[order, k], 4),
-            "bin": _listed(friction.velocity, 4),
-            "median": _listed(friction.median, 4),
+            "speed": _round_values(validation.velocity[order, k], 4),
+            "torque": _round_values(error[order] + validation.drive[order, k], 4),
+            "law": _round_values(validation.drive[order, k], 4),
+            "bin": _round_values(friction.velocity, 4),
+            "median": _round_values(friction.median, 4),
         },
     }
 
 
-def _listed(values: Array, digits: int = 5) -> list[float | None]:
+def _round_values(values: Array, digits: int = 5) -> list[float | None]:
     return [
         float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()
     ]

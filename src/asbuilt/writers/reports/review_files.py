@@ -9,23 +9,23 @@ from typing import Any
 
 import polars as pl
 
-from asbuilt.codec import json_text
-from asbuilt.findings import Finding, joined
+from asbuilt.codec import format_json
+from asbuilt.findings import Finding, join_names
 from asbuilt.tables import (
     Cell,
     Column,
     Table,
-    estimated,
-    plus_minus,
-    share,
-    significant,
-    wrapped,
+    format_estimate,
+    format_plus_minus,
+    format_share,
+    round_significant,
+    wrap_text,
 )
 from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
 from asbuilt.writers.figures.comparison_figures import review_figure
-from asbuilt.writers.figures.figure_style import figure_address, save_figure
+from asbuilt.writers.figures.figure_style import encode_figure, save_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,
@@ -34,7 +34,7 @@ from asbuilt.writers.reports.page import (
     cards_markup,
     image_markup,
     list_markup,
-    page,
+    render_page,
     table_markup,
 )
 
@@ -69,38 +69,40 @@ def review_text(
     review: Review, *, full: bool = False, finding_text: Callable[[Finding], str] | None = None
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
-    head = wrapped(review_headline(review))
+    head = wrap_text(review_headline(review))
     findings = [
-        wrapped(finding_text(each))
+        wrap_text(finding_text(each))
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
-    return "\n".join([head, *letter_lines(review), *findings, review_table(review).as_text(full)])
+    return "\n".join([head, *compose_letter(review), *findings, review_table(review).as_text(full)])
 
 
-def letter_lines(review: Review) -> list[str]:
+def compose_letter(review: Review) -> list[str]:
     """Return the letter of the description with its rule; nothing if it has no masses."""
     if review.letter is None:
         return []
     sentence = (
-        f"{review.letter}: the description predicts these recordings to {share(review.error)} of"
+        f"{review.letter}: the description predicts these recordings to"
+        f" {format_share(review.error)} of"
         f" the torque ({LETTERS.text})"
     )
-    return [wrapped(sentence)]
+    return [wrap_text(sentence)]
 
 
 def review_headline(review: Review) -> str:
     """Return what a user decides by: which claims the log contradicts, in a sentence."""
     against = [claim for claim in review.claims if claim.verdict == "contradicted"]
-    logs = joined([recording_name(source) for source in review.sources], 2)
+    logs = join_names([recording_name(source) for source in review.sources], 2)
     rest = f"{review.count('supported')} are supported, {review.count('undetermined')} undetermined"
     if not against:
         return f"{logs} contradicts none of {len(review.claims)} claimed numbers: {rest}."
     worst = max(against, key=lambda claim: claim.torque or 0.0)
-    value = "" if worst.estimate is None else plus_minus(worst.estimate, worst.std_error)
+    value = "" if worst.estimate is None else format_plus_minus(worst.estimate, worst.std_error)
     return (
         f"{logs} contradicts {len(against)} of {len(review.claims)} claimed numbers, most of all"
-        f" {worst.what} of {worst.joint}: {value} {worst.unit} for {significant(worst.claimed)};"
+        f" {worst.what} of {worst.joint}: {value} {worst.unit} for"
+        f" {round_significant(worst.claimed)};"
         f" {rest}."
     )
 
@@ -114,8 +116,8 @@ CLAIMS = (
     Column("joint", width=22, of="joint"),
     Column("unit", detail=True, of="unit"),
     Column("claimed", align="decimal", style=3, of="claimed"),
-    Column("log", align="decimal", of=lambda c: _estimated(c)[0]),
-    Column("std err", align="decimal", of=lambda c: _estimated(c)[1]),
+    Column("log", align="decimal", of=lambda c: _show_estimate(c)[0]),
+    Column("std err", align="decimal", of=lambda c: _show_estimate(c)[1]),
     Column("torque", "N m", "decimal", style=3, of="torque"),
     Column("alias of", width=60, detail=True, of=lambda c: ", ".join(c.alias_of)),
     Column("note", width=60, detail=True, of="note"),
@@ -126,11 +128,13 @@ def review_table(review: Review) -> Table:
     """Return one row per claim, contradicted ones first; short: drives before bodies."""
     tolerance = review.tolerance
     plausible = (
-        f"{share(tolerance.mass, 0)} of mass, {share(tolerance.centre, 0)} of the radius of"
-        f" gyration for centres and {share(tolerance.inertia, 0)} of the mean moment"
+        f"{format_share(tolerance.mass, 0)} of mass, {format_share(tolerance.centre, 0)} of the"
+        " radius of"
+        f" gyration for centres and {format_share(tolerance.inertia, 0)} of the mean moment"
     )
     widened = (
-        f"Standard errors are widened by the factor {significant(review.misfit)}: no plausible"
+        f"Standard errors are widened by the factor {round_significant(review.misfit)}: no"
+        " plausible"
         " numbers explain the log to its errors."
     )
     return Table.of(
@@ -138,10 +142,11 @@ def review_table(review: Review) -> Table:
         CLAIMS,
         title="Claimed numbers, and estimates from the log not regularised toward them",
         notes=(
-            f"CONTRADICTED: off by more than {share(RESOLUTION, 0)} of its size, at a false"
-            f" discovery rate of {share(review.level, 0)} over all numbers.",
-            f"supported: standard error at most {share(DETERMINED, 0)} of its size, and the"
-            f" difference at most {share(RESOLUTION, 0)} of it or by chance in {share(DOUBTFUL, 0)}"
+            f"CONTRADICTED: off by more than {format_share(RESOLUTION, 0)} of its size, at a false"
+            f" discovery rate of {format_share(review.level, 0)} over all numbers.",
+            f"supported: standard error at most {format_share(DETERMINED, 0)} of its size, and the"
+            f" difference at most {format_share(RESOLUTION, 0)} of it or by chance in"
+            f" {format_share(DOUBTFUL, 0)}"
             " of logs or more; undetermined: all others.",
             "Size: the claim itself, or 1 in its unit where it is 0, of drives and masses; of a"
             " centre the radius of gyration, of an inertia the mean moment of the link.",
@@ -149,11 +154,11 @@ def review_table(review: Review) -> Table:
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
             *([widened] if review.misfit > 1.0 else []),
         ),
-        important=_important(review),
+        important=_select_important(review),
     )
 
 
-def _important(review: Review) -> tuple[int, ...]:
+def _select_important(review: Review) -> tuple[int, ...]:
     """Return the places of the claims in a short text: contradicted, then drives, then bodies."""
     order = sorted(
         range(len(review.claims)),
@@ -166,8 +171,10 @@ def _important(review: Review) -> tuple[int, ...]:
     return tuple(sorted(order[:MOST_CLAIMS]))
 
 
-def _estimated(claim: Claim) -> tuple[Cell, ...]:
-    return (None, None) if claim.estimate is None else estimated(claim.estimate, claim.std_error)
+def _show_estimate(claim: Claim) -> tuple[Cell, ...]:
+    return (
+        (None, None) if claim.estimate is None else format_estimate(claim.estimate, claim.std_error)
+    )
 
 
 MOODS: dict[str, Mood] = {"contradicted": "bad", "supported": "good", "undetermined": "neutral"}
@@ -179,12 +186,12 @@ def write_review(folder: Path, review: Review) -> dict[str, Path]:
     Returns the paths by kind. The tables have the fields of `Claim`, unrounded; `alias_of` is a
     list in Parquet, and joined by semicolons in CSV.
     """
-    frame = claims_frame(review)
+    frame = tabulate_claims(review)
     stream = io.BytesIO()
     frame.write_parquet(stream)
     flat = frame.with_columns(pl.col("alias_of").list.join("; "))
     return {
-        "review": atomic_write(folder / "review.json", json_text(review_document(review))),
+        "review": atomic_write(folder / "review.json", format_json(review_document(review))),
         "table": atomic_write(folder / "claims.csv", flat.write_csv()),
         "parquet": atomic_write(folder / "claims.parquet", stream.getvalue()),
         "report": atomic_write(folder / "review.html", review_html(review)),
@@ -192,7 +199,7 @@ def write_review(folder: Path, review: Review) -> dict[str, Path]:
     }
 
 
-def claims_frame(review: Review) -> pl.DataFrame:
+def tabulate_claims(review: Review) -> pl.DataFrame:
     """Return one row per claim, contradicted ones first, with the fields of `Claim`."""
     return pl.DataFrame(
         [claim.as_dict() for claim in review.claims],
@@ -213,13 +220,13 @@ def review_html(review: Review) -> str:
     table = review_table(review)
     cards = [Card(MOODS[each], str(review.count(each)), each) for each in ORDER]
     drawn = image_markup(
-        figure_address(review_figure(review)),
+        encode_figure(review_figure(review)),
         "Armature, damping, friction loss and stiffness of each joint as the log has them, with"
         " bars of two standard errors, next to what the description claims; the numbers are in the"
         " table below",
     )
     found = list_markup((each.severity, each.text) for each in review.findings)
-    return page(
+    return render_page(
         review.robot,
         f"{len(review.claims)} claimed numbers",
         [

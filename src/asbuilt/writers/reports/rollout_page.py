@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from asbuilt.description.model import RobotModel
-from asbuilt.tables import share
+from asbuilt.tables import format_share
 from asbuilt.validation import Rollout, RolloutErrors, recording_name, rollout_findings
-from asbuilt.validation.rollout.joint_errors import joint_table
+from asbuilt.validation.rollout.joint_errors import tabulate_joint_errors
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 from asbuilt.writers.reports.page import (
@@ -18,11 +18,11 @@ from asbuilt.writers.reports.page import (
     cards_markup,
     image_markup,
     list_markup,
-    page,
+    render_page,
     section_markup,
     table_markup,
 )
-from asbuilt.writers.reports.sections.prediction import ROLLOUT, rollout_fields
+from asbuilt.writers.reports.sections.prediction import ROLLOUT, fill_rollout_fields
 
 
 def write_rollouts(
@@ -34,12 +34,12 @@ def write_rollouts(
         files["animation"] = write_rollout_animation(animation, model, rollouts[-1])
     if rollouts and folder is not None:
         files["rollout"] = atomic_write(
-            folder / "rollout.html", rollout_html(model, rollouts, animation=animation)
+            folder / "rollout.html", render_rollouts(model, rollouts, animation=animation)
         )
     return files
 
 
-def rollout_html(
+def render_rollouts(
     model: RobotModel, rollouts: Sequence[Rollout], *, animation: Path | None = None
 ) -> str:
     """Return the page of rollouts as text."""
@@ -51,15 +51,16 @@ def rollout_html(
         words = "The measured robot in grey, the simulated one as lines"
         moving.append(image_markup(data_address(animation.read_bytes(), kind), words))
     joints = [
-        table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
+        table_markup(tabulate_joint_errors(model, each), f"joints-{k}")
+        for k, each in enumerate(rollouts)
     ]
     findings = list_markup(each.text for each in rollout_findings(rollouts))
-    motion = section_markup(ROLLOUT, rollout_fields(model, rollouts))
-    return page(
+    motion = section_markup(ROLLOUT, fill_rollout_fields(model, rollouts))
+    return render_page(
         model.name,
         ", ".join(logs),
         [
-            Block("verdict", "Verdict", (cards_markup(_cards(longest)), findings)),
+            Block("verdict", "Verdict", (cards_markup(_make_cards(longest)), findings)),
             Block("animation", "Animation", moving),
             Block("motion", "Measured and simulated motion", (motion,), "Motion"),
             Block("by-joint", "Joint by joint", joints, "Joints"),
@@ -68,7 +69,7 @@ def rollout_html(
     )
 
 
-def _cards(rollout: Rollout) -> list[Card]:
+def _make_cards(rollout: Rollout) -> list[Card]:
     horizon = f"over {rollout.horizon:g} s"
     cad, built = rollout.cad, rollout.as_built
     better = cad is not None and built is not None and built.rms_all_until < cad.rms_all_until
@@ -86,5 +87,5 @@ def _cards(rollout: Rollout) -> list[Card]:
     if better and cad is not None and built is not None:
         less = 1.0 - built.rms_all_until / cad.rms_all_until
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""
-        cards.append(Card("good", share(less), f"less error than CAD{until}"))
+        cards.append(Card("good", format_share(less), f"less error than CAD{until}"))
     return cards

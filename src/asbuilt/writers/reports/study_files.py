@@ -11,19 +11,19 @@ from asbuilt import writers
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Cure
 from asbuilt.identification import IdentificationResult, gear_ratios, motor_side_parameters
-from asbuilt.tables import wrapped
+from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, file_set
-from asbuilt.writers.models.as_built import as_built, keeping_described_drives
-from asbuilt.writers.tables.drive_tables import motor_side_table
+from asbuilt.writers.models.as_built import as_built, keep_described_drives
+from asbuilt.writers.tables.drive_tables import tabulate_motor_side
 from asbuilt.writers.tables.mass_tables import exported_masses
-from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
-from asbuilt.writers.tables.rollout_tables import refined_text, rollout_text, with_rollouts
+from asbuilt.writers.tables.payload_tables import payload_document, payload_text, tabulate_payload
+from asbuilt.writers.tables.rollout_tables import describe_refinement, rollout_text, with_rollouts
 from asbuilt.writers.tables.tabular import (
-    identified_table,
     identify_document,
-    prediction_table,
+    tabulate_identified,
+    tabulate_prediction,
     write_json,
 )
 
@@ -57,22 +57,22 @@ def study_text(
     """
     if not full:
         text = study.summary().as_text(cure_text=cure_text)
-        return text if payload is None else f"{text}\n{payload_table(payload).as_text()}"
+        return text if payload is None else f"{text}\n{tabulate_payload(payload).as_text()}"
     summary, masses = study.summary(), exported_masses(study.result)
     if masses is not None:
         summary = summary.with_mass((masses.total_cad, masses.total_as_built), masses.links)
     parts = [summary.as_text(full, cure_text)]
     if gear_ratios(study.result.model):
-        drives = motor_side_table(motor_side_parameters(study.result)).as_text(full)
+        drives = tabulate_motor_side(motor_side_parameters(study.result)).as_text(full)
         parts.append(f"Drives at the motor\n{drives}")
     if study.cutoffs is not None:
         parts.append(study.cutoffs.table().as_text(full))
     parts.append(study.comparison.torque_table().as_text(full))
-    parts.append(wrapped(study.comparison.verdict()) + "\n")
+    parts.append(wrap_text(study.comparison.verdict()) + "\n")
     if study.rollouts:
         parts.append(rollout_text(study.result.model, study.rollouts, full=full).lstrip("\n"))
     if study.refined is not None:
-        parts.append(refined_text(study.refined))
+        parts.append(describe_refinement(study.refined))
     if payload is not None:
         parts.append(payload_text(payload, full))
     return "\n".join(parts)
@@ -135,7 +135,7 @@ def write_study(
             "result": write_result(folder / "result.json", study),
             "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
             "parameters": atomic_write(
-                folder / "parameters.csv", identified_table(result).as_csv()
+                folder / "parameters.csv", tabulate_identified(result).as_csv()
             ),
         }
         if payload is not None:
@@ -160,10 +160,10 @@ def _write_robot(
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write robot.toml and robot.urdf, if there can be such, and note what they lack."""
     from asbuilt.writers.models.export import (  # noqa: PLC0415 - light start
+        find_urdf_to_edit,
         load_note,
-        urdf_to_edit,
     )
-    from asbuilt.writers.models.physical import impossibilities  # noqa: PLC0415 - light start
+    from asbuilt.writers.models.physical import list_impossibilities  # noqa: PLC0415 - light start
     from asbuilt.writers.models.robot_toml import write_robot_toml  # noqa: PLC0415 - light start
     from asbuilt.writers.models.urdf import write_urdf  # noqa: PLC0415 - light start
 
@@ -175,10 +175,10 @@ def _write_robot(
         files["robot"] = write_robot_toml(folder / "robot.toml", built.model)
         notes["robot"] = load_note(result, built)
         kind = "urdf"
-        original, missing = urdf_to_edit(result.model)
+        original, missing = find_urdf_to_edit(result.model)
         notes["urdf"] = tuple(f"not written: {why}" for why in missing)
-        impossible = original is not None and impossibilities(built.model)
-        in_simulators, kept = keeping_described_drives(built.model, result.model)
+        impossible = original is not None and list_impossibilities(built.model)
+        in_simulators, kept = keep_described_drives(built.model, result.model)
         if impossible:
             notes["urdf"] = (
                 f"not written: {impossible[0]}; the nearest consistent model can be exported",
@@ -204,7 +204,7 @@ def write_validations(
     for k, validation in enumerate(validations, start=1):
         number = "" if len(validations) == 1 else f"_{k}"
         files[f"prediction{number}"] = atomic_write(
-            folder / f"prediction{number}.csv", prediction_table(validation).as_csv()
+            folder / f"prediction{number}.csv", tabulate_prediction(validation).as_csv()
         )
         files[f"torque{number}"] = _draw(folder / f"torque{number}.png", result, validation)
     return files

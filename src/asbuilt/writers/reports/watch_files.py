@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from asbuilt.codec import json_text
+from asbuilt.codec import format_json
 from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
 from asbuilt.findings import Finding
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.workflow.watching.watched_log import WatchedLog, duration, thresholds_text
-from asbuilt.writers.figures.figure_style import figure_address, save_figure
-from asbuilt.writers.figures.recording_figures import recording_figure, watch_figure
+from asbuilt.workflow.watching.watched_log import WatchedLog, format_duration, format_thresholds
+from asbuilt.writers.figures.figure_style import encode_figure, save_figure
+from asbuilt.writers.figures.recording_figures import draw_recording, watch_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,
@@ -19,8 +19,8 @@ from asbuilt.writers.reports.page import (
     cards_markup,
     image_markup,
     list_markup,
-    page,
     paragraph_markup,
+    render_page,
     table_markup,
 )
 
@@ -31,11 +31,13 @@ def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
     Returns the paths by kind.
     """
     return {
-        "events": atomic_write(folder / "events.json", json_text(watched.as_document())),
+        "events": atomic_write(folder / "events.json", format_json(watched.as_document())),
         "table": atomic_write(folder / "events.csv", watched.table().as_csv()),
         "report": atomic_write(folder / "watch.html", watch_html(watched)),
         "figure": save_figure(watch_figure(watched), folder / "watch.png"),
-        "thresholds": atomic_write(folder / "thresholds.json", thresholds_text(watched.thresholds)),
+        "thresholds": atomic_write(
+            folder / "thresholds.json", format_thresholds(watched.thresholds)
+        ),
     }
 
 
@@ -49,18 +51,22 @@ def watch_html(watched: WatchedLog) -> str:
             "good" if verified else "neutral",
             f"{thresholds.false_alarms_per_hour:g} per hour",
             "false alarms that the thresholds are set for"
-            + ("" if verified else f"; not verified, from {duration(3600.0 * thresholds.hours)}"),
+            + (
+                ""
+                if verified
+                else f"; not verified, from {format_duration(3600.0 * thresholds.hours)}"
+            ),
         ),
     ]
     drawn = image_markup(
-        figure_address(watch_figure(watched)),
+        encode_figure(watch_figure(watched)),
         "Residual of the momentum observer and its thresholds at every joint; the events are in"
         " the table below",
-        narrow=figure_address(watch_figure(watched, narrow=True)),
+        narrow=encode_figure(watch_figure(watched, narrow=True)),
     )
     sentences = [*watched.sentences(), *(each.text for each in watched.findings)]
     table = [table_markup(watched.table(), "events-table")] if events else []
-    return page(
+    return render_page(
         watched.robot,
         watched.source,
         [
@@ -96,8 +102,8 @@ def write_check_page(
             list_markup((each.severity, finding_text(each)) for each in check.findings),
         ]
         if not isinstance(recording, Samples):
-            address = figure_address(recording_figure(head_of(recording), check))
+            address = encode_figure(draw_recording(head_of(recording), check))
             parts.append(image_markup(address, DRAWN))
         blocks.append(Block(f"log-{k}", recording_name(check.source), parts))
-    text = page(checks[0].robot, "recordings checked", blocks)
+    text = render_page(checks[0].robot, "recordings checked", blocks)
     return {"page": atomic_write(folder / "check.html", text)}

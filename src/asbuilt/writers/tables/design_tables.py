@@ -9,12 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.excitation import LimitReport, StaticDesign, design_findings
-from asbuilt.excitation.design.designed_motion import Design, position_of
-from asbuilt.findings import Cure, joined
-from asbuilt.tables import WIDTH, Column, Table, numbered, share, significant, wrapped
+from asbuilt.excitation.design.designed_motion import Design, locate_base_parameter
+from asbuilt.findings import Cure, join_names
+from asbuilt.tables import (
+    WIDTH,
+    Column,
+    Table,
+    format_share,
+    number_notes,
+    round_significant,
+    wrap_text,
+)
 from asbuilt.writers.files import path_texts
 
 LISTED = 8
@@ -37,13 +45,13 @@ def design_document(design: Design | StaticDesign, files: Mapping[str, Path]) ->
         "worst_margin": design.limits.worst_margin,
         "collision_distance": design.collision_distance,
         "solve_seconds": design.solve_seconds,
-        **_own_document(design),
+        **_build_own_document(design),
         "findings": [finding.as_dict() for finding in design_findings(design)],
         "files": path_texts(files),
     }
 
 
-def _own_document(design: Design | StaticDesign) -> dict[str, Any]:
+def _build_own_document(design: Design | StaticDesign) -> dict[str, Any]:
     """Return what only motions or only poses have."""
     if isinstance(design, StaticDesign):
         return {
@@ -61,11 +69,11 @@ def _own_document(design: Design | StaticDesign) -> dict[str, Any]:
         "id": base.ids,
         "name": base.names,
         "unit": base.units,
-        "cad": _cad(design),
+        "cad": _list_cad_values(design),
         "std_error": design.std_errors,
         "torque_effect": design.torque_effects,
     }
-    rows = zip(*map(plain, columns.values()), strict=True)
+    rows = zip(*map(make_plain, columns.values()), strict=True)
     return {
         "parametrisation": options.parametrisation,
         "drive": str(base.drive),
@@ -114,13 +122,13 @@ def design_text(design: Design | StaticDesign, *, full: bool = False, spell: Spe
     ]
     return "\n".join(
         [
-            wrapped(f"{design.model.name} - {design_title(design)}"),
-            *map(wrapped, (margin_verdict(design.limits), *bad)),
-            *(wrapped(text, f"{name:<18} ") for name, text in design_facts(design)),
+            wrap_text(f"{design.model.name} - {design_title(design)}"),
+            *map(wrap_text, (describe_margins(design.limits), *bad)),
+            *(wrap_text(text, f"{name:<18} ") for name, text in design_facts(design)),
             "",
-            margin_table(design.limits).as_text(full),
+            tabulate_margins(design.limits).as_text(full),
             design_table(design).as_text(full).rstrip(),
-            *numbered(notes if full else notes[:4]),
+            *number_notes(notes if full else notes[:4]),
         ]
     )
 
@@ -149,19 +157,21 @@ def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
         return [("log det", found), ("condition number", condition)]
     family, options = design.family_efficiency, design.options
     facts = [
-        ("drive terms", f"{design.base.drive}, noise {_listed(design.noise)} N m (N)"),
+        ("drive terms", f"{design.base.drive}, noise {_format_numbers(design.noise)} N m (N)"),
         ("log det", f"{design.log_det:.2f} for {design.n_samples:g} independent samples"),
     ]
     if options.focus or options.criterion != "d":
-        names = joined([name.strip() for name in options.focus]) if options.focus else ""
+        names = join_names([name.strip() for name in options.focus]) if options.focus else ""
         facts.insert(0, ("criterion", options.criterion + (f", for {names}" if names else "")))
     if design.d_efficiency is not None:
         known = family is not None and design.family_bound is not design.bound
-        own = f"; {share(family)} relative to that for these harmonics" if known else ""
-        text = f"{share(design.d_efficiency)} relative to an upper bound that no motion reaches"
+        own = f"; {format_share(family)} relative to that for these harmonics" if known else ""
+        text = (
+            f"{format_share(design.d_efficiency)} relative to an upper bound that no motion reaches"
+        )
         facts.append(("D-efficiency", text + own))
-    condition = _condition(design.condition_number, 1)
-    scaled = _condition(design.scaled_condition_number, 2)
+    condition = _format_condition(design.condition_number, 1)
+    scaled = _format_condition(design.scaled_condition_number, 2)
     facts.append(("condition number", f"{condition} (scaled {scaled})"))
     found = f"best of {len(design.candidates)} local searches in {design.solve_seconds:.1f} s"
     return [*facts, ("search", found)]
@@ -173,11 +183,11 @@ def design_table(design: Design | StaticDesign) -> Table:
     Parameters in focus and worst determined ones are first.
     """
     if isinstance(design, StaticDesign):
-        return _pose_table(design)
-    cad = np.array([np.nan if value is None else value for value in _cad(design)])
+        return _build_pose_table(design)
+    cad = np.array([np.nan if value is None else value for value in _list_cad_values(design)])
     base, errors, effects = design.base, design.std_errors, design.torque_effects
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
-    asked = [position_of(base, name) for name in design.options.focus]
+    asked = [locate_base_parameter(base, name) for name in design.options.focus]
     worst = np.argsort(-errors * np.sqrt(np.diag(design.mean_information))).tolist()
     order = [*asked, *(i for i in worst if i not in asked)]
     columns = (
@@ -188,7 +198,9 @@ def design_table(design: Design | StaticDesign) -> Table:
         Column(
             "std err",
             align="decimal",
-            of=lambda i: significant(errors[i], 2) if np.isfinite(errors[i]) else "undetermined",
+            of=lambda i: (
+                round_significant(errors[i], 2) if np.isfinite(errors[i]) else "undetermined"
+            ),
         ),
         Column("of CAD", "%", "decimal", ".1f", of=lambda i: 100 * ratio[i]),
         Column("of torque", "%", "decimal", ".2g", of=lambda i: 100 * effects[i]),
@@ -204,7 +216,7 @@ def design_table(design: Design | StaticDesign) -> Table:
     )
 
 
-def _pose_table(design: StaticDesign) -> Table:
+def _build_pose_table(design: StaticDesign) -> Table:
     """Return the poses, one row each."""
     names = design.model.joint_names
     if sum(max(len(name), 7) + 2 for name in names) + 4 > WIDTH:
@@ -220,7 +232,7 @@ def _pose_table(design: StaticDesign) -> Table:
     return Table(heads, rows, important=tuple(range(min(len(rows), LISTED))))
 
 
-def margin_verdict(limits: LimitReport) -> str:
+def describe_margins(limits: LimitReport) -> str:
     """Return whether the limits are kept, and the smallest margin."""
     margins = [margin for margin in limits.worst.values() if margin is not None]
     if not margins:
@@ -228,8 +240,8 @@ def margin_verdict(limits: LimitReport) -> str:
     worst = min(margins, key=lambda margin: margin.margin)
     place = f"{worst.quantity} of {worst.joint} at {worst.time:.2f} s"
     if limits.violations:
-        return f"LIMITS VIOLATED: margin {share(worst.margin)}, {place}"
-    return f"limits kept, smallest margin {share(worst.margin)} ({place})"
+        return f"LIMITS VIOLATED: margin {format_share(worst.margin)}, {place}"
+    return f"limits kept, smallest margin {format_share(worst.margin)} ({place})"
 
 
 MARGINS = (
@@ -243,20 +255,20 @@ MARGINS = (
 )
 
 
-def margin_table(limits: LimitReport) -> Table:
+def tabulate_margins(limits: LimitReport) -> Table:
     """Return the smallest margin of each quantity, with its joint and time."""
     return Table.of([each for each in limits.worst.values() if each is not None], MARGINS)
 
 
-def _condition(number: float, digits: int) -> str:
+def _format_condition(number: float, digits: int) -> str:
     return f"{number:.{digits}f}" if number < LARGEST_CONDITION else f"above {LARGEST_CONDITION:g}"
 
 
-def _cad(design: Design) -> list[float | None]:
+def _list_cad_values(design: Design) -> list[float | None]:
     values = design.base.values(parameter_values(design.model, design.base.drive))
     return [None if np.isnan(value) else float(value) for value in values]
 
 
-def _listed(values: Any) -> str:
+def _format_numbers(values: Any) -> str:
     numbers = [f"{value:.3g}" for value in values]
     return numbers[0] if len(set(numbers)) == 1 else ", ".join(numbers)

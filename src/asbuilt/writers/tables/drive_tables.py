@@ -6,11 +6,11 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from asbuilt.codec import plain
+from asbuilt.codec import make_plain
 from asbuilt.dynamics import DriveTerm, available_terms
-from asbuilt.findings import joined
+from asbuilt.findings import join_names
 from asbuilt.identification import MotorSideParameter
-from asbuilt.tables import Column, Table, percent, plus_minus, stacked
+from asbuilt.tables import Column, Table, format_percent, format_plus_minus, stack_tables
 
 if TYPE_CHECKING:
     from asbuilt.identification import TorqueGains, TwoChannelEstimate
@@ -46,7 +46,7 @@ def drives_document() -> dict[str, Any]:
                         "default": s.default,
                         "lower": s.lower,
                         "upper": s.upper,
-                        "credible": plain(s.credible),
+                        "credible": make_plain(s.credible),
                         "of_top_speed": s.speed,
                         "unit": s.unit,
                         "fitted": s.fitted,
@@ -66,13 +66,13 @@ def drives_text(full: bool = False) -> str:
         Column("term", of=lambda term: term.key + ("*" if term.tried_for else "")),
         Column("parameters", detail=True, of=lambda term: " ".join(term.symbols)),
         Column("torque", of="formula"),
-        Column("options", of=_options),
+        Column("options", of=_word_options),
         Column("units", detail=True, of=lambda term: ", ".join(term.units(revolute=True))),
     )
     return Table.of(available_terms().values(), columns, notes=USE).as_text(full)
 
 
-def _options(term: DriveTerm) -> str:
+def _word_options(term: DriveTerm) -> str:
     options = ((f"{each.name} {each.default:g}", each.fitted) for each in term.nonlinear)
     return ", ".join(f"[{text}]" if fitted else text for text, fitted in options) or "-"
 
@@ -81,17 +81,17 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
     """Return gains as plain data; `option` and `sheet` are the gains to use as text."""
     return {
         "joints": list(found.joint_names),
-        "gains": plain(found.gains),
-        "std_errors": plain(found.std_errors),
+        "gains": make_plain(found.gains),
+        "std_errors": make_plain(found.std_errors),
         "in_use": found.in_use.tolist(),
-        "factors": plain(found.factors),
-        "factor_std_errors": plain(found.factor_std_errors),
+        "factors": make_plain(found.factors),
+        "factor_std_errors": make_plain(found.factor_std_errors),
         "determined": found.determined.tolist(),
-        "gain": [float(value) for value in _listed(found).split(",")],
-        "option": _option(found),
+        "gain": [float(value) for value in _format_gains(found).split(",")],
+        "option": _write_option(found),
         "of_command": found.of_command,
-        "sheet": _sheet_line(found),
-        "payload_share": plain(found.payload_share),
+        "sheet": _write_sheet_line(found),
+        "payload_share": make_plain(found.payload_share),
         "known": list(found.known),
         "frame": found.frame,
         "payload": found.payload.tolist(),
@@ -115,8 +115,10 @@ def gains_text(found: TorqueGains, full: bool = False) -> str:
             found.of_command,
             lambda k: float(found.in_use[k]),
         ),
-        Column("factor", detail=found.of_command, of=lambda k: plus_minus(factors[k], errors[k])),
-        Column(gain, of=lambda k: plus_minus(found.gains[k], found.std_errors[k])),
+        Column(
+            "factor", detail=found.of_command, of=lambda k: format_plus_minus(factors[k], errors[k])
+        ),
+        Column(gain, of=lambda k: format_plus_minus(found.gains[k], found.std_errors[k])),
         Column(
             "payload",
             "% of torque",
@@ -135,30 +137,30 @@ def gains_text(found: TorqueGains, full: bool = False) -> str:
         [
             text,
             "Instead of the gains in use:",
-            f"  {_option(found)}",
+            f"  {_write_option(found)}",
             "or in the recording sheet:",
-            f"  {_sheet_line(found)}\n",
+            f"  {_write_sheet_line(found)}\n",
         ]
     )
 
 
-def _listed(found: TorqueGains) -> str:
+def _format_gains(found: TorqueGains) -> str:
     return ",".join(f"{gain:.6g}" for gain in found.to_use)
 
 
-def _option(found: TorqueGains) -> str:
+def _write_option(found: TorqueGains) -> str:
     if not found.of_command:
-        return f"--gain={_listed(found)}"
-    return "--kp=" + ",".join(str(each) for each in _stiffnesses(found))
+        return f"--gain={_format_gains(found)}"
+    return "--kp=" + ",".join(str(each) for each in _list_stiffnesses(found))
 
 
-def _sheet_line(found: TorqueGains) -> str:
+def _write_sheet_line(found: TorqueGains) -> str:
     if not found.of_command:
-        return f"gains = [{_listed(found).replace(',', ', ')}]"
-    return "kp = " + json.dumps(_stiffnesses(found))
+        return f"gains = [{_format_gains(found).replace(',', ', ')}]"
+    return "kp = " + json.dumps(_list_stiffnesses(found))
 
 
-def _stiffnesses(found: TorqueGains) -> list[float | str]:
+def _list_stiffnesses(found: TorqueGains) -> list[float | str]:
     """Return the stiffness of each servo, "auto" if it is undetermined."""
     return [
         float(f"{gain:.6g}") if determined else "auto"
@@ -191,7 +193,7 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
         "rms_sensor": found.rms_sensor.tolist(),
         "rms_motor": found.rms_motor.tolist(),
         "motor_scale": [
-            {"joint": name, "estimate": plain(scale), "std_error": plain(error)}
+            {"joint": name, "estimate": make_plain(scale), "std_error": make_plain(error)}
             for name, scale, error in zip(
                 found.joint_names, found.scales.tolist(), found.scale_errors.tolist(), strict=True
             )
@@ -205,7 +207,7 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     """Return an estimate from sensors and motors together as tables."""
     values, spread = found.values, found.std_errors
     scales, doubts = found.scales, found.scale_errors
-    lost = joined(found.estimate.undetermined)
+    lost = join_names(found.estimate.undetermined)
     notes = [f"UNDETERMINED by this motion: {lost}."] if lost else []
     details = (
         "Side link: torque that sensors and motors measure; side motor (names with m): torque that"
@@ -227,8 +229,8 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
             Column("parameter", of=lambda k: found.names[k]),
             Column("unit", of=lambda k: found.units[k]),
             Column("side", of=lambda k: "motor" if found.of_motor_side[k] else "link"),
-            Column("value", of=lambda k: plus_minus(values[k], spread[k])),
-            Column("%", align="decimal", of=lambda k: percent(values[k], spread[k])),
+            Column("value", of=lambda k: format_plus_minus(values[k], spread[k])),
+            Column("%", align="decimal", of=lambda k: format_percent(values[k], spread[k])),
         ),
         title,
         notes=tuple(notes),
@@ -241,10 +243,10 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
             Column("joint", of=lambda k: found.joint_names[k]),
             Column("RMS sensor", "N m", "decimal", ".3g", of=lambda k: found.rms_sensor[k]),
             Column("RMS motor", "N m", "decimal", ".3g", of=lambda k: found.rms_motor[k]),
-            Column("motor / sensor", of=lambda k: plus_minus(scales[k], doubts[k])),
+            Column("motor / sensor", of=lambda k: format_plus_minus(scales[k], doubts[k])),
         ),
     )
-    return stacked((errors, parameters), full)
+    return stack_tables((errors, parameters), full)
 
 
 MOTOR_SIDE = (
@@ -252,10 +254,10 @@ MOTOR_SIDE = (
     Column("unit", of="unit"),
     Column("gear ratio", align="right", of="gear_ratio"),
     Column("at the joint", align="decimal", style=".4g", of="joint_side"),
-    Column("at the motor", of=lambda each: plus_minus(each.motor_side, each.std_error)),
+    Column("at the motor", of=lambda each: format_plus_minus(each.motor_side, each.std_error)),
 )
 
 
-def motor_side_table(parameters: Sequence[MotorSideParameter]) -> Table:
+def tabulate_motor_side(parameters: Sequence[MotorSideParameter]) -> Table:
     """Return drive parameters at the joint and at the shaft of the motor."""
     return Table.of(parameters, MOTOR_SIDE)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from asbuilt.findings import Cure, Finding
-from asbuilt.tables import Column, Table, share, wrapped
-from asbuilt.validation.comparison.significance import probability_text
+from asbuilt.tables import Column, Table, format_share, wrap_text
+from asbuilt.validation.comparison.significance import format_probability
 from asbuilt.workflow import Addition, FleetDrift, LogReport, Overview
 
 MOST = 10
@@ -21,7 +21,7 @@ CHANGED = (
     Column(
         "p",
         align="right",
-        of=lambda each: "" if each.p_value is None else probability_text(each.p_value),
+        of=lambda each: "" if each.p_value is None else format_probability(each.p_value),
     ),
 )
 
@@ -65,22 +65,23 @@ def addition_text(
 ) -> str:
     """Return what `asbuilt fleet add` prints."""
     counts = (
-        f"{_count(done.added, 'log')} added, {len(done.skipped)} skipped (in the ledger already),"
+        f"{_word_count(done.added, 'log')} added, {len(done.skipped)} skipped (in the ledger"
+        " already),"
         f" {len(done.failed)} failed"
     )
     robots = sorted({each.robot_id for each in (*done.added, *done.skipped)})
     hours = sum(each.seconds for each in done.added) / 3600.0
     lines = [
         f"{done.ledger}: {counts}",
-        f"{_count(robots, 'robot')}, {hours:.3g} h recorded, {done.seconds:.3g} s taken",
+        f"{_word_count(robots, 'robot')}, {hours:.3g} h recorded, {done.seconds:.3g} s taken",
     ]
     if done.dashboard:
         lines.append(f"dashboard of the cluster: {done.dashboard}")
     for each in done.failed if full else done.failed[:MOST]:
         cure = f"; {cure_text(each.cure)}" if each.cure else ""
-        lines.append(wrapped(f"FAILED {_with_name(each)}{cure}"))
-    lines += _left(done.failed, full, "failed logs")
-    return "\n".join([*lines, *finding_lines(done.findings, finding_text, full)]) + "\n"
+        lines.append(wrap_text(f"FAILED {_with_name(each)}{cure}"))
+    lines += _count_hidden(done.failed, full, "failed logs")
+    return "\n".join([*lines, *format_first_findings(done.findings, finding_text, full)]) + "\n"
 
 
 def overview_text(
@@ -88,7 +89,7 @@ def overview_text(
 ) -> str:
     """Return what `asbuilt fleet show` prints."""
     logs = sum(each.n_logs for each in seen.robots)
-    lines = [f"{seen.ledger}: {_count(seen.robots, 'robot')}, {logs} logs", ""]
+    lines = [f"{seen.ledger}: {_word_count(seen.robots, 'robot')}, {logs} logs", ""]
     names = {each.robot_type: each.model.name for each in seen.types}
     heads = [
         Column("robot", of="id"),
@@ -103,24 +104,24 @@ def overview_text(
     if seen.robots:
         shown = seen.robots if full else seen.robots[: 2 * MOST]
         lines.append(Table.of(shown, heads).as_text(full).rstrip())
-    lines += _left(seen.robots, full, "robots", 2 * MOST)
+    lines += _count_hidden(seen.robots, full, "robots", 2 * MOST)
     for each in seen.types:
         lines += [
             "",
             f"{each.model.name}: {each.base.n_base} base parameters, torque from"
             f" {each.torque_source}",
-            wrapped(f"fixed: {each.chosen[0]}"),
+            wrap_text(f"fixed: {each.chosen[0]}"),
         ]
-    return "\n".join([*lines, *finding_lines(seen.findings, finding_text, full)]) + "\n"
+    return "\n".join([*lines, *format_first_findings(seen.findings, finding_text, full)]) + "\n"
 
 
-def drift_verdict(drift: FleetDrift) -> str:
+def describe_drift_outcome(drift: FleetDrift) -> str:
     """Return the outcome in a sentence."""
     n, tested = len(drift.changed), sum(each.p_value is not None for each in drift.robots)
     since = "" if drift.since is None else f" since {drift.since[:10]}"
     return (
         f"{n} of {tested} robots changed{since} beyond natural variation (false discovery rate"
-        f" {share(drift.false_discovery_rate, 0)})."
+        f" {format_share(drift.false_discovery_rate, 0)})."
     )
 
 
@@ -128,27 +129,29 @@ def drift_text(
     drift: FleetDrift, finding_text: Callable[[Finding], str], *, full: bool = False
 ) -> str:
     """Return what `asbuilt fleet drift` prints."""
-    lines = [wrapped(f"{drift.ledger}: {drift_verdict(drift)}")]
+    lines = [wrap_text(f"{drift.ledger}: {describe_drift_outcome(drift)}")]
     changed = drift.changed if full else drift.changed[:MOST_CHANGED]
     if changed:
         lines += ["", Table.of(changed, CHANGED).as_text(full).rstrip(), ""]
-        lines += [wrapped(f"{each.id}: {effect.text}") for each in changed for effect in each.what]
-    lines += _left(drift.changed, full, "robots", MOST_CHANGED)
+        lines += [
+            wrap_text(f"{each.id}: {effect.text}") for each in changed for effect in each.what
+        ]
+    lines += _count_hidden(drift.changed, full, "robots", MOST_CHANGED)
     for kind in drift.types:
         if kind.torque:
             most = max(range(len(kind.torque)), key=lambda k: kind.torque[k])
             lines += [
                 "",
-                wrapped(
+                wrap_text(
                     f"{kind.robot_type}: {kind.n_robots} robots, {kind.n_days} days; natural"
                     f" variation from day to day is at most {kind.torque[most]:.2g}"
                     f" {kind.torque_units[most]} RMS (joint {most + 1})"
                 ),
             ]
-    return "\n".join([*lines, *finding_lines(drift.findings, finding_text, full)]) + "\n"
+    return "\n".join([*lines, *format_first_findings(drift.findings, finding_text, full)]) + "\n"
 
 
-def finding_lines(
+def format_first_findings(
     findings: Sequence[Finding], finding_text: Callable[[Finding], str], full: bool
 ) -> list[str]:
     """Return findings as wrapped lines, an empty one before; the first `MOST` unless `full`."""
@@ -157,8 +160,8 @@ def finding_lines(
     shown = findings if full else findings[:MOST]
     return [
         "",
-        *(wrapped(finding_text(each)) for each in shown),
-        *_left(findings, full, "findings"),
+        *(wrap_text(finding_text(each)) for each in shown),
+        *_count_hidden(findings, full, "findings"),
     ]
 
 
@@ -168,10 +171,10 @@ def _with_name(report: LogReport) -> str:
     return problem if report.log in problem else f"{report.log}: {problem}"
 
 
-def _left(items: Sequence[Any], full: bool, what: str, most: int = MOST) -> list[str]:
+def _count_hidden(items: Sequence[Any], full: bool, what: str, most: int = MOST) -> list[str]:
     hidden = 0 if full else len(items) - most
     return [f"... {hidden} more {what}"] if hidden > 0 else []
 
 
-def _count(items: Sequence[Any], what: str) -> str:
+def _word_count(items: Sequence[Any], what: str) -> str:
     return f"{len(items)} {what}" + ("" if len(items) == 1 else "s")

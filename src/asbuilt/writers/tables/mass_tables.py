@@ -64,7 +64,7 @@ def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
     )
 
 
-def _mass_difference(link: tuple[str, float | None, float | None]) -> float | None:
+def _measure_mass_difference(link: tuple[str, float | None, float | None]) -> float | None:
     """Return how much heavier a link is than CAD [kg]; solvers end within a millionth."""
     _, cad, built = link
     if cad is None or built is None:
@@ -83,7 +83,7 @@ def mass_table(masses: ExportedMasses) -> Table:
             "kg",
             "decimal",
             4,
-            of=_mass_difference,
+            of=_measure_mass_difference,
         ),
     )
     note = (
@@ -104,8 +104,8 @@ def masses_document(masses: LinkMasses) -> dict[str, Any]:
                 "origin": each.origin,
                 "volume": each.volume,
                 "density": each.density,
-                "described": _body_document(each.described),
-                "computed": _body_document(each.computed),
+                "described": _build_body_document(each.described),
+                "computed": _build_body_document(each.computed),
             }
             for each in masses.links
         ],
@@ -113,7 +113,7 @@ def masses_document(masses: LinkMasses) -> dict[str, Any]:
     }
 
 
-def _body_document(body: LinkInertia | None) -> dict[str, Any] | None:
+def _build_body_document(body: LinkInertia | None) -> dict[str, Any] | None:
     if body is None:
         return None
     return {
@@ -127,20 +127,23 @@ def masses_table(masses: LinkMasses) -> Table:
     """List mass, centre of mass and moments, described and computed, worst link first."""
     columns = (
         Column("link", of="name"),
-        Column("mass", "kg", "decimal", ".4g", of=lambda each: _mass(each.described)),
-        Column("computed", "kg", "decimal", ".4g", of=lambda each: _mass(each.computed)),
+        Column("mass", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.described)),
+        Column("computed", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.computed)),
         Column("density", "kg/m^3", "right", ".4g", of="density"),
-        Column("centre off", "mm", "decimal", ".1f", of=_centre_off),
-        Column("inertia", "computed / file", "right", of=_inertia_ratio),
+        Column("centre off", "mm", "decimal", ".1f", of=_measure_centre_shift),
+        Column("inertia", "computed / file", "right", of=_format_inertia_ratio),
         Column("from", detail=True, of=lambda each: each.origin or None),
         Column(
             "Ixx Iyy Izz in the file",
             "kg m^2",
             detail=True,
-            of=lambda each: _moments(each.described),
+            of=lambda each: _format_moments(each.described),
         ),
         Column(
-            "Ixx Iyy Izz computed", "kg m^2", detail=True, of=lambda each: _moments(each.computed)
+            "Ixx Iyy Izz computed",
+            "kg m^2",
+            detail=True,
+            of=lambda each: _format_moments(each.computed),
         ),
     )
     return Table.of(
@@ -153,16 +156,16 @@ def masses_table(masses: LinkMasses) -> Table:
     )
 
 
-def _mass(body: LinkInertia | None) -> float | None:
+def _read_mass(body: LinkInertia | None) -> float | None:
     return None if body is None else body.mass
 
 
-def _centre_off(link: LinkMass) -> float | None:
+def _measure_centre_shift(link: LinkMass) -> float | None:
     was, now = link.described, link.computed
     return None if was is None or now is None else 1e3 * float(np.linalg.norm(now.com - was.com))
 
 
-def _inertia_ratio(link: LinkMass) -> str | None:
+def _format_inertia_ratio(link: LinkMass) -> str | None:
     was, now = link.described, link.computed
     if was is None or now is None:
         return None
@@ -172,7 +175,7 @@ def _inertia_ratio(link: LinkMass) -> str | None:
     return " ".join(f"{value:.2g}" for value in ratios) if np.isfinite(ratios).all() else None
 
 
-def _moments(body: LinkInertia | None) -> str | None:
+def _format_moments(body: LinkInertia | None) -> str | None:
     if body is None:
         return None
     return " ".join(f"{value:.3g}" for value in np.diag(body.inertia_about_com))

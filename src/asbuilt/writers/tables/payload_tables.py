@@ -9,11 +9,19 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
-from asbuilt.findings import joined
+from asbuilt.codec import make_plain
+from asbuilt.findings import join_names
 from asbuilt.identification import AddedMoments, Payload
-from asbuilt.tables import Cell, Column, Table, estimated, plus_minus, stacked, wrapped
-from asbuilt.validation.comparison.comparison import paired_torque_table
+from asbuilt.tables import (
+    Cell,
+    Column,
+    Table,
+    format_estimate,
+    format_plus_minus,
+    stack_tables,
+    wrap_text,
+)
+from asbuilt.validation.comparison.comparison import tabulate_paired_torques
 from asbuilt.writers.files import path_texts
 
 _SOURCES = {
@@ -28,23 +36,23 @@ MOMENT_UNITS = ("kg m", "kg m", "kg m", "kg")
 
 def payload_text(payload: Payload, full: bool = False) -> str:
     """Return what `asbuilt payload` prints."""
-    tables = stacked((payload_table(payload), payload_torque_table(payload)), full)
-    return f"{wrapped(payload_headline(payload))}\n\n{tables}"
+    tables = stack_tables((tabulate_payload(payload), tabulate_payload_torques(payload)), full)
+    return f"{wrap_text(describe_payload_outcome(payload))}\n\n{tables}"
 
 
-def payload_headline(payload: Payload) -> str:
+def describe_payload_outcome(payload: Payload) -> str:
     """Return what a user decides by: what the flange carries, in a sentence with its errors."""
     values, errors = payload.values.tolist(), payload.std_errors.tolist()
-    mass = plus_minus(values[0], errors[0])
+    mass = format_plus_minus(values[0], errors[0])
     if "mass" not in payload.determined:
         return f"Payload at {payload.frame}: its mass is undetermined ({mass} kg)."
     known = [k for k in (1, 2, 3) if payload.names[k] in payload.determined]
-    centre = ", ".join(f"{'xyz'[k - 1]} {plus_minus(values[k], errors[k])}" for k in known)
+    centre = ", ".join(f"{'xyz'[k - 1]} {format_plus_minus(values[k], errors[k])}" for k in known)
     where = f"{centre} m" if centre else "undetermined"
     return f"Payload at {payload.frame}: {mass} kg, its centre {where}."
 
 
-def payload_table(payload: Payload) -> Table:
+def tabulate_payload(payload: Payload) -> Table:
     """Return mass, centre of mass and inertia about it, with standard errors."""
     split = bool(np.any(payload.gain_uncertainty > 0.0))
     parts = (payload.noise_errors, payload.gain_errors) if split else ()
@@ -68,7 +76,7 @@ def payload_table(payload: Payload) -> Table:
         range(len(payload.names)),
         columns,
         title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples",
-        notes=(*([projected] if payload.projected else []), *_gain_notes(payload)),
+        notes=(*([projected] if payload.projected else []), *_describe_gains(payload)),
         details=(
             f"Centre of mass and inertia in the axes of {payload.frame}; standard errors allow for"
             " residual correlation.",
@@ -80,13 +88,15 @@ def _estimate_columns(values: Array, errors: Array) -> list[Column]:
     """Return the columns of an estimate, its standard error, and this in percent, by place."""
 
     def cell(part: int) -> Callable[[int], Cell]:
-        return lambda k: estimated(values[k], errors[k])[part] if np.isfinite(values[k]) else None
+        return lambda k: (
+            format_estimate(values[k], errors[k])[part] if np.isfinite(values[k]) else None
+        )
 
     heads = ("estimate", "std err", "%")
     return [Column(head, align="decimal", of=cell(k)) for k, head in enumerate(heads)]
 
 
-def _gain_notes(payload: Payload) -> tuple[str, ...]:
+def _describe_gains(payload: Payload) -> tuple[str, ...]:
     """Return how well the torque gains are known, and what follows for the mass."""
     if not np.any(payload.gain_uncertainty > 0.0):
         if payload.torque_source in ("sensor", "unknown"):
@@ -112,14 +122,14 @@ def _gain_notes(payload: Payload) -> tuple[str, ...]:
     return (
         f"Torque gains of {_SOURCES[payload.torque_source]} are taken as known to {spread}"
         f" (standard deviation): they leave {gains:.1f} % of the mass uncertain, most by"
-        f" {joined(leading)},"
+        f" {join_names(leading)},"
         f" noise {noise:.1f} %. A payload of known mass calibrates them (`gains`).",
-        *_doubts(payload),
+        *_describe_doubts(payload),
         *known_by,
     )
 
 
-def _doubts(payload: Payload) -> tuple[str, ...]:
+def _describe_doubts(payload: Payload) -> tuple[str, ...]:
     """Return which gains are doubted, since gravity torques are far from CAD's."""
     if not payload.gains_in_doubt:
         return ()
@@ -129,15 +139,15 @@ def _doubts(payload: Payload) -> tuple[str, ...]:
             " payload has the scale of the torques.",
         )
     return (
-        f"GAINS IN DOUBT: the gravity torques of {joined(payload.gains_in_doubt)} are far from"
+        f"GAINS IN DOUBT: the gravity torques of {join_names(payload.gains_in_doubt)} are far from"
         " CAD's, which may be the torque scale; the payload's errors allow for it.",
     )
 
 
-def payload_torque_table(payload: Payload) -> Table:
+def tabulate_payload_torques(payload: Payload) -> Table:
     """Return the RMS torque errors with the payload and of the bare arm, a row per joint."""
     pairs = tuple(zip(payload.metrics_bare, payload.metrics, strict=True))
-    return paired_torque_table(
+    return tabulate_paired_torques(
         pairs, ("bare arm", "with payload"), [""] * len(pairs[0][0].joint_names)
     )
 
@@ -145,13 +155,13 @@ def payload_torque_table(payload: Payload) -> Table:
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Return what `asbuilt payload --json` prints."""
     errors, noise, gain = (
-        _symmetric(each[4:])
+        _fill_symmetric(each[4:])
         for each in (payload.std_errors, payload.noise_errors, payload.gain_errors)
     )
     return {
         "robot": payload.robot,
         "frame": payload.frame,
-        "headline": payload_headline(payload),
+        "headline": describe_payload_outcome(payload),
         "n_samples": payload.n_samples,
         "mass": {
             "estimate": float(payload.values[0]),
@@ -166,7 +176,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
             "std_error_noise": payload.noise_errors[1:4].tolist(),
             "std_error_gains": payload.gain_errors[1:4].tolist(),
         },
-        "inertia_about_com": _symmetric(payload.values[4:]),
+        "inertia_about_com": _fill_symmetric(payload.values[4:]),
         "inertia_std_error": errors,
         "inertia_std_error_noise": noise,
         "inertia_std_error_gains": gain,
@@ -184,7 +194,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
     }
 
 
-def _symmetric(upper: Array) -> list[list[float]]:
+def _fill_symmetric(upper: Array) -> list[list[float]]:
     """Return the symmetric 3 x 3 matrix with these six entries on and above its diagonal."""
     matrix = np.zeros((3, 3))
     matrix[np.triu_indices(3)] = upper
@@ -207,7 +217,7 @@ def moments_table(found: AddedMoments) -> Table:
         range(len(found.names)),
         columns,
         title=f"{found.robot}: weight on {found.frame}, {found.n_samples} samples",
-        notes=(f"This motion does not determine {joined(lost)}.",) if lost else (),
+        notes=(f"This motion does not determine {join_names(lost)}.",) if lost else (),
         details=(f"First moments in the axes of {found.frame}; errors of torque gains scale all.",),
     )
 
@@ -221,7 +231,11 @@ def moments_document(found: AddedMoments) -> dict[str, Any]:
         "moments": [
             {"name": name, "unit": unit, "estimate": value, "std_error": error}
             for name, unit, value, error in zip(
-                found.names, MOMENT_UNITS, plain(found.values), plain(found.std_errors), strict=True
+                found.names,
+                MOMENT_UNITS,
+                make_plain(found.values),
+                make_plain(found.std_errors),
+                strict=True,
             )
         ],
         "determined": list(found.determined),

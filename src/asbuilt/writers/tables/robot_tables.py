@@ -12,8 +12,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
 from asbuilt.dynamics import BaseParameters, parameter_values
-from asbuilt.findings import joined
-from asbuilt.tables import Cell, Column, Table, stacked, wrapped
+from asbuilt.findings import join_names
+from asbuilt.tables import Cell, Column, Table, stack_tables, wrap_text
 
 MOST_ROWS = 24
 """Base parameters in a short text."""
@@ -26,14 +26,14 @@ def robots_table(models: Sequence[RobotModel]) -> Table:
     return Table.of(models, ROBOTS)
 
 
-def _mass(model: RobotModel) -> float:
+def _add_up_masses(model: RobotModel) -> float:
     return float(model.parameters[9::10].sum())
 
 
 ROBOTS = (
     Column("robot", of="name"),
     Column("joints", align="right", of="n_joints"),
-    Column("mass", "kg", "decimal", ".2f", of=_mass),
+    Column("mass", "kg", "decimal", ".2f", of=_add_up_masses),
     Column("source", width=96, of="citation"),
 )
 
@@ -45,7 +45,7 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
             {
                 "name": model.name,
                 "n_joints": model.n_joints,
-                "mass": _mass(model),
+                "mass": _add_up_masses(model),
                 "citation": model.citation,
             }
             for model in models
@@ -58,17 +58,17 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
 
     The model, and the reason for every link that is physically inconsistent.
     """
-    reasons = inconsistency_of_links(model)
+    reasons = explain_inconsistent_links(model)
     return {
         "robot": model.name,
-        "headline": robot_headline(model),
+        "headline": describe_robot_readiness(model),
         "physically_consistent": not reasons,
         "inconsistencies": reasons,
         "model": model_document(model),
     }
 
 
-def inconsistency_of_links(model: RobotModel) -> dict[str, str]:
+def explain_inconsistent_links(model: RobotModel) -> dict[str, str]:
     """Return by name why links are physically inconsistent, those that are consistent left out."""
     return {
         link.name: reason
@@ -77,7 +77,7 @@ def inconsistency_of_links(model: RobotModel) -> dict[str, str]:
     }
 
 
-def _kind(joint: Joint) -> str:
+def _name_kind(joint: Joint) -> str:
     if joint.mimic is None or joint.has_motor:
         return joint.kind
     if joint.is_passive:
@@ -85,15 +85,15 @@ def _kind(joint: Joint) -> str:
     return f"follows {' and '.join(joint.mimic.factors)}"
 
 
-def joints_table(model: RobotModel) -> Table:
+def tabulate_robot_joints(model: RobotModel) -> Table:
     """List the joints: parent link, placement of the axis in it, limits and described drives."""
     columns = [
         Column("joint", of="name"),
-        Column("kind", of=_kind),
-        Column("on link", width=16, of=lambda joint: _link_name(model, joint.parent)),
-        Column("axis at", "m", detail=True, of=lambda joint: _vector(joint.before[:3, 3])),
-        Column("axis along", detail=True, of=lambda joint: _vector(joint.before[:3, 2])),
-        Column("range", width=20, of=_range),
+        Column("kind", of=_name_kind),
+        Column("on link", width=16, of=lambda joint: _name_link(model, joint.parent)),
+        Column("axis at", "m", detail=True, of=lambda joint: _format_vector(joint.before[:3, 3])),
+        Column("axis along", detail=True, of=lambda joint: _format_vector(joint.before[:3, 2])),
+        Column("range", width=20, of=_format_range),
         Column("velocity", "1/s", "decimal", ".4g", of="limits.velocity"),
         Column("torque", "N m", "decimal", ".4g", of="limits.torque"),
         Column("Ia", "", "decimal", ".4g", detail=True, of="drive.armature"),
@@ -101,15 +101,15 @@ def joints_table(model: RobotModel) -> Table:
         Column("Fc", "", "decimal", ".4g", detail=True, of="drive.coulomb"),
     ]
     if any(joint.drive.terms for joint in model.joints):
-        columns.append(Column("further drive terms", detail=True, of=_further_terms))
+        columns.append(Column("further drive terms", detail=True, of=_word_further_terms))
     return Table.of(model.moving_joints, columns, "Joints")
 
 
-def _link_name(model: RobotModel, index: int) -> str:
+def _name_link(model: RobotModel, index: int) -> str:
     return model.root_link if index == ROOT else model.links[index].name
 
 
-def _range(joint: Joint) -> str:
+def _format_range(joint: Joint) -> str:
     limits = joint.limits
     if math.isinf(limits.lower) and math.isinf(limits.upper):
         return "-"
@@ -117,7 +117,7 @@ def _range(joint: Joint) -> str:
     return f"{limits.lower * factor:.6g} .. {limits.upper * factor:.6g} {unit}"
 
 
-def _further_terms(joint: Joint) -> str:
+def _word_further_terms(joint: Joint) -> str:
     """Return further drive terms with all parameters, such as `stribeck Fs 0.3 velocity 0.05`."""
     return "; ".join(
         " ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())])
@@ -125,31 +125,31 @@ def _further_terms(joint: Joint) -> str:
     )
 
 
-def links_table(model: RobotModel) -> Table:
+def tabulate_robot_links(model: RobotModel) -> Table:
     """List the links: mass, centre of mass, inertia about it in link axes, and consistency."""
     return Table.of(model.links, LINKS, "Links")
 
 
-def _about_com(link: Link) -> Array:
+def _read_central_inertia(link: Link) -> Array:
     """Return the inertia about the centre of mass, zero without a mass."""
     return link.inertia.inertia_about_com if link.inertia.mass > 0 else np.zeros((3, 3))
 
 
-def _centre(link: Link) -> str:
-    return _vector(link.inertia.com) if link.has_mass else "-"
+def _format_centre(link: Link) -> str:
+    return _format_vector(link.inertia.com) if link.has_mass else "-"
 
 
-def _moments(link: Link) -> str:
-    return _vector(np.diag(_about_com(link))) if link.inertia_known else "-"
+def _format_moments(link: Link) -> str:
+    return _format_vector(np.diag(_read_central_inertia(link))) if link.inertia_known else "-"
 
 
-def _products(link: Link) -> str:
-    about = _about_com(link)
-    entries = _rounded(about[np.triu_indices(3, 1)], float(np.abs(about).max()))
-    return _vector(entries) if link.inertia_known else "-"
+def _format_products(link: Link) -> str:
+    about = _read_central_inertia(link)
+    entries = _round_values(about[np.triu_indices(3, 1)], float(np.abs(about).max()))
+    return _format_vector(entries) if link.inertia_known else "-"
 
 
-def _consistency(link: Link) -> str:
+def _describe_consistency(link: Link) -> str:
     """Return whether a body has these mass properties, and whether they are there at all."""
     if not link.inertia_known:
         return "not given"
@@ -158,7 +158,7 @@ def _consistency(link: Link) -> str:
         return f"INCONSISTENT: {reason}"
     if not link.inertia.parameters.any():
         return "ALL ZERO: no mass properties"
-    return "OK" if np.any(_about_com(link)) else "ZERO INERTIA: a point mass"
+    return "OK" if np.any(_read_central_inertia(link)) else "ZERO INERTIA: a point mass"
 
 
 LINKS = (
@@ -166,39 +166,39 @@ LINKS = (
     Column(
         "mass", "kg", "decimal", of=lambda link: link.inertia.mass if link.inertia_known else None
     ),
-    Column("centre of mass", "m", of=_centre),
-    Column("Ixx Iyy Izz about it", "kg m^2", of=_moments),
-    Column("Ixy Ixz Iyz", "kg m^2", detail=True, of=_products),
-    Column("consistency", of=_consistency),
+    Column("centre of mass", "m", of=_format_centre),
+    Column("Ixx Iyy Izz about it", "kg m^2", of=_format_moments),
+    Column("Ixy Ixz Iyz", "kg m^2", detail=True, of=_format_products),
+    Column("consistency", of=_describe_consistency),
 )
 
 
 def robot_text(model: RobotModel, full: bool = False) -> str:
     """Return what `asbuilt show` prints; every column and note if `full`."""
-    merged = [f"{frame.name} (on {_link_name(model, frame.link)})" for frame in model.frames]
+    merged = [f"{frame.name} (on {_name_link(model, frame.link)})" for frame in model.frames]
     known = {"source": model.citation, "read from": model.source, "fixed frames": ", ".join(merged)}
     head = (
-        robot_headline(model),
-        f"gravity {_vector(model.gravity)} m/s^2 in {model.root_link}",
+        describe_robot_readiness(model),
+        f"gravity {_format_vector(model.gravity)} m/s^2 in {model.root_link}",
         *(f"{what}: {text}" for what, text in known.items() if text),
         *(f"note: {note}" for note in model.notes),
     )
-    tables = stacked((joints_table(model), links_table(model)), full)
-    return "\n".join([*map(wrapped, head), "", tables])
+    tables = stack_tables((tabulate_robot_joints(model), tabulate_robot_links(model)), full)
+    return "\n".join([*map(wrap_text, head), "", tables])
 
 
-def robot_headline(model: RobotModel) -> str:
+def describe_robot_readiness(model: RobotModel) -> str:
     """Return what a user decides by: whether the description can be simulated and compared with."""
-    mass = f"{_mass(model):.4g}"
+    mass = f"{_add_up_masses(model):.4g}"
     size = f"{model.name}: {model.n_joints} joints, {mass} kg moving"
     unknown = [link.name for link in model.links if not link.inertia_known]
-    reasons = inconsistency_of_links(model)
+    reasons = explain_inconsistent_links(model)
     if reasons:
         name, reason = next(iter(reasons.items()))
         count = f"{len(reasons)} of {model.n_links} links are" if len(reasons) > 1 else f"{name} is"
         return f"{size}; {count} PHYSICALLY INCONSISTENT ({name}: {reason})."
     if unknown:
-        return f"{size}; no masses are known of {joined(unknown, 3)}."
+        return f"{size}; no masses are known of {join_names(unknown, 3)}."
     return f"{size}, all links physically consistent."
 
 
@@ -255,10 +255,10 @@ STANDARD = (
 )
 
 
-def _rounded(values: Iterable[float], size: float) -> list[float]:
+def _round_values(values: Iterable[float], size: float) -> list[float]:
     """Return values, zero where they are rounding errors of others of this size."""
     return [value if abs(value) > ROUNDING * size else 0.0 for value in values]
 
 
-def _vector(values: Iterable[float]) -> str:
+def _format_vector(values: Iterable[float]) -> str:
     return " ".join(f"{value + 0.0:.5g}" for value in values)

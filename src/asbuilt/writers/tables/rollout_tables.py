@@ -9,10 +9,10 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
-from asbuilt.tables import Cell, Column, Table, wrapped
+from asbuilt.tables import Cell, Column, Table, wrap_text
 from asbuilt.validation import Rollout, recording_name, rollout_findings
-from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors, position_unit
-from asbuilt.validation.rollout.joint_errors import in_milli, joint_table
+from asbuilt.validation.rollout.errors import RolloutErrors, average_errors, position_unit
+from asbuilt.validation.rollout.joint_errors import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:
     from asbuilt.workflow.simulation.refinement import Refined
@@ -38,19 +38,23 @@ def rollout_text(
     """
     if not rollouts:
         return ""
-    parts = [rollout_table(model, rollouts)]
+    parts = [tabulate_rollouts(model, rollouts)]
     if full:
-        parts += [joint_table(model, each) for each in rollouts]
-        parts += [motion_table(model, each) for each in rollouts if len(each.by_recording) > 1]
+        parts += [tabulate_joint_errors(model, each) for each in rollouts]
+        parts += [
+            tabulate_recording_errors(model, each)
+            for each in rollouts
+            if len(each.by_recording) > 1
+        ]
     notes = (
         []
         if cure_text is None
-        else [wrapped(each.advised(cure_text)) for each in rollout_findings(rollouts)]
+        else [wrap_text(each.advised(cure_text)) for each in rollout_findings(rollouts)]
     )
     return "\n" + "\n".join([*(part.as_text(full) for part in parts), *notes])
 
 
-def refined_text(refined: Refined) -> str:
+def describe_refinement(refined: Refined) -> str:
     """Return a sentence that says what a refinement by trajectories changed."""
     text = (
         f"Refined by trajectories of {refined.horizon:g} s in {refined.iterations} steps"
@@ -59,27 +63,31 @@ def refined_text(refined: Refined) -> str:
     if refined.before is not None and refined.after is not None:
         text += f": rollout error {refined.before.text} before, {refined.after.text} after"
     text += "" if refined.kept else ", which is not followed"
-    return wrapped(text + ".") + "\n"
+    return wrap_text(text + ".") + "\n"
 
 
-def rollout_table(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
+def tabulate_rollouts(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
     """Return one row of errors per horizon."""
     unit = position_unit(model)
     columns = (
         Column("horizon", "s", "decimal", ".3g", of="horizon"),
         Column("windows", align="right", of="n_windows"),
-        Column("CAD", unit, "decimal", of=lambda each: _shown(each.cad)),
-        Column("as built", unit, "decimal", of=lambda each: _shown(each.as_built)),
-        Column("command", unit, "decimal", of=lambda each: _shown(each.no_physics)),
-        Column("repeat", unit, "decimal", of=lambda each: _shown(each.floor)),
-        Column("tool, CAD", "mm", "decimal", of=lambda each: _tool(each.cad)),
-        Column("tool, as built", "mm", "decimal", of=lambda each: _tool(each.as_built)),
-        Column("worst joint", width=16, of=lambda each: _worst(model, each.as_built or each.cad)),
+        Column("CAD", unit, "decimal", of=lambda each: _show_error(each.cad)),
+        Column("as built", unit, "decimal", of=lambda each: _show_error(each.as_built)),
+        Column("command", unit, "decimal", of=lambda each: _show_error(each.no_physics)),
+        Column("repeat", unit, "decimal", of=lambda each: _show_error(each.floor)),
+        Column("tool, CAD", "mm", "decimal", of=lambda each: _show_tool_error(each.cad)),
+        Column("tool, as built", "mm", "decimal", of=lambda each: _show_tool_error(each.as_built)),
+        Column(
+            "worst joint",
+            width=16,
+            of=lambda each: _name_worst_joint(model, each.as_built or each.cad),
+        ),
     )
     return Table.of(rollouts, columns, TITLE.format(rollouts[0].driven_by)).filled()
 
 
-def motion_table(model: RobotModel, rollout: Rollout) -> Table:
+def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every recording for one horizon."""
     unit, runs = position_unit(model), rollout.by_recording
     heads = ("CAD", "as built", "command", "without outlying")
@@ -88,10 +96,10 @@ def motion_table(model: RobotModel, rollout: Rollout) -> Table:
         Column("windows", align="right"),
         *(Column(name, unit, "decimal") for name in heads),
     )
-    means = map(in_milli, mean_errors(runs).values())
+    means = map(format_in_milli, average_errors(runs).values())
     rows = (
         *(
-            (recording_name(each.source), each.n_windows, *map(_shown, each.errors().values()))
+            (recording_name(each.source), each.n_windows, *map(_show_error, each.errors().values()))
             for each in runs
         ),
         ("mean of recordings", rollout.n_windows, *means),
@@ -99,14 +107,14 @@ def motion_table(model: RobotModel, rollout: Rollout) -> Table:
     return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording").filled()
 
 
-def _shown(errors: RolloutErrors | None) -> Cell:
-    return None if errors is None else in_milli(errors.rms_all)
+def _show_error(errors: RolloutErrors | None) -> Cell:
+    return None if errors is None else format_in_milli(errors.rms_all)
 
 
-def _tool(errors: RolloutErrors | None) -> Cell:
-    return None if errors is None or errors.tool is None else in_milli(errors.tool)
+def _show_tool_error(errors: RolloutErrors | None) -> Cell:
+    return None if errors is None or errors.tool is None else format_in_milli(errors.tool)
 
 
-def _worst(model: RobotModel, errors: RolloutErrors | None) -> str:
+def _name_worst_joint(model: RobotModel, errors: RolloutErrors | None) -> str:
     rms = np.array(np.nan) if errors is None else errors.rms_until
     return model.joint_names[int(np.argmax(rms))] if np.all(np.isfinite(rms)) else "-"

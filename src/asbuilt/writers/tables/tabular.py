@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asbuilt.codec import json_text, plain
+from asbuilt.codec import format_json, make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, parameter_values
 from asbuilt.experiment.quality.checks import RecordingCheck
@@ -20,7 +20,7 @@ from asbuilt.identification import (
     gear_ratios,
     motor_side_parameters,
 )
-from asbuilt.tables import Column, Table, share
+from asbuilt.tables import Column, Table, format_share
 from asbuilt.validation import (
     Validation,
     Verdict,
@@ -54,7 +54,7 @@ def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
                 "name": name,
                 "expression": expression,
                 "symbolic": symbolic,
-                "value": plain(value),
+                "value": make_plain(value),
                 "unit": unit,
             }
             for number, name, expression, symbolic, value, unit in zip(
@@ -87,9 +87,9 @@ def identify_document(
     result, masses = study.result, exported_masses(study.result)
     findings = study.findings[:MOST_FINDINGS]
     return result.as_dict() | {
-        "verdict": plain(study.verdict),
+        "verdict": make_plain(study.verdict),
         "drive": str(result.base.drive),
-        "errors": plain(result.errors) | {"sentence": result.errors_sentence},
+        "errors": make_plain(result.errors) | {"sentence": result.errors_sentence},
         "motor_side": (
             [asdict(each) for each in motor_side_parameters(result)]
             if gear_ratios(result.model)
@@ -98,7 +98,7 @@ def identify_document(
         "determination": study.determination.as_dict(),
         "mass": None if masses is None else masses.as_dict(),
         "warnings": [{"code": each.code, "message": each.text} for each in findings],
-        "findings": plain(findings),
+        "findings": make_plain(findings),
         "files": path_texts(files),
     }
 
@@ -118,7 +118,7 @@ def validate_document(
     return {
         "robot": result.robot,
         "headline": verdict.text,
-        "use": plain(verdict),
+        "use": make_plain(verdict),
         "method": result.method,
         "joints": list(result.joint_names),
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
@@ -149,7 +149,7 @@ def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -
     columns = (
         Column("recording", width=40),
         *(Column(name, unit, "decimal", 3, width=16) for name, unit in joints),
-        Column("relative error", "", "decimal", share),
+        Column("relative error", "", "decimal", format_share),
     )
     rows = ((recording_name(e.source), *e.rms.tolist(), e.relative_error) for e in errors)
     return Table(columns, tuple(rows), f"RMS torque error of {model.name} as described")
@@ -171,7 +171,7 @@ def check_document(
                 "source": check.source,
                 "n_samples": check.n_samples,
                 "n_joints": check.n_joints,
-                "rate": plain(check.rate),
+                "rate": make_plain(check.rate),
                 "duration": check.duration,
                 "findings": [asdict(finding) for finding in check.findings],
                 "information": None if part is None else part.as_document(),
@@ -183,7 +183,7 @@ def check_document(
 
 def write_json(path: str | os.PathLike[str], document: Any) -> Path:
     """Write a document as JSON."""
-    return atomic_write(path, json_text(document))
+    return atomic_write(path, format_json(document))
 
 
 IDENTIFIED = (
@@ -196,12 +196,12 @@ IDENTIFIED = (
 )
 
 
-def identified_table(result: IdentificationResult) -> Table:
+def tabulate_identified(result: IdentificationResult) -> Table:
     """Return every base parameter of a result in full precision; a dropped one has no std_error."""
     return Table.of(result.parameters, IDENTIFIED)
 
 
-def prediction_table(validation: Validation) -> Table:
+def tabulate_prediction(validation: Validation) -> Table:
     """Return t and, joint by joint, measured torque and its predictions as built and by design."""
     torques = {
         "measured": validation.measured,

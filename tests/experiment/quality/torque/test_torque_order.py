@@ -18,7 +18,11 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, friction_bases, swapped_torques
+from asbuilt.experiment.quality.torque.torque_fit import (
+    TorqueFit,
+    find_swapped_torques,
+    friction_bases,
+)
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from studied_cases import first_of
@@ -54,9 +58,9 @@ def test_every_swap_is_found_whatever_cad_says(robot: str) -> None:
     model = bundled_robot(robot)
     recording = recorded(model)
     light = model.with_parameters(1e-3 * model.parameters)
-    assert swapped_torques(fit_of(light, recording)) is None
+    assert find_swapped_torques(fit_of(light, recording)) is None
     for pair in combinations(range(model.n_joints), 2):
-        found = swapped_torques(fit_of(light, swapped(recording, *pair)))
+        found = find_swapped_torques(fit_of(light, swapped(recording, *pair)))
         assert found is not None
         assert found.joints == pair
         assert found.swapped < 0.2 * found.as_logged
@@ -66,7 +70,7 @@ def test_unexplained_shares_are_those_of_a_dense_fit() -> None:
     """numpy's least squares on all rows, torques scaled to unit variance, leaves the same."""
     model = bundled_robot("scara")
     fit = fit_of(model, swapped(recorded(model), 1, 3))
-    found = swapped_torques(fit)
+    found = find_swapped_torques(fit)
     assert found is not None
     base = find_base_parameters(model, DriveSet.parse("viscous,offset"))
     samples, n = fit.tau.shape
@@ -90,7 +94,7 @@ def test_too_few_samples_decide_nothing() -> None:
     model = bundled_robot("ur10e")
     fit = fit_of(model, swapped(recorded(model), 4, 5))
     assert (
-        swapped_torques(
+        find_swapped_torques(
             replace(fit, q=fit.q[:25], qd=fit.qd[:25], qdd=fit.qdd[:25], tau=fit.tau[:25])
         )
         is None
@@ -133,4 +137,4 @@ def test_a_dead_torque_is_swapped_with_none(robot: str, noise: float) -> None:
         for k in range(model.n_joints):
             tau = recording.tau.copy()
             tau[:, k] = 3.21 + noise * np.random.default_rng(k).standard_normal(len(tau))
-            assert swapped_torques(fit_of(model, replace(recording, tau=tau))) is None
+            assert find_swapped_torques(fit_of(model, replace(recording, tau=tau))) is None

@@ -9,7 +9,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.noise_limit import noise_limit
+from asbuilt.experiment.signal.noise.noise_limit import estimate_noise_limit
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
@@ -79,7 +79,7 @@ def test_noise_is_told_from_motion_by_torque():
     q = np.column_stack([slow + fast] * 2)
     acceleration = np.gradient(np.gradient(slow, 0.005), 0.005)
     tau = np.column_stack([acceleration, acceleration - (24.0 * np.pi) ** 2 * fast])
-    limit = noise_limit([(q, tau + 1e-3 * rng.standard_normal(tau.shape))], 200.0)
+    limit = estimate_noise_limit([(q, tau + 1e-3 * rng.standard_normal(tau.shape))], 200.0)
     assert limit is not None
     at = np.searchsorted(limit.frequency, [8.0, 16.0])
     assert limit.error[at[1], 0] > 2 * limit.error[at[0], 0]
@@ -102,6 +102,6 @@ def test_the_check_names_step_noise_and_limit():
 def test_no_torque_and_no_motion_limit_nothing():
     t = np.arange(0.0, 20.0, 0.01)
     still = Recording(t=t, q=np.zeros((2000, 1)), tau=np.zeros((2000, 1)))
-    assert noise_limit([(still.q, still.tau)], 100.0) is None
+    assert estimate_noise_limit([(still.q, still.tau)], 100.0) is None
     moving = Recording(t=t, q=np.sin(t)[:, None], tau=np.zeros((2000, 1)))
     assert resolve_chain(SignalChain(), moving).cutoff == 7.0

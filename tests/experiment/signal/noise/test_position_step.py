@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.signal.noise.position_step import position_steps
+from asbuilt.experiment.signal.noise.position_step import find_position_steps
 
 T = np.arange(0.0, 20.0, 0.001)
 RNG = np.random.default_rng(4)
@@ -19,9 +19,9 @@ def rounded(step, amplitude, noise=0.0):
 @pytest.mark.parametrize("noise", [0.0, 0.4])
 def test_step_of_rounded_positions(step, amplitude, noise):
     q = rounded(step, amplitude, noise * step)
-    assert position_steps([q[:, None]])[0] == pytest.approx(step, rel=1e-3)
+    assert find_position_steps([q[:, None]])[0] == pytest.approx(step, rel=1e-3)
     parts = [q[:9000, None], q[11000:, None]]
-    assert position_steps(parts)[0] == pytest.approx(step, rel=1e-3)
+    assert find_position_steps(parts)[0] == pytest.approx(step, rel=1e-3)
 
 
 def test_a_tenth_of_the_samples_may_be_interpolated():
@@ -29,11 +29,11 @@ def test_a_tenth_of_the_samples_may_be_interpolated():
     lost = RNG.random(T.size) < 0.1
     lost[[0, -1]] = False
     q[lost] = np.interp(T[lost], T[~lost], q[~lost])
-    assert position_steps([q[:, None]])[0] == pytest.approx(1e-3, rel=1e-3)
+    assert find_position_steps([q[:, None]])[0] == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_each_joint_has_its_own_step_or_none():
     constant_speed = 1e-3 * np.arange(T.size) + 2e-5 * RNG.standard_normal(T.size)
     q = np.column_stack([rounded(1e-3, 1.0), np.sin(T), constant_speed, np.zeros(T.size)])
     q = np.column_stack([q, np.sin(T) + 1e-4 * RNG.standard_normal(T.size)])
-    assert position_steps([q]).round(6).tolist() == [1e-3, 0, 0, 0, 0]
+    assert find_position_steps([q]).round(6).tolist() == [1e-3, 0, 0, 0, 0]

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.rotation import axes_across
+from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.fleet.drift.columns import by_day, day_of
+from asbuilt.workflow.fleet.drift.columns import make_day, merge_by_day
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
-from asbuilt.workflow.fleet.ledger.entry import entry_from
+from asbuilt.workflow.fleet.ledger.entry import read_entry
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.fleet.options import FleetDriftOptions, FleetOptions
-from asbuilt.workflow.fleet.reduction.add import add_logs, id_from
+from asbuilt.workflow.fleet.reduction.add import add_logs, make_identity_finder
 from asbuilt.writers.recording_files import write_recording
-from asbuilt.writers.reports.fleet_report import fleet_html, write_fleet_report
+from asbuilt.writers.reports.fleet_report import render_fleet, write_fleet_report
 from command_line import call, document
 from fleet_logs import MODEL
 
@@ -67,7 +67,7 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder / "ledger",
         "two-link",
         logs,
-        robot_id=id_from("{id}/*.csv"),
+        robot_id=make_identity_finder("{id}/*.csv"),
         fleet=FleetOptions(workers=0),
     )
     return folder / "ledger"
@@ -128,13 +128,15 @@ def test_tilt_products_are_those_of_gravity_torques(ledger: Path) -> None:
     name, settings = opened.current_names("R3")[0]
     entry = opened.read(name, settings)
     assert entry is not None
-    again = entry_from(entry.content, name, settings)
+    again = read_entry(entry.content, name, settings)
     products = entry.tilt[1]
     assert np.array_equal(again.tilt[1], products)
-    day = day_of(entry)
+    day = make_day(entry)
     assert np.linalg.eigvalsh(day.grams[1]).min() > -1e-6 * np.trace(day.grams[1])
     motion = random_fourier(MODEL, rng=150, duration=8.0).sample(100.0)
-    tilted = [MODEL.with_gravity(np.cross(MODEL.gravity, a)) for a in axes_across(MODEL.gravity)]
+    tilted = [
+        MODEL.with_gravity(np.cross(MODEL.gravity, a)) for a in find_axes_across(MODEL.gravity)
+    ]
     T = np.column_stack([gravity_torque(each, motion.q)[:, 1] for each in tilted])
     share = entry.whole.n_samples / len(T)
     assert products[-2:] == pytest.approx(share * T.T @ T, rel=0.1, abs=0.05 * np.trace(T.T @ T))
@@ -143,9 +145,9 @@ def test_tilt_products_are_those_of_gravity_torques(ledger: Path) -> None:
 @pytest.mark.study
 def test_logs_of_one_day_count_together(ledger: Path) -> None:
     entries = open_ledger(str(ledger)).entries("R3")
-    logs = [day_of(each) for each in entries]
+    logs = [make_day(each) for each in entries]
     same = [replace(day, date=BEGIN + timedelta(hours=k)) for k, day in enumerate(logs)]
-    (together,) = by_day(same)
+    (together,) = merge_by_day(same)
     assert together.n_logs == len(logs)
     assert together.grams[0] == pytest.approx(np.sum([day.grams[0] for day in logs], axis=0))
 
@@ -153,7 +155,7 @@ def test_logs_of_one_day_count_together(ledger: Path) -> None:
 @pytest.mark.study
 def test_page_shows_every_robot_and_escapes_names(drift: FleetDrift, tmp_path: Path) -> None:
     odd = replace(drift, robots=(*drift.robots, replace(drift.robots[-1], id="<b>&")))
-    page = fleet_html(odd)
+    page = render_fleet(odd)
     assert page.count("<details") == len(odd.robots)
     assert page.count('class="history changed"') == 2 * len(drift.changed)
     assert "<b>&" not in page
@@ -162,8 +164,8 @@ def test_page_shows_every_robot_and_escapes_names(drift: FleetDrift, tmp_path: P
     (kind,) = drift.types
     assert f"{kind.torque[0]:.2g}, {kind.torque[1]:.2g} N m</td>" in page
     sliding = replace(kind, torque=(1.0, 2.5, 30.0), torque_units=("N m", "N m", "N"))
-    assert "<td>1, 2.5 N m, 30 N</td>" in fleet_html(replace(drift, types=(sliding,)))
-    assert write_fleet_report(tmp_path / "fleet.html", drift).read_text() == fleet_html(drift)
+    assert "<td>1, 2.5 N m, 30 N</td>" in render_fleet(replace(drift, types=(sliding,)))
+    assert write_fleet_report(tmp_path / "fleet.html", drift).read_text() == render_fleet(drift)
 
 
 @pytest.mark.study

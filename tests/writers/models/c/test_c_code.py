@@ -20,9 +20,9 @@ from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.dynamics.regressor import regressor
 from asbuilt.errors import UsageError
-from asbuilt.writers.models.c.c_code import c_code, write_c
+from asbuilt.writers.models.c.c_code import generate_c_code, write_c
 from asbuilt.writers.models.c.c_expressions import StraightLine, Term
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.sample_states import draw_sample_states
 from studied_cases import first_of
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1")
@@ -33,7 +33,7 @@ class Compiled:
 
     def __init__(self, folder: Path, model: RobotModel, **options: Any) -> None:
         self.source, self.header = write_c(folder / "robot.c", model, **options)
-        self.prefix = c_code(model, **options).prefix
+        self.prefix = generate_c_code(model, **options).prefix
         library = folder / "robot.so"
         subprocess.run(
             ["gcc", *FLAGS, "-shared", "-fPIC", str(self.source), "-o", str(library), "-lm"],
@@ -76,7 +76,7 @@ def check_compiles(folder: Path, model: RobotModel) -> Compiled:
     drive = DriveSet.parse("armature,viscous,coulomb,offset")
     base = find_base_parameters(model, drive)
     beta = compiled.base_values(base.n_base)
-    q, qd, qdd = sample_states(model, 10)
+    q, qd, qdd = draw_sample_states(model, 10)
     qd[0, 0] = 0.0
     tau, gravity, row = (
         compiled.call(f, k)
@@ -135,7 +135,7 @@ def test_lengths_that_are_almost_zero_keep_their_torque(tmp_path: Path) -> None:
         ),
     )
     tau = Compiled(tmp_path, model).call("inverse_dynamics", 6)
-    q, qd, qdd = sample_states(model, 20)
+    q, qd, qdd = draw_sample_states(model, 20)
     expected = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=True)
     np.testing.assert_allclose(
         [tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-11
@@ -187,7 +187,7 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     values = np.random.default_rng(0).uniform(0.1, 1.0, 6 * drive.columns_per_joint)
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
     tau = compiled.call("inverse_dynamics", 6)
-    q, qd, qdd = sample_states(model, 10)
+    q, qd, qdd = draw_sample_states(model, 10)
     expected = inverse_dynamics(model, q, qd, qdd) + drive_torque(
         drive, values, q, qd, qdd, shares=model.motor_shares
     )
@@ -204,7 +204,7 @@ def test_every_term_of_the_catalogue_is_written(first: int, tmp_path: Path) -> N
     drive = DriveSet(tuple(available_terms().values())[first::6])
     values = np.random.default_rng(0).uniform(0.1, 1.0, 2 * drive.columns_per_joint)
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
-    q, qd, qdd = sample_states(model, 5)
+    q, qd, qdd = draw_sample_states(model, 5)
     load = inverse_dynamics(model, q, qd, qdd)
     expected = load + drive_torque(drive, values, q, qd, qdd, load=load, shares=model.motor_shares)
     tau = compiled.call("inverse_dynamics", 2)

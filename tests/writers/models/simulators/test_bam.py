@@ -9,7 +9,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import DriveValues, Joint
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
-from asbuilt.writers.models.simulators.formats.bam import parameter_set
+from asbuilt.writers.models.simulators.formats.bam import choose_bam_parameters
 
 VALUES = {
     "stribeck": {"Fs": 0.3, "velocity": 0.4, "power": 1.4},
@@ -70,7 +70,7 @@ def torque_of_terms(name: str, load: float, qd: float) -> float:
 @pytest.mark.parametrize("load", [-8.0, 3.0])
 @pytest.mark.parametrize("qd", [-0.9, 0.05, 3.0])
 def test_torque_in_motion(name: str, load: float, qd: float) -> None:
-    p = parameter_set(joint_with(name))
+    p = choose_bam_parameters(joint_with(name))
     assert p["model"] == name[-2:]
     expected = friction_in_motion(p, load, qd) * np.sign(qd)
     # beside Stribeck friction and while load friction fades, the two laws differ to second order
@@ -80,14 +80,14 @@ def test_torque_in_motion(name: str, load: float, qd: float) -> None:
 
 @pytest.mark.parametrize("name", ["bam-m3", "bam-m4"])
 def test_one_coefficient_is_the_mean_of_both_directions(name: str) -> None:
-    p = parameter_set(joint_with(name))
+    p = choose_bam_parameters(joint_with(name))
     ahead, back = (friction_in_motion(p, load, 5.0) for load in (6.0, -6.0))
     assert ahead > back
     assert 0.5 * (ahead + back) == pytest.approx(torque_of_terms(name, 6.0, 5.0), rel=1e-9)
 
 
 def test_quadratic_friction_counts_by_direction() -> None:
-    p = parameter_set(joint_with("bam-m6"))
+    p = choose_bam_parameters(joint_with("bam-m6"))
     for load, size in ((9.0, 0.002), (-9.0, 0.001)):
         difference = torque_of_terms("bam-m6", load, 0.2) - torque_of_terms("bam-m5", load, 0.2)
         fades = np.exp(-((0.2 / 0.4) ** 1.4))

@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import Layout
-from asbuilt.experiment.logs.columns.roles import unit_scale
+from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange
 from asbuilt.findings import Cure
@@ -67,7 +67,7 @@ def with_joint_units(
         if joint not in units:
             _refuse_open(table, layout, k, held)
             continue
-        conversion = _conversion(units[joint])
+        conversion = _make_conversion(units[joint])
         for quantity, columns in layout.quantities.items():
             if quantity in _OF_POSITION:
                 scales[columns[k]] = conversion.factor
@@ -77,9 +77,9 @@ def with_joint_units(
     return replace(layout, scales=scales, offsets=offsets)
 
 
-def _conversion(unit: str | SheetRange) -> Conversion:
+def _make_conversion(unit: str | SheetRange) -> Conversion:
     if isinstance(unit, str):
-        return Conversion(unit_scale(unit) or 1.0)
+        return Conversion(parse_unit_scale(unit) or 1.0)
     (first, last), (lower, upper) = unit.logged, unit.position
     factor = (upper - lower) / (last - first)
     return Conversion(factor, lower - factor * first)

@@ -7,21 +7,21 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from asbuilt.description.joint_matching import (
-    joints_without_label,
+    find_unlabelled_joints,
     match_joints,
-    numbers_in,
-    words_of,
+    read_label_numbers,
+    split_words,
 )
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.columns.roles import (
     Role,
-    commanded,
-    goal_of_position,
-    nanoseconds_beside,
+    find_nanoseconds,
+    match_commanded_role,
+    match_goal_role,
+    parse_unit_scale,
     recognise,
     recognise_by_unit,
-    unit_scale,
 )
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import ENCODERS, TorqueSource
@@ -90,11 +90,15 @@ def find_layout(
         same place, or they do not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
-    groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})}, sheet)
+    groups = _group_columns(
+        names, {**_find_own_columns(names, model, sheet), **(known or {})}, sheet
+    )
     for (quantity, kind), listed in sheet.columns.by_group.items():
-        groups[quantity, kind] = _listed(source, names, order, quantity, listed, sheet)
+        groups[quantity, kind] = _group_listed_columns(
+            source, names, order, quantity, listed, sheet
+        )
     position = groups.get(("position", ""))
-    torque, torque_source = _torque_group(groups)
+    torque, torque_source = _choose_torque_group(groups)
     notes: list[str] = []
     either = groups.get(("command", "")) if torque is None else torque
     if position is None or either is None:
@@ -117,11 +121,11 @@ def find_layout(
         )
     if torque is not None and not has_gains:
         _refuse_unscaled(source, torque, sheet)
-    chosen = _chosen(groups, position, torque)
+    chosen = _choose_groups(groups, position, torque)
     if torque is None:
         notes += _without_command(chosen, groups["command", ""])
-    labels = _sorted_labels(source, "position", position, sheet)
-    ordered: dict[str, tuple[str, ...]] = {"position": tuple(_columns(position))}
+    labels = _sort_labels(source, "position", position, sheet)
+    ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
     for quantity, group in chosen.items():
         if quantity == "position":
             continue
@@ -129,12 +133,12 @@ def find_layout(
             ordered[quantity] = (group[0].column,) * len(labels)
             continue
         if quantity == "torque" and sheet.columns.torque is None:
-            some = _of_some_joints(group, position)
+            some = _order_some_joints(group, position)
             if some is not None:
                 ordered[quantity] = some
                 continue
         try:
-            ordered[quantity] = _aligned(source, quantity, group, labels, sheet)
+            ordered[quantity] = _align_columns(source, quantity, group, labels, sheet)
         except RecordingError:
             if quantity in _QUANTITIES and (quantity != "command" or torque is None):
                 raise
@@ -144,22 +148,22 @@ def find_layout(
             )
     joint_names = tuple(labels)
     if model is not None:
-        joint_names, places, matched = _order_for(model, source, labels, position, sheet)
-        beside_joints = _of_followers(model, labels, ordered)
+        joint_names, places, matched = _match_order(model, source, labels, position, sheet)
+        beside_joints = _find_follower_columns(model, labels, ordered)
         ordered = {
             quantity: tuple(columns[k] for k in places) for quantity, columns in ordered.items()
         }
         ordered |= beside_joints
         notes.extend(matched)
-    scales = _scales(chosen, sheet, notes)
-    time, time_scale = _time_column(source, names, order, groups, sheet)
+    scales = _choose_scales(chosen, sheet, notes)
+    time, time_scale = _find_time_column(source, names, order, groups, sheet)
     if time is not None:
         scales[time] = time_scale
-    nanoseconds = nanoseconds_beside(time, names) if time and sheet.columns.time is None else None
+    nanoseconds = find_nanoseconds(time, names) if time and sheet.columns.time is None else None
     return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes), nanoseconds)
 
 
-def _chosen(
+def _choose_groups(
     groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group | None
 ) -> dict[str, _Group]:
     """Return the groups by the names of their quantities, extra torques under their own."""
@@ -204,7 +208,7 @@ def _refuse_unscaled(source: str, torque: _Group, sheet: RecordingSheet) -> None
         )
 
 
-def _own_columns(
+def _find_own_columns(
     names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet
 ) -> dict[str, tuple[str, str]]:
     """Return the columns named exactly by a quantity's symbol and a joint of the robot.
@@ -222,7 +226,7 @@ def _own_columns(
     }
 
 
-def _group(
+def _group_columns(
     names: Sequence[str], known: Mapping[str, tuple[str, str]], sheet: RecordingSheet
 ) -> dict[tuple[str, str], _Group]:
     renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
@@ -232,7 +236,7 @@ def _group(
             quantity, joint = known[name]
             role: Role | None = Role(quantity, joint)  # type: ignore[arg-type]
         else:
-            role = recognise(name) or commanded(name)
+            role = recognise(name) or match_commanded_role(name)
         if role is None:
             continue
         role = replace(role, joint=renamed.get(role.joint, role.joint), column=name)
@@ -240,7 +244,7 @@ def _group(
     for group in groups.values():
         _count_by_index(group)
     groups = _with_two_encoders(groups)
-    return {**_groups_by_unit(names, groups), **_goals(names, groups), **groups}
+    return {**_group_by_unit(names, groups), **_find_goals(names, groups), **groups}
 
 
 def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str, str], _Group]:
@@ -255,7 +259,7 @@ def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str,
     rest = {key: each for key, each in groups.items() if key[0] != "position"}
     if other is None:
         return {**rest, ("position", ""): motor}
-    labels = [words_of(role.joint) for role in other]
+    labels = [split_words(role.joint) for role in other]
     if not all(words[:1] == ["link"] for words in labels):
         return groups
     other[:] = [replace(role, joint="") for role in other]
@@ -273,7 +277,7 @@ def _count_by_index(group: _Group) -> None:
         group[:] = [replace(role, joint="") for role in group]
 
 
-def _goals(
+def _find_goals(
     names: Sequence[str], found: Mapping[tuple[str, str], _Group]
 ) -> dict[tuple[str, str], _Group]:
     """Return the commands that only a word such as setpoint names, one for each position."""
@@ -281,23 +285,23 @@ def _goals(
     if position is None:
         return {}
     goals = [
-        replace(role, column=name) for name in names if (role := goal_of_position(name)) is not None
+        replace(role, column=name) for name in names if (role := match_goal_role(name)) is not None
     ]
     _count_by_index(goals)
-    matched = goals and sorted(_places(goals)) == sorted(_places(position))
+    matched = goals and sorted(_locate_joints(goals)) == sorted(_locate_joints(position))
     return {("command", ""): goals} if matched else {}
 
 
-def _columns(group: _Group) -> list[str]:
+def _list_columns(group: _Group) -> list[str]:
     return [role.column for role in group]
 
 
-def _places(group: _Group) -> list[tuple[str, int]]:
+def _locate_joints(group: _Group) -> list[tuple[str, int]]:
     """Return which joint each column belongs to, by name or else by number."""
     return [(role.joint, -1 if role.joint else role.index or 0) for role in group]
 
 
-def _groups_by_unit(
+def _group_by_unit(
     names: Sequence[str], named: Mapping[tuple[str, str], _Group]
 ) -> dict[tuple[str, str], _Group]:
     """Return the columns of quantities that no column names, by their units."""
@@ -312,7 +316,7 @@ def _groups_by_unit(
     return found
 
 
-def _column(
+def _find_column(
     source: str, names: Sequence[str], order: Sequence[str], what: str, column: ColumnName
 ) -> str:
     if isinstance(column, int):
@@ -348,7 +352,7 @@ def _column(
     )
 
 
-def _listed(
+def _group_listed_columns(
     source: str,
     names: Sequence[str],
     order: Sequence[str],
@@ -356,9 +360,9 @@ def _listed(
     columns: Sequence[ColumnName],
     sheet: RecordingSheet,
 ) -> _Group:
-    found = [_column(source, names, order, what, column) for column in columns]
+    found = [_find_column(source, names, order, what, column) for column in columns]
     repeated = next((name for name in found if found.count(name) > 1), None)
-    labels = _listed_joints(sheet) or ["" for _ in found]
+    labels = _list_joints(sheet) or ["" for _ in found]
     refuse(
         RecordingError,
         (
@@ -380,12 +384,14 @@ def _listed(
     ]
 
 
-def _listed_joints(sheet: RecordingSheet) -> list[str] | None:
+def _list_joints(sheet: RecordingSheet) -> list[str] | None:
     """Return the joints in the order of the columns, None where the sheet does not list them."""
     return sheet.joints if isinstance(sheet.joints, list) else None
 
 
-def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | None, TorqueSource]:
+def _choose_torque_group(
+    groups: Mapping[tuple[str, str], _Group],
+) -> tuple[_Group | None, TorqueSource]:
     sources: dict[tuple[str, str], TorqueSource] = {
         ("torque", ""): "unknown",
         ("torque", "sensor"): "sensor",
@@ -400,13 +406,13 @@ def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | No
     return None, "unknown"
 
 
-def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
+def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
     """Sort a group by joint number if it only counts, and return its joint labels.
 
     If some columns name a joint, numbers are the names of the rest.
     """
     _refuse_repeats(source, quantity, group)
-    listed = _listed_joints(sheet)
+    listed = _list_joints(sheet)
     if listed is None and any(role.joint for role in group):
         group[:] = [
             role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
@@ -435,7 +441,7 @@ def _refuse_other_joints(
     source: str, quantity: str, labels: Sequence[str], listed: Sequence[str]
 ) -> None:
     """Raise if columns name their joints, and a sheet lists others; names tell the order."""
-    if sorted(map(words_of, labels)) == sorted(map(words_of, listed)):
+    if sorted(map(split_words, labels)) == sorted(map(split_words, listed)):
         return
     cure = Cure(
         "give the robot's name of each joint of the log in its place: [joints] with"
@@ -475,33 +481,33 @@ def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
         if missing:
             raise RecordingError(
                 f"{source}: the {quantity} column of joint number {missing[0]} is missing; there"
-                f" are {', '.join(_columns(group))}",
+                f" are {', '.join(_list_columns(group))}",
                 cure=Cure(
                     f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
                 ),
                 file=source,
-                available=_columns(group),
+                available=_list_columns(group),
             )
 
 
-def _of_some_joints(group: _Group, position: _Group) -> tuple[str, ...] | None:
+def _order_some_joints(group: _Group, position: _Group) -> tuple[str, ...] | None:
     """Return the columns in the order of the positions, "" for joints that have none.
 
     None where every joint has one, or the names do not say which joint each belongs to.
     """
-    own = dict(zip(_places(group), _columns(group), strict=True))
-    places = _places(position)
+    own = dict(zip(_locate_joints(group), _list_columns(group), strict=True))
+    places = _locate_joints(position)
     if len(own) < len(group) or not set(own) < set(places):
         return None
     return tuple(own.get(place, "") for place in places)
 
 
-def _aligned(
+def _align_columns(
     source: str, quantity: str, group: _Group, labels: Sequence[str], sheet: RecordingSheet
 ) -> tuple[str, ...]:
     """Return the columns of a group in the order of the position columns."""
-    own = _sorted_labels(source, quantity, group, sheet)
-    columns = _columns(group)
+    own = _sort_labels(source, quantity, group, sheet)
+    columns = _list_columns(group)
     if len(own) != len(labels):
         raise RecordingError(
             f"{source}: {len(labels)} position columns but {len(own)} {quantity} columns"
@@ -515,8 +521,10 @@ def _aligned(
         return tuple(columns)
     if set(own) == set(labels):
         return tuple(columns[own.index(label)] for label in labels)
-    if all(label.startswith("joint_") for label in labels) and numbers_in(own) is not None:
-        return tuple(name for _, name in sorted(zip(numbers_in(own) or [], columns, strict=True)))
+    if all(label.startswith("joint_") for label in labels) and read_label_numbers(own) is not None:
+        return tuple(
+            name for _, name in sorted(zip(read_label_numbers(own) or [], columns, strict=True))
+        )
     with suppress(RecordingError):
         order, assumed = match_joints(own, labels, source=source, robot=source)
         if not assumed:
@@ -530,7 +538,7 @@ def _aligned(
     )
 
 
-def _of_followers(
+def _find_follower_columns(
     model: RobotModel, labels: Sequence[str], ordered: Mapping[str, tuple[str, ...]]
 ) -> dict[str, tuple[str, ...]]:
     """Return the columns of position and torque of joints that follow others, by their names."""
@@ -543,7 +551,7 @@ def _of_followers(
     }
 
 
-def _order_for(
+def _match_order(
     model: RobotModel, source: str, labels: Sequence[str], position: _Group, sheet: RecordingSheet
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...]]:
     named = sheet.joints is not None or all(role.joint for role in position)
@@ -555,7 +563,7 @@ def _order_for(
         )
         return model.joint_names, [own[k] for k in order], notes
     if len(labels) != model.n_joints:
-        missing = joints_without_label(labels, model.joint_names) if named else None
+        missing = find_unlabelled_joints(labels, model.joint_names) if named else None
         beyond = ", ".join(model.joint_names[len(labels) :])
         more = f"; joints that the log lacks can be locked: {beyond}" if beyond else ""
         if model.followers:
@@ -572,12 +580,12 @@ def _order_for(
             file=source,
             value=len(labels),
             expected=model.n_joints,
-            missing=missing or _gripper_joints(model, len(labels)),
+            missing=missing or _find_gripper_joints(model, len(labels)),
         )
     return model.joint_names, list(range(len(labels))), ()
 
 
-def _gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | None:
+def _find_gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | None:
     """Return the joints behind the first `count` if those are an arm and these its gripper.
 
     The arm is a chain of joints in order. The others hang on its last link, and are no continuation
@@ -594,7 +602,7 @@ def _gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | None:
     return tuple(joint.name for joint in rest)
 
 
-def _scales(
+def _choose_scales(
     chosen: Mapping[str, _Group], sheet: RecordingSheet, notes: list[str]
 ) -> dict[str, float]:
     scales: dict[str, float] = {}
@@ -604,28 +612,28 @@ def _scales(
         if quantity == "command" and unit is None and not any(role.unit for role in group):
             unit = sheet.units.position
         for role in group:
-            scales[role.column] = role.scale if unit is None else unit_scale(unit) or 1.0
+            scales[role.column] = role.scale if unit is None else parse_unit_scale(unit) or 1.0
         units = {role.unit for role in group if role.scale != 1.0}
         if unit is None and units:
             notes.append(f"{quantity} columns were converted from {', '.join(sorted(units))}")
     return scales
 
 
-def _time_column(
+def _find_time_column(
     source: str,
     names: Sequence[str],
     order: Sequence[str],
     groups: Mapping[tuple[str, str], _Group],
     sheet: RecordingSheet,
 ) -> tuple[str | None, float]:
-    unit = unit_scale(sheet.units.time) if sheet.units.time else None
+    unit = parse_unit_scale(sheet.units.time) if sheet.units.time else None
     if sheet.columns.time is not None:
-        return _column(source, names, order, "time", sheet.columns.time), unit or 1.0
+        return _find_column(source, names, order, "time", sheet.columns.time), unit or 1.0
     group = groups.get(("time", ""))
     if group is None:
         return None, 1.0
     picks = [role for role in group if not role.joint]
     if not picks:
         return None, 1.0
-    pick = next((role for role in picks if nanoseconds_beside(role.column, names)), picks[0])
+    pick = next((role for role in picks if find_nanoseconds(role.column, names)), picks[0])
     return pick.column, unit or pick.scale

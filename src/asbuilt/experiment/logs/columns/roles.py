@@ -8,7 +8,7 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from asbuilt.description.joint_matching import WORD, words_of
+from asbuilt.description.joint_matching import WORD, split_words
 
 Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current", "command"]
 
@@ -239,12 +239,12 @@ class Role:
     column: str = field(default="", repr=False)
 
 
-def unit_scale(unit: str) -> float | None:
+def parse_unit_scale(unit: str) -> float | None:
     """Return the factor from `unit`, such as "deg/s" or "mN m", to SI; None if it is unknown.
 
     Examples
     --------
-    >>> unit_scale("mNm"), unit_scale("rad/s"), unit_scale("furlong")
+    >>> parse_unit_scale("mNm"), parse_unit_scale("rad/s"), parse_unit_scale("furlong")
     (0.001, 1.0, None)
     """
     return _UNITS.get(unit.strip().split("/")[0].strip().lower())
@@ -268,7 +268,7 @@ def recognise(name: str) -> Role | None:
     bare, index, unit, _ = _with_unit(name.replace("τ", "tau").replace("θ", "theta"))
     spans = [(m.group().lower(), m.start(), m.end()) for m in WORD.finditer(bare)]
     words = [word for word, _, _ in spans]
-    quantity, used = _quantity(words)
+    quantity, used = _find_quantity(words)
     if quantity is None or (set(words) - {words[k] for k in used}) & (_DESIRED | _OTHER):
         return None
     if quantity == "time" and set(words) & _NO_CLOCK:
@@ -276,7 +276,7 @@ def recognise(name: str) -> Role | None:
     unscaled = "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
     unit = unscaled or ("ms" if "ipoc" in words else unit)
     rest = [k for k in range(len(words)) if k not in used and words[k] != unscaled]
-    scale = unit_scale(unit) if unit else None
+    scale = parse_unit_scale(unit) if unit else None
     left = {words[k] for k in rest}
     if unscaled and left & _EXTERNAL:
         return None
@@ -330,50 +330,52 @@ def recognise(name: str) -> Role | None:
     return Role(quantity, joint, index, kind, 1.0 if scale is None else scale, unit)
 
 
-def nanoseconds_beside(name: str, names: Sequence[str]) -> str | None:
+def find_nanoseconds(name: str, names: Sequence[str]) -> str | None:
     """Return the column of nanoseconds that belongs to one of whole seconds, as in ROS stamps.
 
-    >>> nanoseconds_beside("stamp.sec", ["stamp.sec", "stamp.nanosec"])
+    >>> find_nanoseconds("stamp.sec", ["stamp.sec", "stamp.nanosec"])
     'stamp.nanosec'
-    >>> nanoseconds_beside("ZeitInSec", ["ZeitInSec", "ZeitInNanoSec"])
+    >>> find_nanoseconds("ZeitInSec", ["ZeitInSec", "ZeitInNanoSec"])
     'ZeitInNanoSec'
     """
-    *before, last = words_of(name) or [""]
+    *before, last = split_words(name) or [""]
     if last not in _SECONDS:
         return None
     wanted = [[*before, last] for last in _NANOSECONDS] + [[*before, "nano", last]]
-    return next((each for each in names if words_of(each) in wanted), None)
+    return next((each for each in names if split_words(each) in wanted), None)
 
 
-def commanded(name: str) -> Role | None:
+def match_commanded_role(name: str) -> Role | None:
     """Return the role of a column of commanded positions by its name, None for all others.
 
     Examples
     --------
-    >>> commanded("des_dof_pos_3").index, commanded("elbow_joint_target_position").joint
-    (3, 'elbow_joint')
-    >>> commanded("elbow_cmd_deg").joint, commanded("elbow_cmd_deg").unit
+    >>> match_commanded_role("des_dof_pos_3").index
+    3
+    >>> match_commanded_role("elbow_joint_target_position").joint
+    'elbow_joint'
+    >>> match_commanded_role("elbow_cmd_deg").joint, match_commanded_role("elbow_cmd_deg").unit
     ('elbow', 'deg')
-    >>> commanded("q_1"), commanded("target_velocity_1"), commanded("elbow_cmd_mA")
-    (None, None, None)
+    >>> [match_commanded_role(name) for name in ("q_1", "target_velocity_1", "elbow_cmd_mA")]
+    [None, None, None]
     """
-    return _commanded(name, _COMMANDS)
+    return _find_commanded_role(name, _COMMANDS)
 
 
-def goal_of_position(name: str) -> Role | None:
+def match_goal_role(name: str) -> Role | None:
     """Return the role of a column that names a joint and a word such as setpoint, and no quantity.
 
     Examples
     --------
-    >>> goal_of_position("elbow/setpoint").joint, goal_of_position("ref_2").index
+    >>> match_goal_role("elbow/setpoint").joint, match_goal_role("ref_2").index
     ('elbow', 2)
-    >>> goal_of_position("setpoint_temperature"), goal_of_position("action_1")
+    >>> match_goal_role("setpoint_temperature"), match_goal_role("action_1")
     (None, None)
     """
-    return _commanded(name, _GOALS)
+    return _find_commanded_role(name, _GOALS)
 
 
-def _commanded(name: str, alone: Set[str]) -> Role | None:
+def _find_commanded_role(name: str, alone: Set[str]) -> Role | None:
     """Return the role of a commanded position; words of `alone` need no quantity beside them."""
     if name.startswith(_RSI_COMMAND):
         name = f"command {_RSI[_RSI_COMMAND]}{name.removeprefix(_RSI_COMMAND)}"
@@ -407,7 +409,7 @@ def names_command(name: str) -> bool:
     >>> [names_command(each) for each in ("/joint_states", "/arm/joint_commands", "/desired_state")]
     [False, True, True]
     """
-    return bool(set(words_of(name)) & (_COMMANDS | _GOALS))
+    return bool(set(split_words(name)) & (_COMMANDS | _GOALS))
 
 
 def recognise_by_unit(name: str) -> Role | None:
@@ -424,7 +426,7 @@ def recognise_by_unit(name: str) -> Role | None:
     (None, None)
     """
     bare, _, unit, order = _with_unit(name)
-    words = words_of(bare)
+    words = split_words(bare)
     if not unit or recognise(name) is not None or set(words) & (_DESIRED | _OTHER | _EXTERNAL):
         return None
     kind = unit.lower().split("/")[0].strip()
@@ -441,12 +443,12 @@ def recognise_by_unit(name: str) -> Role | None:
     return Role(quantity, index=numbered[-1], scale=_UNITS[kind], unit=unit)
 
 
-def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
+def parse_file_quantity(stem: str) -> tuple[Quantity | None, str]:
     """Return the quantity that a file name ends or begins with, and the rest of the name.
 
     "run1_positions" -> ("position", "run1").
     """
-    words = words_of(stem)
+    words = split_words(stem)
     for k in (len(words) - 1, 0):
         if words and words[k] in _WORDS and _WORDS[words[k]] != "time":
             return _WORDS[words[k]], "_".join(words[:k] + words[k + 1 :])
@@ -462,26 +464,26 @@ def _with_unit(name: str) -> tuple[str, int | None, str, int]:
     for content in re.findall(r"[\[(]([^\])]*)[\])]", name):
         if content.strip().isdigit():
             index = int(content)
-        elif unit_scale(content) is not None:
+        elif parse_unit_scale(content) is not None:
             unit = content.strip()
     bare = re.sub(r"[\[(][^\])]*[\])]", "", name)
     suffix = _UNIT_SUFFIX.search(bare)
     if suffix and suffix.group(1).lower() in _TIMES:
         # Baxter's joints are s0 to w2: `ang_left_s0` is no angle in seconds
-        rest = _quantity(words_of(bare[: suffix.start()]))[0]
+        rest = _find_quantity(split_words(bare[: suffix.start()]))[0]
         suffix = suffix if rest in (None, "time") else None
     if suffix and not unit:
         bare = bare[: suffix.start()] + bare[suffix.end() :]
-        return bare, index, suffix.group(1), _order(suffix.group(2) or "")
-    return bare, index, unit, _order(unit.partition("/")[2])
+        return bare, index, suffix.group(1), _find_order(suffix.group(2) or "")
+    return bare, index, unit, _find_order(unit.partition("/")[2])
 
 
-def _order(per: str) -> int:
+def _find_order(per: str) -> int:
     """Return how often a unit is per second, from what follows its stroke."""
     return 0 if not per else 2 if per.strip()[-1] in "2²" else 1
 
 
-def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
+def _find_quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
     """Return the quantity that the words name, and the indices of these words."""
     for k in range(len(words)):
         for pair, quantity in _PAIRS.items():

@@ -17,7 +17,7 @@ from asbuilt.experiment.gravity_load import (
     correlations,
     load_matches,
 )
-from asbuilt.experiment.logs.columns.roles import unit_scale
+from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 
 DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS = DEGREE**0.5
@@ -72,11 +72,11 @@ def suggest_sheet(
     """
     values = list(columns.values())
     places = list(range(1, len(values) + 1)) if numbers is None else list(numbers)
-    time, others = _time_and_others(values)
+    time, others = _find_time_column(values)
     rest = [values[k] for k in others]
     places_of_rest = [places[k] for k in others]
     clock = None if time is None else values[time]
-    n_joints = _joints_by_derivative(rest, clock) if model is None else model.n_joints
+    n_joints = _count_joints_by_derivative(rest, clock) if model is None else model.n_joints
     head = [] if named else ["header = false"]
     if rate is not None:
         head.append(f"rate = {rate:g}")
@@ -87,16 +87,16 @@ def suggest_sheet(
         for k in range(0, len(rest) - n_joints + 1, n_joints)
     ]
     spans = [
-        _span(places_of_rest[k : k + n_joints])
+        _format_span(places_of_rest[k : k + n_joints])
         for k in range(0, len(rest) - n_joints + 1, n_joints)
     ]
     units: dict[str, str] = {}
-    if clock is not None and (unit := _time_unit(clock)) != "s":
-        units["time"], clock = unit, clock * (unit_scale(unit) or 1.0)
+    if clock is not None and (unit := _guess_time_unit(clock)) != "s":
+        units["time"], clock = unit, clock * (parse_unit_scale(unit) or 1.0)
     t = np.arange(values[0].size) / (rate or 1.0) if clock is None else clock
-    pair = _position_and_command(t, groups)
+    pair = _find_position_and_command(t, groups)
     kept = [k for k in range(len(groups)) if pair is None or k != pair[1]]
-    position, velocity, torques, degrees = _roles(
+    position, velocity, torques, degrees = _assign_roles(
         t, [groups[k] for k in kept], model, None if pair is None else kept.index(pair[0])
     )
     position, torques = kept[position], [kept[k] for k in torques]
@@ -104,11 +104,15 @@ def suggest_sheet(
     if degrees:
         units |= dict.fromkeys(["position"] if pair is None else ["position", "command"], "deg")
     if clock is None and rate is None:
-        found = None if velocity is None else _rate(groups[position], groups[velocity], degrees)
+        found = (
+            None
+            if velocity is None
+            else _estimate_rate(groups[position], groups[velocity], degrees)
+        )
         t = t / (found or 1.0)
         head.append("rate = 100  # Hz" if found is None else f"rate = {found:g}  # Hz")
     if velocity is not None:
-        units |= _velocity_unit(t, groups[position], groups[velocity], degrees)
+        units |= _guess_velocity_unit(t, groups[position], groups[velocity], degrees)
     if units:
         stated = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
         head.append(f"units = {{ {stated} }}")
@@ -126,7 +130,7 @@ def suggest_sheet(
     return "\n".join([*head, "[columns]", *listed, *further])
 
 
-def _time_and_others(values: Sequence[Array]) -> tuple[int | None, list[int]]:
+def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
     """Return which column is time, and which are neither time nor counters that lead the others."""
     leads = next((k for k, each in enumerate(values) if not _counts_rows(each)), len(values))
     others = list(range(leads, len(values)))
@@ -140,7 +144,7 @@ def _counts_rows(values: Array) -> bool:
     return values.size > 2 and values[0] in (0.0, 1.0) and bool(np.all(np.diff(values) == 1.0))
 
 
-def _span(places: Sequence[int]) -> str:
+def _format_span(places: Sequence[int]) -> str:
     """Return numbers of columns as a sheet has them: "2-4", or ["2-4", "6-7"] with gaps."""
     cuts = [0, *(k for k in range(1, len(places)) if places[k] != places[k - 1] + 1), len(places)]
     parts = [(places[begin], places[stop - 1]) for begin, stop in pairwise(cuts)]
@@ -148,13 +152,13 @@ def _span(places: Sequence[int]) -> str:
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
-def _time_unit(values: Array) -> str:
+def _guess_time_unit(values: Array) -> str:
     """Return the unit of times in which their median step is a rate between 5 and 5000 Hz."""
     step = float(np.median(np.diff(values[np.isfinite(values)])))
     return next(unit for unit, least in STEPS.items() if step >= least)
 
 
-def _velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, str]:
+def _guess_velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, str]:
     """Return the unit of velocities under its name where it is not the positions' unit in SI."""
     slope = np.gradient(q, t, axis=0)
     ok = np.isfinite(slope) & np.isfinite(qd)
@@ -163,19 +167,20 @@ def _velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, st
     return {"velocity": "deg/s"} if in_degrees else {}
 
 
-def _position_and_command(t: Array, groups: list[Array]) -> tuple[int, int] | None:
+def _find_position_and_command(t: Array, groups: list[Array]) -> tuple[int, int] | None:
     """Return two groups of which the first follows the second closely, and later.
 
     It is the group of which another is the derivative, if there is one. None if no group follows
     another, or several do, such as currents too.
     """
-    moving = _derivative_pair(t, groups, None)
+    moving = _find_derivative_pair(t, groups, None)
     # Difference of two groups, relative to their spread, up to which one is the command of the
     # other.
     found = [
         (i, k)
         for i, k in combinations(range(len(groups)), 2)
-        if (moving is None or moving[0] in (i, k)) and _apart(groups[i], groups[k]) < 0.3
+        if (moving is None or moving[0] in (i, k))
+        and _measure_difference(groups[i], groups[k]) < 0.3
     ]
     if len(found) != 1:
         return None
@@ -185,7 +190,7 @@ def _position_and_command(t: Array, groups: list[Array]) -> tuple[int, int] | No
     return (i, k) if _is_later(t, groups[i], groups[k]) else (k, i)
 
 
-def _apart(one: Array, other: Array) -> float:
+def _measure_difference(one: Array, other: Array) -> float:
     """Return the RMS difference of groups relative to their spread, the median over joints."""
     ok = np.all(np.isfinite(one) & np.isfinite(other), axis=1)
     spread = np.std(other[ok], axis=0) if ok.any() else np.zeros(other.shape[1])
@@ -205,23 +210,23 @@ def _is_later(t: Array, q: Array, u: Array) -> bool:
     return float(np.sum(lags[spread > 0.0] / spread[spread > 0.0] ** 2)) < 0.0
 
 
-def _roles(
+def _assign_roles(
     t: Array, groups: list[Array], model: RobotModel | None, known: int | None
 ) -> tuple[int, int | None, list[int], bool]:
     """Return the groups of positions and velocities, and groups of torques, the likeliest first.
 
     And whether the positions are degrees. `known` is the group of positions, if that is known.
     """
-    pair = _derivative_pair(t, groups, known)
+    pair = _find_derivative_pair(t, groups, known)
     position, velocity = pair if pair is not None else (known or 0, None)
     if model is None:
         rest = [k for k in range(len(groups)) if k not in (position, velocity)]
-        return position, velocity, rest, bool(_largest(groups[position]) > LARGEST_RADIANS)
+        return position, velocity, rest, bool(_find_largest(groups[position]) > LARGEST_RADIANS)
     plain, turned = _load_matches(model, groups, 1.0), _load_matches(model, groups, DEGREE)
     if velocity is None and known is None:
         best = np.maximum(np.max(plain, axis=1), np.max(turned, axis=1))
         position = int(np.argmax(best))
-    degrees = _largest(groups[position]) > LARGEST_RADIANS or (
+    degrees = _find_largest(groups[position]) > LARGEST_RADIANS or (
         np.max(turned[position]) > CLEAR_LOAD
         and np.max(turned[position]) > np.max(plain[position]) + CLEARLY_BETTER
     )
@@ -234,7 +239,7 @@ def _roles(
     return position, velocity, rest, bool(degrees)
 
 
-def _largest(values: Array) -> float:
+def _find_largest(values: Array) -> float:
     """Return the largest finite magnitude, 0 if there is none."""
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else 0.0
@@ -262,7 +267,7 @@ def _ticks(values: Array) -> bool:
     return middle > 0.0 and float(np.mean(even)) >= CLOCK_STEPS[0]
 
 
-def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
+def _estimate_rate(q: Array, qd: Array, degrees: bool) -> float | None:
     """Return the rate [Hz] at which the steps of positions are the velocities; None if none can be.
 
     Velocities in degrees per second with positions in radians count as such.
@@ -272,30 +277,32 @@ def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
     per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
     rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
     # Velocities beyond are rather degrees per second [rad/s].
-    if _largest(qd) > 10.0:
+    if _find_largest(qd) > 10.0:
         rates.reverse()
     low, high = RATES
     return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
 
 
-def _derivative_pair(t: Array, groups: list[Array], known: int | None) -> tuple[int, int] | None:
+def _find_derivative_pair(
+    t: Array, groups: list[Array], known: int | None
+) -> tuple[int, int] | None:
     """Return the groups of which the second follows the derivative of the first, if any."""
     best, pair = 0.8, None
     for i, q in enumerate(groups):
         for k, qd in enumerate(groups):
-            if i != k and known in (None, i) and (match := _derivative_match(t, q, qd)) > best:
+            if i != k and known in (None, i) and (match := _correlate_derivative(t, q, qd)) > best:
                 best, pair = match, (i, k)
     return pair
 
 
-def _derivative_match(t: Array, q: Array, qd: Array) -> float:
+def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:
     """Return the median correlation of the columns of qd with the derivative of q."""
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.gradient(q, axis=0) / np.gradient(t)[:, None]
     return float(np.median(correlations(slope, qd)))
 
 
-def _joints_by_derivative(values: list[Array], t: Array | None) -> int | None:
+def _count_joints_by_derivative(values: list[Array], t: Array | None) -> int | None:
     """Return the number of joints that makes the second group the derivative of the first."""
     clock = (
         t
@@ -307,7 +314,7 @@ def _joints_by_derivative(values: list[Array], t: Array | None) -> int | None:
     for n in range(2, len(values) // 2 + 1):
         if (
             len(values) % n == 0
-            and _derivative_match(
+            and _correlate_derivative(
                 clock, np.column_stack(values[:n]), np.column_stack(values[n : 2 * n])
             )
             > 0.8

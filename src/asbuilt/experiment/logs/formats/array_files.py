@@ -19,10 +19,10 @@ from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
-    table_from_variables,
+    tabulate_variables,
 )
 from asbuilt.findings import Cure
-from asbuilt.untrusted import reason
+from asbuilt.untrusted import describe_problem
 
 _SAVE = Cure("save named arrays of numbers: np.savez(path, t=t, q=q, tau=tau)")
 
@@ -58,7 +58,8 @@ def read_npz(path: Path) -> LogTable:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(
-            f"{path} is not a recording: NumPy cannot read it as an .npz archive ({reason(error)})",
+            f"{path} is not a recording: NumPy cannot read it as an .npz archive"
+            f" ({describe_problem(error)})",
             cure=_SAVE,
             file=str(path),
         ) from error
@@ -69,7 +70,7 @@ def read_npz(path: Path) -> LogTable:
             else "it holds no array"
         )
         raise RecordingError(f"{path} is not a recording: {why}", cure=_SAVE, file=str(path))
-    return table_from_variables(str(path), variables)
+    return tabulate_variables(str(path), variables)
 
 
 def _refuse_bombs(path: Path) -> None:
@@ -133,13 +134,13 @@ def read_torch_archive(path: Path) -> LogTable:
     except Exception as error:  # a damaged pickle raises what it likes
         raise RecordingError(
             f"{path} is not a recording: it is no archive of tensors that torch.save wrote"
-            f" ({reason(error)})",
+            f" ({describe_problem(error)})",
             cure=SAVE,
             file=str(path),
         ) from error
     if not isinstance(content, Mapping):
         content = {"tensor": content}
-    return table_from_variables(str(path), dict(_flat(content)))
+    return tabulate_variables(str(path), dict(_flatten(content)))
 
 
 class _Content(pickle.Unpickler):
@@ -161,7 +162,7 @@ class _Content(pickle.Unpickler):
         if (module, name) == ("collections", "OrderedDict"):
             return OrderedDict
         if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
-            return _tensor
+            return _copy_tensor
         if module in ("torch", "torch.storage") and name in DTYPES:
             return DTYPES[name]
         raise ValueError(f"it refers to {module}.{name}, which is not read for safety")
@@ -175,7 +176,7 @@ class _Content(pickle.Unpickler):
         return np.frombuffer(data, dtype=np.dtype(dtype).newbyteorder(self._order), count=count)
 
 
-def _tensor(
+def _copy_tensor(
     storage: Array, offset: int, shape: Sequence[int], stride: Sequence[int], *_: Any
 ) -> Array:
     """Return the strided part of a storage that is a tensor, copied."""
@@ -192,12 +193,12 @@ def _tensor(
     return np.array(view, dtype=np.float64)
 
 
-def _flat(content: Mapping[Any, Any], prefix: str = "") -> list[tuple[str, Array]]:
+def _flatten(content: Mapping[Any, Any], prefix: str = "") -> list[tuple[str, Array]]:
     found = []
     for key, value in content.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            found += _flat(value, f"{name}_")
+            found += _flatten(value, f"{name}_")
         elif isinstance(value, np.ndarray) or (
             isinstance(value, list | tuple) and all(isinstance(each, int | float) for each in value)
         ):
@@ -233,13 +234,13 @@ def read_hdf5(path: Path) -> LogTable:
 
     def refuse_link(name: str, link: Any) -> None:
         if isinstance(link, h5py.ExternalLink):
-            raise _foreign(path, name, f"links to the file {link.filename!r}")
+            raise _make_foreign_error(path, name, f"links to the file {link.filename!r}")
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return
         if item.is_virtual or item.external:
-            raise _foreign(path, name, "takes its values from other files")
+            raise _make_foreign_error(path, name, "takes its values from other files")
         if item.size and item.size * item.dtype.itemsize > LIMITS.memory_for(path.stat().st_size):
             raise RecordingError(
                 f"{path}: the dataset {name!r} declares {item.size * item.dtype.itemsize:.3g}"
@@ -266,10 +267,10 @@ def read_hdf5(path: Path) -> LogTable:
         last if short.count(last) == 1 else name: value
         for (name, value), last in zip(variables.items(), short, strict=True)
     }
-    return table_from_variables(str(path), named)
+    return tabulate_variables(str(path), named)
 
 
-def _foreign(path: Path, name: str, why: str) -> RecordingError:
+def _make_foreign_error(path: Path, name: str, why: str) -> RecordingError:
     return RecordingError(
         f"{path}: {name!r} {why}, which is refused",
         cure=Cure("copy the values into one file, such as with h5repack"),
@@ -313,7 +314,7 @@ def read_mat(path: Path) -> LogTable:
     for name, value in content.items():
         if not name.startswith("__"):
             _collect(name, value, variables)
-    return table_from_variables(str(path), variables)
+    return tabulate_variables(str(path), variables)
 
 
 def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:

@@ -88,7 +88,7 @@ def find_dialect(
     RecordingError
         If the file is empty, not text, holds no numbers, or names a column twice.
     """
-    lines = _first_lines(path)
+    lines = _read_first_lines(path)
     body = [
         k
         for k, line in enumerate(lines)
@@ -102,9 +102,9 @@ def find_dialect(
     decimal_comma = separator == ";" and any(
         "," in field for k in body[1:3] for field in lines[k].split(";")
     )
-    fields = _fields(lines[first], separator)
+    fields = _split_fields(lines[first], separator)
     has_header = (
-        _is_header(fields, [_fields(lines[k], separator) for k in body[1:3]], decimal_comma)
+        _is_header(fields, [_split_fields(lines[k], separator) for k in body[1:3]], decimal_comma)
         if header is None
         else header
     )
@@ -116,12 +116,12 @@ def find_dialect(
                 file=str(path),
             )
         skip = body[1]
-        units = _fields(lines[skip], separator)
+        units = _split_fields(lines[skip], separator)
         if (
             len(body) > 2
             and len(units) == len(names)
             and _is_words(units, decimal_comma)
-            and not _is_words(_fields(lines[body[2]], separator), decimal_comma)
+            and not _is_words(_split_fields(lines[body[2]], separator), decimal_comma)
         ):
             names, skip = (
                 [
@@ -131,7 +131,7 @@ def find_dialect(
                 body[2],
             )
     else:
-        commented = _fields(lines[first - 1].lstrip(" #%"), separator) if first > 0 else []
+        commented = _split_fields(lines[first - 1].lstrip(" #%"), separator) if first > 0 else []
         if (
             header is None
             and len(commented) == len(fields)
@@ -160,7 +160,7 @@ def find_dialect(
             file=str(path),
             value=repeated[0],
         )
-    data = _fields(lines[skip], separator)
+    data = _split_fields(lines[skip], separator)
     text = tuple(
         name
         for name, cell in itertools.zip_longest(names, data, fillvalue="")
@@ -179,17 +179,17 @@ def find_dialect(
             file=str(path),
             line=skip + 1,
         )
-    rows = _rows_before_cut(path, skip, separator, len(names))
+    rows = _count_rows_before_cut(path, skip, separator, len(names))
     return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text, dated, rows)
 
 
-def _rows_before_cut(path: Path, skip: int, separator: str, columns: int) -> int | None:
+def _count_rows_before_cut(path: Path, skip: int, separator: str, columns: int) -> int | None:
     """Return how many rows precede a last line that lacks cells and its end; None if none does."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - LONGEST_LINE))
         last = file.read().rpartition(b"\n")[2].decode("utf-8", "replace")
-        if not last.strip() or len(_fields(last, separator)) >= columns:
+        if not last.strip() or len(_split_fields(last, separator)) >= columns:
             return None
         file.seek(0)
         lines = (line for k, line in enumerate(file) if k >= skip)
@@ -214,7 +214,7 @@ def _is_header(fields: list[str], rows: list[list[str]], decimal_comma: bool) ->
     return not all(numeric) and (counts or not rows or not all(alike))
 
 
-def _dialect_of(path: Path, sheet: RecordingSheet) -> Dialect:
+def _detect_dialect(path: Path, sheet: RecordingSheet) -> Dialect:
     separator = "" if sheet.separator == " " else sheet.separator
     return find_dialect(
         path, header=sheet.header, separator=separator, numbered=sheet.columns.numbered
@@ -248,7 +248,7 @@ def _holds(path: Path, sign: bytes) -> bool:
         return any(sign in part for part in iter(lambda: file.read(AT_ONCE), b""))
 
 
-def _parts(path: Path, dialect: Dialect) -> Iterator[bytes]:
+def _read_parts(path: Path, dialect: Dialect) -> Iterator[bytes]:
     """Yield the rows of a file without quotes, some at a time, but for comments and a cut one."""
 
     def without_comments(rows: bytes) -> bytes:
@@ -292,27 +292,27 @@ def read_delimited(path: Path, dialect: Dialect | None = None) -> LogTable:
     try:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
-        raise bad_cell(path, dialect, error) from error
+        raise locate_bad_cell(path, dialect, error) from error
     frame = _with_times(path, frame, dialect)
     return replace(
-        _header_of(path, dialect),
+        _make_header(path, dialect),
         columns={name: numbers(frame[name]) for name in dialect.numeric},
     )
 
 
-def _header_of(path: Path, dialect: Dialect) -> LogTable:
+def _make_header(path: Path, dialect: Dialect) -> LogTable:
     """Return the table of a file without its rows."""
     return LogTable(
         source=str(path),
         columns={name: np.empty(0) for name in dialect.numeric},
         named=dialect.named,
         text_columns=tuple(name for name in dialect.names if name not in dialect.numeric),
-        notes=_notes(dialect),
+        notes=_list_notes(dialect),
         order=dialect.names,
     )
 
 
-def _notes(dialect: Dialect) -> tuple[str, ...]:
+def _list_notes(dialect: Dialect) -> tuple[str, ...]:
     return () if dialect.rows is None else ("the last line is cut and was left out",)
 
 
@@ -322,19 +322,19 @@ def _with_times(path: Path, frame: pl.DataFrame, dialect: Dialect) -> pl.DataFra
     for name in set(dialect.dated) & set(frame.columns):
         seconds = seconds_of_text(frame[name])
         if seconds is None:
-            raise bad_cell(path, dialect, ValueError(f"column {name!r} holds no times"))
+            raise locate_bad_cell(path, dialect, ValueError(f"column {name!r} holds no times"))
         times.append(pl.Series(name, seconds))
     return frame.with_columns(times)
 
 
-def bad_cell(path: Path, dialect: Dialect, error: Exception) -> RecordingError:
+def locate_bad_cell(path: Path, dialect: Dialect, error: Exception) -> RecordingError:
     """Return the error that names the first cell that is not a number."""
     expected = len(dialect.names)
     with path.open(encoding="utf-8", errors="replace") as file:
         for line, text in enumerate(file, start=1):
             if line <= dialect.skip or not text.strip() or text.startswith("#"):
                 continue
-            fields = _fields(text, dialect.separator)
+            fields = _split_fields(text, dialect.separator)
             if len(fields) > expected:
                 commas = dialect.separator == "," and len(fields) > 1.5 * expected
                 return RecordingError(
@@ -387,11 +387,11 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
         source=str(path),
         columns={name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)},
         named=dialect.named,
-        notes=_notes(dialect),
+        notes=_list_notes(dialect),
     )
 
 
-def _first_lines(path: Path, count: int = 64) -> list[str]:
+def _read_first_lines(path: Path, count: int = 64) -> list[str]:
     with path.open("rb") as file:
         start = file.read(4096)
     packed = next((what for magic, what in _PACKED.items() if start.startswith(magic)), None)
@@ -438,7 +438,7 @@ def _find_separator(lines: list[str]) -> str:
     return "" if all(len(line.split()) > 1 for line in lines) else ","
 
 
-def _fields(line: str, separator: str) -> list[str]:
+def _split_fields(line: str, separator: str) -> list[str]:
     parts = line.strip("\r\n").split(separator) if separator else line.split()
     return [part.strip().strip('"').strip() for part in parts]
 
@@ -455,20 +455,20 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
     return True
 
 
-def _header(path: Path, sheet: RecordingSheet) -> LogTable | None:
+def _read_header(path: Path, sheet: RecordingSheet) -> LogTable | None:
     """Return the table of a file that can be read lazily, without its rows."""
     if _is_echo(path, sheet):
         return None
-    dialect = _dialect_of(path, sheet)
-    return None if dialect.separator == "" else _header_of(path, dialect)
+    dialect = _detect_dialect(path, sheet)
+    return None if dialect.separator == "" else _make_header(path, dialect)
 
 
 def _chunks(
     path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
-    dialect = _dialect_of(path, sheet)
+    dialect = _detect_dialect(path, sheet)
     # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
-    parts = [None] if _holds(path, b'"') else _parts(path, dialect)
+    parts = [None] if _holds(path, b'"') else _read_parts(path, dialect)
     done, held = 0, pl.DataFrame()
     try:
         for part in parts:
@@ -479,7 +479,7 @@ def _chunks(
                     yield done, columns_of(_with_times(path, held[:chunk_samples], dialect))
                     done, held = done + chunk_samples, held[chunk_samples:]
     except pl.exceptions.PolarsError as error:
-        raise bad_cell(path, dialect, error) from error
+        raise locate_bad_cell(path, dialect, error) from error
     if held.height:
         yield done, columns_of(_with_times(path, held, dialect))
 
@@ -487,13 +487,13 @@ def _chunks(
 def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
     if sheet.header is not None or sheet.separator is not None:
         return False
-    return is_topic_echo(next((line for line in _first_lines(path) if line.strip()), ""))
+    return is_topic_echo(next((line for line in _read_first_lines(path) if line.strip()), ""))
 
 
 def _read(path: Path, sheet: RecordingSheet) -> LogTable:
     if _is_echo(path, sheet):
         return read_topic_echo(path)
-    return read_delimited(path, _dialect_of(path, sheet))
+    return read_delimited(path, _detect_dialect(path, sheet))
 
 
 FORMATS.register(
@@ -501,6 +501,8 @@ FORMATS.register(
     LogFormat(
         suffixes=(".csv", ".dat", ".tsv", ".txt"),
         read=_read,
-        stream=LogStream(header=_header, chunks=_chunks, n_bytes=lambda path: path.stat().st_size),
+        stream=LogStream(
+            header=_read_header, chunks=_chunks, n_bytes=lambda path: path.stat().st_size
+        ),
     ),
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable, table_from_variables
+from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_variables
 
 
 def is_columns(item: Any) -> bool:
@@ -17,7 +17,7 @@ def is_columns(item: Any) -> bool:
     return isinstance(item, Mapping) or (hasattr(item, "columns") and hasattr(item, "__getitem__"))
 
 
-def table_of_columns(item: Any) -> LogTable:
+def tabulate_columns(item: Any) -> LogTable:
     """Return the columns of a dict of arrays (vectors or matrices) or of a data frame.
 
     A named index of a pandas frame counts as a column; time stamps become seconds.
@@ -29,13 +29,15 @@ def table_of_columns(item: Any) -> LogTable:
     """
     if isinstance(item, Mapping):
         arrays = {str(name): np.asarray(values) for name, values in item.items()}
-        return table_from_variables("dict of arrays", arrays)
+        return tabulate_variables("dict of arrays", arrays)
     frame = item
     if getattr(getattr(item, "index", None), "name", None) is not None:
         frame = item.reset_index()
     found = {str(name): np.asarray(frame[name].to_numpy()) for name in frame.columns}
     columns = {
-        name: values for name, each in found.items() if (values := _numbers(each)) is not None
+        name: values
+        for name, each in found.items()
+        if (values := _convert_to_numbers(each)) is not None
     }
     if not columns:
         raise RecordingError(
@@ -46,7 +48,7 @@ def table_of_columns(item: Any) -> LogTable:
     return LogTable(source="data frame", columns=columns, text_columns=text, order=tuple(found))
 
 
-def _numbers(values: Array) -> Array | None:
+def _convert_to_numbers(values: Array) -> Array | None:
     """Return a column as floats, time stamps in seconds; None if it does not hold numbers."""
     if values.dtype.kind in "mM":
         return values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64).astype(np.float64) / 1e9

@@ -22,7 +22,7 @@ from asbuilt.children import Child, ChildEnded
 from asbuilt.errors import AsbuiltError, MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.findings import Cure
-from asbuilt.untrusted import check_regular, reason
+from asbuilt.untrusted import check_regular, describe_problem
 
 MOST_FILES = 500
 """Files that a process reads before another takes its place, lest its memory grow."""
@@ -83,9 +83,9 @@ def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | N
     MissingExtraError
         As `read` does.
     """
-    answer, arrays = _call(read, path, _size(path), settings)
+    answer, arrays = _call(read, path, _measure_size(path), settings)
     if "error" in answer:
-        raise _error(answer["error"], path)
+        raise _rebuild_error(answer["error"], path)
     table = answer["table"]
     return LogTable(
         source=str(path),
@@ -117,7 +117,7 @@ def _call(
     memory = LIMITS.memory_for(size)
     request = pickle.dumps((_answer, (read, path, dict(settings), memory)))
     while True:
-        child = _taken() or Child({"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"})
+        child = _take_idle() or Child({"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"})
         try:
             content, *columns = child.call(
                 request, children.Limits(memory, LIMITS.time_for(size), memory)
@@ -125,7 +125,7 @@ def _call(
         except ChildEnded as ended:
             if child.calls > 1:
                 continue
-            return {"error": _crash(path, size, ended.status)}, []
+            return {"error": _describe_crash(path, size, ended.status)}, []
         except BaseException:
             child.end()
             raise
@@ -139,7 +139,7 @@ def _call(
         return answer, [np.frombuffer(each, dtype=np.float64) for each in columns]
 
 
-def _taken() -> Child | None:
+def _take_idle() -> Child | None:
     """Return an idle process that can be used."""
     while _idle:
         with contextlib.suppress(IndexError):
@@ -150,7 +150,7 @@ def _taken() -> Child | None:
     return None
 
 
-def _crash(path: Path, size: float, status: int) -> dict[str, Any]:
+def _describe_crash(path: Path, size: float, status: int) -> dict[str, Any]:
     if -status in (signal.SIGALRM, signal.SIGXCPU):
         what = f"takes longer than {LIMITS.time_for(size):.0f} s to read"
     elif status < 0:
@@ -160,7 +160,7 @@ def _crash(path: Path, size: float, status: int) -> dict[str, Any]:
     return {"kind": "RecordingError", "message": f"{path} is damaged: it {what}"}
 
 
-def _error(error: Mapping[str, Any], path: Path) -> AsbuiltError:
+def _rebuild_error(error: Mapping[str, Any], path: Path) -> AsbuiltError:
     if error["kind"] == "MissingExtraError":
         return MissingExtraError(error["package"], error["extra"], f"reading {path}")
     cure = error.get("cure") or "record or export it again"
@@ -168,7 +168,7 @@ def _error(error: Mapping[str, Any], path: Path) -> AsbuiltError:
     return RecordingError(error["message"], cure=Cure(cure), **fields)
 
 
-def _size(path: Path) -> float:
+def _measure_size(path: Path) -> float:
     """Return the size [bytes] of a regular file or of the files in a folder."""
     files = [path, *path.rglob("*")] if path.is_dir() else [path]
     for file in files:
@@ -191,7 +191,7 @@ def _answer(
             raise RecordingError(
                 f"{path} has {len(table.columns)} columns; at most {LIMITS.columns} are read"
             )
-        return _parts(table)
+        return _split_table(table)
     except MissingExtraError as problem:
         error = {"kind": "MissingExtraError", **problem.fields}
     except AsbuiltError as problem:
@@ -200,12 +200,12 @@ def _answer(
     except MemoryError:
         error["message"] = f"{path} needs more than {memory / 1e6:.0f} MB to read"
     except BaseException as problem:
-        text = f"{type(problem).__name__}: {reason(problem)}"
+        text = f"{type(problem).__name__}: {describe_problem(problem)}"
         error["message"] = f"{path} is not a recording: it cannot be read as {path.suffix} ({text})"
     return [json.dumps({"error": error}).encode()]
 
 
-def _parts(table: LogTable) -> list[Any]:
+def _split_table(table: LogTable) -> list[Any]:
     document = {
         "columns": list(table.columns),
         "named": table.named,

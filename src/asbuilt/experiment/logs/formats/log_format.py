@@ -116,7 +116,7 @@ FORMATS: Registry[LogFormat] = Registry(
 )
 
 
-def log_format(path: Path) -> LogFormat:
+def choose_log_format(path: Path) -> LogFormat:
     """Return the format of a file or folder by its suffix.
 
     Raises
@@ -126,7 +126,7 @@ def log_format(path: Path) -> LogFormat:
     """
     suffix = path.suffix.lower()
     if path.is_dir():
-        found = _folder_format(path)
+        found = _find_folder_format(path)
     else:
         found = next((each for each in FORMATS.values() if suffix in each.suffixes), None)
     refuse(
@@ -154,14 +154,14 @@ def log_format(path: Path) -> LogFormat:
     return found
 
 
-def _folder_format(path: Path) -> LogFormat | None:
+def _find_folder_format(path: Path) -> LogFormat | None:
     """Return the format that recognises a folder, else the one that takes any."""
     of_folders = [each for each in FORMATS.values() if each.folders]
     certain = (each for each in of_folders if each.recognises and each.recognises(path))
     return next(certain, next((each for each in of_folders if each.recognises is None), None))
 
 
-def table_of_joints(
+def tabulate_joints(
     source: str,
     t: Array,
     groups: Iterable[tuple[str, str, Sequence[str], Array]],
@@ -179,7 +179,7 @@ def table_of_joints(
     return LogTable(source=source, columns=columns, known=known, notes=tuple(notes))
 
 
-def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
+def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
 
     A matrix `positions` gives `positions_1`, ..., `positions_m`. N is the length that most

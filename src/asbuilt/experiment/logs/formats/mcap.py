@@ -16,8 +16,8 @@ from asbuilt.arrays import Array
 from asbuilt.errors import MissingExtraError, RecordingError, refuse
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
-from asbuilt.experiment.logs.formats.ros.bags import choices_of_topics, read_ros_bag
-from asbuilt.experiment.logs.formats.ros.joint_table import joint_table
+from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag, read_topic_choices
+from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
     CONTROLLER_STATE,
@@ -25,7 +25,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     JOINT_STATE,
     KINDS,
     TRAJECTORY,
-    chosen_topics,
+    choose_topics,
 )
 from asbuilt.findings import Cure
 
@@ -176,8 +176,8 @@ def read_mcap(
             cure=Cure("record the joint states' topic"),
             file=str(path),
         )
-    parsed = {each: _parsed(path, each, found[each]) for each in found}
-    table = _table(path, parsed, **options)
+    parsed = {each: _parse_messages(path, each, found[each]) for each in found}
+    table = _build_table(path, parsed, **options)
     if records.complete:
         return table
     note = f"the file is cut off after {table.n_samples} messages"
@@ -190,7 +190,9 @@ def _holds_states(channel: Channel) -> bool:
     return channel.encoding == "cdr" and kind is not None and kind.states is not None
 
 
-def _parsed(path: Path, topic: str, messages: Sequence[tuple[int, bytes]]) -> list[tuple[int, Any]]:
+def _parse_messages(
+    path: Path, topic: str, messages: Sequence[tuple[int, bytes]]
+) -> list[tuple[int, Any]]:
     """Return the objects of a topic with their times of logging [ns]."""
     objects: list[tuple[int, Any]] = []
     for number, (stamp, content) in enumerate(messages):
@@ -207,7 +209,7 @@ def _parsed(path: Path, topic: str, messages: Sequence[tuple[int, bytes]]) -> li
     return objects
 
 
-def _table(
+def _build_table(
     path: Path,
     topics: Mapping[str, list[tuple[int, Any]]],
     *,
@@ -218,14 +220,16 @@ def _table(
     types: dict[str, str] = {}
     messages: dict[str, list[tuple[int, Any]]] = {}
     for name, objects in topics.items():
-        kinds = [(stamp, found) for stamp, each in objects if (found := _of_ros(stamp, each))]
+        kinds = [
+            (stamp, found) for stamp, each in objects if (found := _read_ros_message(stamp, each))
+        ]
         if kinds:
             types[name] = kinds[0][1][0]
             messages[name] = [(at, each) for at, (kind, each) in kinds if kind == types[name]]
     states = {name for name, kind in types.items() if KINDS[kind].states}
     if states and (topic is None or topic in states):
-        chosen = chosen_topics(path, types, topic, command_topic)
-        return joint_table(path, chosen, types, messages, **options)
+        chosen = choose_topics(path, types, topic, command_topic)
+        return tabulate_joint_messages(path, chosen, types, messages, **options)
     choice = Cure('choose one in a recording sheet: topic = "..."')
     refuse(
         RecordingError,
@@ -241,12 +245,12 @@ def _table(
             {"file": str(path), "value": topic, "available": sorted(topics)},
         ),
     )
-    return _columns(path, topics[topic or next(iter(topics))])
+    return _build_columns(path, topics[topic or next(iter(topics))])
 
 
-def _of_ros(logged: int, message: Mapping[str, Any]) -> tuple[str, Any] | None:
+def _read_ros_message(logged: int, message: Mapping[str, Any]) -> tuple[str, Any] | None:
     """Return the type of ROS that a message in JSON has, and the message; None if it has none."""
-    state = _state(logged, message)
+    state = _read_joint_state(logged, message)
     if state is not None:
         return JOINT_STATE, state
     kind = next((kind for kind, fields in SHAPES.items() if fields <= set(message)), None)
@@ -264,7 +268,7 @@ def _of_ros(logged: int, message: Mapping[str, Any]) -> tuple[str, Any] | None:
 def _with_fields(value: Any, name: str = "", depth: int = 0) -> Any:
     """Return a JSON value with objects as attributes, and times as ROS names their parts."""
     if isinstance(value, Mapping) and (name in TIMES or {*SECONDS} & set(value)):
-        return _time(value, 0)
+        return _read_time(value, 0)
     if isinstance(value, Mapping) and depth < DEEPEST:
         parts = {**({"stamp": {}} if name == "header" else {}), **value}
         fields = {str(key): _with_fields(each, str(key), depth + 1) for key, each in parts.items()}
@@ -274,7 +278,7 @@ def _with_fields(value: Any, name: str = "", depth: int = 0) -> Any:
     return value
 
 
-def _state(logged: int, message: Mapping[str, Any]) -> Any:
+def _read_joint_state(logged: int, message: Mapping[str, Any]) -> Any:
     """Return a message as a joint state, None if it is none."""
     joints = message.get("joints")
     if isinstance(joints, list) and joints and all(isinstance(each, Mapping) for each in joints):
@@ -286,21 +290,21 @@ def _state(logged: int, message: Mapping[str, Any]) -> Any:
     names = next((message[key] for key in NAMES if key in message), None)
     if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
         return None
-    position = _numbers(message.get("position"))
+    position = _read_numbers(message.get("position"))
     if position.size != len(names) or not names:
         return None
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, Mapping) else message.get("timestamp")
     return SimpleNamespace(
-        header=SimpleNamespace(stamp=_time(stamp, logged)),
+        header=SimpleNamespace(stamp=_read_time(stamp, logged)),
         name=tuple(names),
         position=position,
-        velocity=_numbers(message.get("velocity")),
-        effort=_numbers(message.get("effort", message.get("torque"))),
+        velocity=_read_numbers(message.get("velocity")),
+        effort=_read_numbers(message.get("effort", message.get("torque"))),
     )
 
 
-def _time(stamp: Any, otherwise: int) -> Any:
+def _read_time(stamp: Any, otherwise: int) -> Any:
     """Return seconds and nanoseconds of a time, or of another [ns] if it is none."""
     if isinstance(stamp, Mapping):
         whole = next((stamp[key] for key in SECONDS if key in stamp), None)
@@ -314,7 +318,7 @@ def _time(stamp: Any, otherwise: int) -> Any:
     return SimpleNamespace(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
-def _numbers(values: Any) -> Array:
+def _read_numbers(values: Any) -> Array:
     """Return a list of numbers (null: NaN), empty for anything else."""
     if not isinstance(values, list) or not all(
         value is None or (isinstance(value, int | float) and not isinstance(value, bool))
@@ -327,9 +331,9 @@ def _numbers(values: Any) -> Array:
         return np.empty(0)
 
 
-def _columns(path: Path, objects: Sequence[tuple[int, Any]]) -> LogTable:
+def _build_columns(path: Path, objects: Sequence[tuple[int, Any]]) -> LogTable:
     """Return the numbers of messages as columns; messages of another shape are left out."""
-    flat = [(stamp, dict(_fields(each))) for stamp, each in objects]
+    flat = [(stamp, dict(_list_fields(each))) for stamp, each in objects]
     shapes = [
         tuple(sorted((name, values.size) for name, values in each.items())) for _, each in flat
     ]
@@ -352,15 +356,15 @@ def _columns(path: Path, objects: Sequence[tuple[int, Any]]) -> LogTable:
     return LogTable(source=str(path), columns=columns, notes=notes if left_out else ())
 
 
-def _fields(value: Any, name: str = "", depth: int = 0) -> list[tuple[str, Array]]:
+def _list_fields(value: Any, name: str = "", depth: int = 0) -> list[tuple[str, Array]]:
     """Return names and numbers of the fields of an object, fields of inner ones as outer/inner."""
     if isinstance(value, Mapping) and depth < DEEPEST:
         return [
             found
             for key, inner in value.items()
-            for found in _fields(inner, f"{name}/{key}" if name else str(key), depth + 1)
+            for found in _list_fields(inner, f"{name}/{key}" if name else str(key), depth + 1)
         ]
-    numbers = _numbers(value if isinstance(value, list) else [value])
+    numbers = _read_numbers(value if isinstance(value, list) else [value])
     return [(name, numbers)] if name and numbers.size and value is not None else []
 
 
@@ -368,6 +372,6 @@ FORMATS.register(
     "mcap",
     LogFormat(
         suffixes=(".mcap",),
-        read=lambda path, sheet: read_isolated(read_mcap, path, **choices_of_topics(sheet)),
+        read=lambda path, sheet: read_isolated(read_mcap, path, **read_topic_choices(sheet)),
     ),
 )

@@ -22,7 +22,7 @@ from asbuilt.experiment.logs.formats.log_format import (
 )
 from asbuilt.experiment.logs.formats.series import columns_of
 from asbuilt.findings import Cure
-from asbuilt.untrusted import check_regular, reason
+from asbuilt.untrusted import check_regular, describe_problem
 
 if TYPE_CHECKING:
     import polars as pl
@@ -72,14 +72,14 @@ def read_parquet(path: Path) -> LogTable:
     """
     scanned, numeric, order = scan_parquet(path)
     frame = scanned.select(numeric).collect()
-    return _table(path, columns_of(frame), order)
+    return _make_table(path, columns_of(frame), order)
 
 
 def _chunks(
     path: Path, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
     """Read chunks in this process, whose damage ends in an error too."""
-    rows, header = _declared(path)
+    rows, header = _read_declared(path)
     missing = [name for name in columns if name not in header.columns]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
@@ -94,7 +94,7 @@ def _chunks(
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
             raise RecordingError(
                 f"{path}: rows {begin + 1} to {min(begin + chunks * chunk_samples, rows)} cannot be"
-                f" read ({reason(error)})",
+                f" read ({describe_problem(error)})",
                 cure=Cure("record or export it again"),
                 file=str(path),
             ) from None
@@ -102,7 +102,7 @@ def _chunks(
             yield begin + first, columns_of(frame.slice(first, chunk_samples))
 
 
-def parquet_header(path: Path) -> LogTable:
+def read_parquet_header(path: Path) -> LogTable:
     """Return the columns of a Parquet file, empty, with the number of rows as a note.
 
     Raises
@@ -118,35 +118,35 @@ def parquet_header(path: Path) -> LogTable:
             " its size",
             file=str(path),
         )
-    return _table(path, {name: np.empty(0) for name in numeric}, order, notes=(str(rows),))
+    return _make_table(path, {name: np.empty(0) for name in numeric}, order, notes=(str(rows),))
 
 
-def _table(
+def _make_table(
     path: Path, columns: Mapping[str, Array], order: tuple[str, ...], notes: tuple[str, ...] = ()
 ) -> LogTable:
     text = tuple(name for name in order if name not in columns)
     return LogTable(source=str(path), columns=columns, text_columns=text, order=order, notes=notes)
 
 
-def _declared(path: Path) -> tuple[int, LogTable]:
+def _read_declared(path: Path) -> tuple[int, LogTable]:
     """Return the number of rows and the table without them, read once for each state of a file."""
     check_regular(path, "recording", RecordingError, LARGEST)
     state = path.stat()
-    return _declared_by(path, state.st_size, state.st_mtime_ns)
+    return _read_declared_once(path, state.st_size, state.st_mtime_ns)
 
 
 @lru_cache(maxsize=64)
-def _declared_by(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
-    header = read_isolated(parquet_header, path)
+def _read_declared_once(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
+    header = read_isolated(read_parquet_header, path)
     return int(header.notes[0]), replace(header, notes=())
 
 
-def _n_bytes(path: Path) -> float:
+def _estimate_memory(path: Path) -> float:
     """Return the memory of a whole file; a small file need not be opened for it."""
     # Bytes below which a file is read whole, whatever it declares; its reader limits the memory.
     if path.stat().st_size < 20e6:
         return float(path.stat().st_size)
-    rows, header = _declared(path)
+    rows, header = _read_declared(path)
     return float(rows * len(header.columns) * 8)
 
 
@@ -156,9 +156,9 @@ FORMATS.register(
         suffixes=(".parquet",),
         read=lambda path, sheet: read_isolated(read_parquet, path),
         stream=LogStream(
-            header=lambda path, sheet: _declared(path)[1],
+            header=lambda path, sheet: _read_declared(path)[1],
             chunks=lambda path, sheet, columns, size: _chunks(path, columns, size),
-            n_bytes=_n_bytes,
+            n_bytes=_estimate_memory,
         ),
     ),
 )

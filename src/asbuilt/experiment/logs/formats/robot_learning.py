@@ -19,11 +19,11 @@ from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
-    table_of_joints,
+    tabulate_joints,
 )
 from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
 from asbuilt.findings import Cure
-from asbuilt.untrusted import check_regular, parsed_json, reason, shortened
+from asbuilt.untrusted import check_regular, describe_problem, parse_json, shorten_line
 
 if TYPE_CHECKING:
     import polars as pl
@@ -46,11 +46,11 @@ def read_lerobot(path: Path) -> LogTable:
     RecordingError
         If a file is missing or damaged, or state and action have other joints.
     """
-    info = _info(path / INFO)
+    info = _read_info(path / INFO)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise RecordingError(f"{path} has no Parquet file under data/", file=str(path))
-    frame = _frame(files)
+    frame = _read_frame(files)
     if STATE not in frame:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
@@ -59,9 +59,9 @@ def read_lerobot(path: Path) -> LogTable:
     for field, quantity in ((STATE, "position"), (ACTION, "command")):
         if field not in frame:
             continue
-        cells = _lists(path, field, frame[field])
-        names = _names(path, info, field, cells)
-        values = _matrix(path, field, cells, len(names))
+        cells = _read_lists(path, field, frame[field])
+        names = _find_names(path, info, field, cells)
+        values = _build_matrix(path, field, cells, len(names))
         kept = [k for k, name in enumerate(names) if not name.endswith(OTHERS)]
         joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
         left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
@@ -72,7 +72,7 @@ def read_lerobot(path: Path) -> LogTable:
     ]
     if left_out:
         notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
-    return table_of_joints(str(path), _times(path, frame, info), groups, notes)
+    return tabulate_joints(str(path), _join_times(path, frame, info), groups, notes)
 
 
 def is_lerobot(path: Path) -> bool:
@@ -80,22 +80,23 @@ def is_lerobot(path: Path) -> bool:
     return (path / INFO).is_file() and (path / "data").is_dir()
 
 
-def _info(path: Path) -> Mapping[str, Any]:
+def _read_info(path: Path) -> Mapping[str, Any]:
     check_regular(path, "recording", RecordingError, LARGEST)
     try:
-        info = parsed_json(path.read_bytes())
+        info = parse_json(path.read_bytes())
         if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
             raise ValueError("it has no object 'features'")
         if not all(isinstance(each, dict) for each in info["features"].values()):
             raise ValueError("a feature is no object")
     except (ValueError, OSError) as error:
         raise RecordingError(
-            f"{path} does not describe a LeRobot dataset ({reason(error)})", file=str(path)
+            f"{path} does not describe a LeRobot dataset ({describe_problem(error)})",
+            file=str(path),
         ) from error
     return info
 
 
-def _frame(files: Sequence[Path]) -> pl.DataFrame:
+def _read_frame(files: Sequence[Path]) -> pl.DataFrame:
     frames = []
     for file in files:
         check_regular(file, "recording", RecordingError, LARGEST)
@@ -103,14 +104,14 @@ def _frame(files: Sequence[Path]) -> pl.DataFrame:
             frames.append(pl.read_parquet(file))
         except (pl.exceptions.PolarsError, OSError) as error:
             raise RecordingError(
-                f"{file} cannot be read ({reason(error)})", file=str(file)
+                f"{file} cannot be read ({describe_problem(error)})", file=str(file)
             ) from None
     together = pl.concat(frames, how="diagonal_relaxed")
     order = [name for name in ("episode_index", "frame_index") if name in together.columns]
     return together.sort(order) if order else together
 
 
-def _names(
+def _find_names(
     path: Path, info: Mapping[str, Any], field: str, cells: Sequence[Any]
 ) -> tuple[str, ...]:
     """Return the names of the numbers of a feature."""
@@ -125,7 +126,7 @@ def _names(
     return tuple(names)
 
 
-def _times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
+def _join_times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
     """Return one clock for all episodes, with gaps between them.
 
     It comes from the time stamps, or without them from the frames at `fps`.
@@ -144,7 +145,7 @@ def _times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
             f"{path} has no time: no time stamps, and no fps in {INFO} (a number {RATES})",
             cure=Cure(f'write "fps" into {INFO}'),
             file=str(path),
-            value=shortened(str(info.get("fps"))),
+            value=shorten_line(str(info.get("fps"))),
         )
     fresh = np.concatenate([[False], np.diff(t) <= 0.0])
     # Time [s] between episodes, whose clocks each begin at zero.
@@ -152,7 +153,7 @@ def _times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
     return np.asarray(t + np.cumsum(before))
 
 
-def _lists(path: Path, field: str, cells: pl.Series) -> list[Any]:
+def _read_lists(path: Path, field: str, cells: pl.Series) -> list[Any]:
     """Return the rows of a feature; raises `RecordingError` unless they are lists of numbers."""
     inner = getattr(cells.dtype, "inner", None)
     if inner is None or not inner.is_numeric():
@@ -164,7 +165,7 @@ def _lists(path: Path, field: str, cells: pl.Series) -> list[Any]:
     return cells.to_list()
 
 
-def _matrix(path: Path, field: str, values: Sequence[Any], n_joints: int) -> Array:
+def _build_matrix(path: Path, field: str, values: Sequence[Any], n_joints: int) -> Array:
     if any(row is None or len(row) != n_joints for row in values):
         raise RecordingError(
             f"{path}: {field} does not hold {n_joints} numbers in every row",
@@ -233,16 +234,16 @@ def read_sage(path: Path) -> LogTable:
     RecordingError
         If a file is missing or damaged, or its lists are not one number per joint.
     """
-    names = _joint_names(path / NAMES)
-    t, states = _listed_cells(path / STATES, tuple(QUANTITIES), len(names))
-    sent, commands = _listed_cells(path / COMMANDS, ("positions",), len(names))
+    names = _read_joint_names(path / NAMES)
+    t, states = _read_list_cells(path / STATES, tuple(QUANTITIES), len(names))
+    sent, commands = _read_list_cells(path / COMMANDS, ("positions",), len(names))
     last = np.searchsorted(sent, t, side="right") - 1
     before = int(np.count_nonzero(last < 0))
     groups = {QUANTITIES[field]: values for field, values in states.items()}
     groups["command"] = commands["positions"][np.maximum(last, 0)]
     listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
     notes = (f"{before} states before the first command count as commanded like it",)
-    return table_of_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+    return tabulate_joints(str(path), t * MICROSECOND, listed, notes if before else ())
 
 
 def is_sage(path: Path) -> bool:
@@ -250,7 +251,7 @@ def is_sage(path: Path) -> bool:
     return all((path / name).is_file() for name in (COMMANDS, STATES, NAMES))
 
 
-def _joint_names(path: Path) -> tuple[str, ...]:
+def _read_joint_names(path: Path) -> tuple[str, ...]:
     check_regular(path, "recording", RecordingError, LARGEST)
     names = tuple(line.strip() for line in path.read_text("utf-8", "replace").splitlines())
     names = tuple(name for name in names if name)
@@ -259,7 +260,7 @@ def _joint_names(path: Path) -> tuple[str, ...]:
     return names
 
 
-def _listed_cells(
+def _read_list_cells(
     path: Path, fields: tuple[str, ...], n_joints: int
 ) -> tuple[Array, dict[str, Array]]:
     """Return the times and the lists (N, n) of the fields that a file has."""
@@ -268,19 +269,19 @@ def _listed_cells(
         frame = pl.read_csv(path, infer_schema=False)
         t = frame["timestamp"].cast(pl.Float64).to_numpy()
         return t, {
-            name: _numbers(path, name, frame[name].to_list(), n_joints)
+            name: _parse_numbers(path, name, frame[name].to_list(), n_joints)
             for name in fields
             if name in frame.columns
         }
     except (pl.exceptions.PolarsError, ValueError, TypeError) as error:
         raise RecordingError(
-            f"{path} is not a recording of SAGE ({reason(error)})",
+            f"{path} is not a recording of SAGE ({describe_problem(error)})",
             cure=Cure("export the motion again"),
             file=str(path),
         ) from error
 
 
-def _numbers(path: Path, field: str, cells: list[str | None], n_joints: int) -> Array:
+def _parse_numbers(path: Path, field: str, cells: list[str | None], n_joints: int) -> Array:
     values = json.loads(f"[{','.join(cell or 'null' for cell in cells)}]")
     for row, cell in enumerate(values):
         if not isinstance(cell, list) or len(cell) != n_joints:

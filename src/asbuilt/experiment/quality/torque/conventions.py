@@ -14,7 +14,7 @@ from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.quality.passes import position_limits
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 """Zero positions [rad] by which the conventions of two makers differ."""
@@ -69,7 +69,9 @@ class Conventions:
     @cached_property
     def cost(self) -> float:
         """Misfit of the torques; a changed joint, and one beyond its limits, must be worth it."""
-        return self.fit.cost + THRESHOLDS.fall * (len(self.changed) + _joints_beyond(self.fit))
+        return self.fit.cost + THRESHOLDS.fall * (
+            len(self.changed) + _count_joints_beyond(self.fit)
+        )
 
     @property
     def key(self) -> tuple[bytes, ...]:
@@ -102,7 +104,7 @@ class Conventions:
                     yield self.with_joint(k, position, torque, zero)
 
 
-def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
+def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     """Return a finding, and the fit that it explains, if other conventions fit the torques.
 
     Directions, and zeros by quarters of a turn, are tried for one joint more as long as the misfit
@@ -121,28 +123,29 @@ def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
         best = front[0]
         limit = best.cost + THRESHOLDS.near
         near = [each for each in front[1:] if each.cost < limit]
-    fallen = _fallen(fit, best.fit)
+    fallen = _find_improved_joints(fit, best.fit)
     if best is logged or not fallen.size:
         return None
     before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
     if after <= THRESHOLDS.clear:
         return None
-    others = " or ".join(_text(each, each.changed) for each in near)
+    others = " or ".join(_describe_conventions(each, each.changed) for each in near)
     return (
         Finding(
             "joint_convention",
             "error",
-            f"the log follows another convention than the description: {_text(best, best.changed)}"
+            "the log follows another convention than the description:"
+            f" {_describe_conventions(best, best.changed)}"
             f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
             + (f"; as likely: {others}" if others else ""),
-            _cure(best),
+            _make_cure(best),
             joint=fit.model.joint_names[best.changed[0]],
         ),
         best.fit,
     )
 
 
-def _joints_beyond(fit: TorqueFit) -> int:
+def _count_joints_beyond(fit: TorqueFit) -> int:
     """Return how many joints leave their limits, wherever their full turns are counted from."""
     lower, upper = position_limits(fit.model)
     turn = np.where([joint.is_revolute for joint in fit.model.joints], 2.0 * np.pi, 0.0)
@@ -151,13 +154,13 @@ def _joints_beyond(fit: TorqueFit) -> int:
     return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
 
 
-def _fallen(before: TorqueFit, after: TorqueFit) -> Indices:
+def _find_improved_joints(before: TorqueFit, after: TorqueFit) -> Indices:
     """Return the joints (k,) whose misfit has fallen to less than half."""
     least = [np.minimum(each.misfit(1), each.misfit(-1)) for each in (before, after)]
     return np.flatnonzero(after.decides & (least[1] < 0.5 * least[0]))
 
 
-def _text(conventions: Conventions, joints: Sequence[int]) -> str:
+def _describe_conventions(conventions: Conventions, joints: Sequence[int]) -> str:
     names = conventions.fit.model.joint_names
     sentences = []
     for k in joints:
@@ -172,10 +175,10 @@ def _text(conventions: Conventions, joints: Sequence[int]) -> str:
             degrees = np.degrees(conventions.zero[k])
             what.append(f"reads {degrees:.0f} deg where the description has zero")
         sentences.append(f"{names[k]} {' and '.join(what)}")
-    return joined(sentences)
+    return join_names(sentences)
 
 
-def _cure(conventions: Conventions) -> Cure:
+def _make_cure(conventions: Conventions) -> Cure:
     fields = {
         "position_sign": conventions.position_sign,
         "sign": conventions.torque_sign,
@@ -224,7 +227,7 @@ class GravityThresholds:
 GRAVITY = GravityThresholds()
 
 
-def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
+def check_gravity(fit: TorqueFit) -> tuple[Finding, Array] | None:
     """Return a finding and the gravity (3,) [m/s^2] if the torques show another direction.
 
     The torques without gravity and gravity's torques along each axis are compared with the measured
@@ -248,7 +251,7 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
     if not along.any():
         return None
     mounted = replace(fit, model=fit.model.with_gravity(along))
-    sign = _friction_sign(mounted)
+    sign = _find_friction_sign(mounted)
     parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
     if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - GRAVITY.fall)):
         return None
@@ -268,7 +271,7 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
     return finding, gravity
 
 
-def _friction_sign(fit: TorqueFit) -> float:
+def _find_friction_sign(fit: TorqueFit) -> float:
     """Return the sign of the torques that friction of most joints shows, 0 if it shows none."""
     friction = fit.friction_correlation
     shown = friction[friction != 0.0]

@@ -11,17 +11,17 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.command.magnitude import (
     MagnitudeLaw,
+    fit_magnitude_laws,
     is_magnitude,
-    magnitude_laws,
 )
 from asbuilt.experiment.quality.passes import FirstPass, SecondPass
 from asbuilt.experiment.quality.reductions import Extremes
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.noise.spectrum import power_density
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 
 
-def missing_channel_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Name joints without a usable torque channel, unless there is none at all."""
     if not recording.first.has_torque.any():
         return
@@ -46,7 +46,7 @@ def missing_channel_findings(model: RobotModel, recording: FirstPass) -> Iterato
         )
 
 
-def saturation_findings(
+def check_saturation(
     model: RobotModel, recording: FirstPass, closer: SecondPass
 ) -> Iterator[Finding]:
     """Find torques that stay at an extreme value or reach the joint's torque limit.
@@ -57,7 +57,7 @@ def saturation_findings(
     for k, joint in enumerate(model.joints):
         for plateau in closer.plateaus[k]:
             flat = plateau.places.size
-            longest, start = _longest_consecutive(plateau.places)
+            longest, start = _find_longest_block(plateau.places)
             usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
             # 5: consecutive samples at an extreme from which a torque may be saturated.
             if plateau.extreme != 0.0 and longest >= 5 and flat > 8 * max(usual, 1.0):
@@ -93,7 +93,7 @@ def saturation_findings(
             )
 
 
-def spike_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Name joints with single torques that stand out from their neighbours: number, size, place."""
     for joint in sorted({each.joint for each in recording.spikes}):
         own = [each for each in recording.spikes if each.joint == joint]
@@ -121,7 +121,7 @@ def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
         return
     length = min(1024, *(len(tau) for tau in long_enough))
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
-    power = np.mean([power_density(_level(tau), rate, length) for tau in long_enough], axis=0)
+    power = np.mean([power_density(_detrend(tau), rate, length) for tau in long_enough], axis=0)
     peak = power.max(axis=0)
     if not np.any(peak > 0):
         return
@@ -143,7 +143,7 @@ def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     )
 
 
-def _longest_consecutive(places: Indices) -> tuple[int, int]:
+def _find_longest_block(places: Indices) -> tuple[int, int]:
     """Return the length of the longest block of consecutive indices, and its first."""
     if not places.size:
         return 0, 0
@@ -153,27 +153,25 @@ def _longest_consecutive(places: Indices) -> tuple[int, int]:
     return int(lengths[longest]), int(places[starts[longest]])
 
 
-def _level(tau: Array) -> Array:
+def _detrend(tau: Array) -> Array:
     """Return torques (N, n) without mean and trend."""
     trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
     level = tau - tau.mean(axis=0)
     return np.asarray(level - trend * (trend * level).sum(axis=0) / np.sum(trend**2))
 
 
-def unsigned_findings(
-    model: RobotModel, measured: Extremes, beginning: Recording
-) -> Iterator[Finding]:
+def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> Iterator[Finding]:
     """Find torques that are never negative at any joint, though joints move both ways.
 
     `measured` are the extremes of the torques, `beginning` the first samples of the recording,
     whose commands, if there are any, say what was logged. A joint that the model's gravity always
     loads in the positive direction says nothing.
     """
-    used = (measured.high > 0.0) & ~_held_up(model, beginning)
+    used = (measured.high > 0.0) & ~_mark_weight_bearing(model, beginning)
     # Joints from which it is no accident that none has a torque of the other sign.
     if np.count_nonzero(used) < 2 or np.any(measured.low < 0.0) or not _reverses(beginning):
         return
-    laws = magnitude_laws(beginning)
+    laws = fit_magnitude_laws(beginning)
     if laws and all(law is not None and law.holds and law.kind == "motor" for law in laws):
         cure = Cure(
             'write sign = "command" in a recording sheet: the torque then has the sign of the'
@@ -188,12 +186,12 @@ def unsigned_findings(
         "torque_unsigned",
         "warning",
         "no joint has a negative torque, though they move both ways: the log seems to hold"
-        f" magnitudes whose sign is unknown{law_text(beginning.joint_names, laws)}",
+        f" magnitudes whose sign is unknown{describe_laws(beginning.joint_names, laws)}",
         cure,
     )
 
 
-def law_text(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
+def describe_laws(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
     """Return what the command explains of magnitudes, to follow a sentence; empty if nothing."""
     parts = []
     for kind, what in (
@@ -206,11 +204,11 @@ def law_text(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
             if law is not None and law.holds and law.kind == kind
         ]
         if listed:
-            parts.append(f"the magnitudes of {joined(listed)} are {what}")
+            parts.append(f"the magnitudes of {join_names(listed)} are {what}")
     return f"; {'; '.join(parts)}" if parts else ""
 
 
-def _held_up(model: RobotModel, recording: Recording) -> Mask:
+def _mark_weight_bearing(model: RobotModel, recording: Recording) -> Mask:
     """Return which joints (n,) bear a weight of one sign, positive, at all positions met."""
     q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
     # Poses of a recording at which gravity is looked at.

@@ -34,7 +34,7 @@ class StandInThresholds:
 THRESHOLDS = StandInThresholds()
 
 
-def stand_in(model: RobotModel) -> RobotModel:
+def replace_links_by_rods(model: RobotModel) -> RobotModel:
     """Return the robot with thin rods for links.
 
     Mass [kg] is `length * stretched_length(model)**2`, that is 1 kg/m^3.
@@ -51,12 +51,12 @@ def stand_in(model: RobotModel) -> RobotModel:
     return model.with_parameters(np.concatenate([body.parameters for body in bodies]))
 
 
-def implied_density(fit: TorqueFit) -> float | None:
+def infer_density(fit: TorqueFit) -> float | None:
     """Return the density of rods [kg/m^3] whose torques are as large as the measured ones.
 
     None where the torques are not mostly gravity's, or unlike the torques of rods.
     """
-    rods = replace(fit, model=stand_in(fit.model))
+    rods = replace(fit, model=replace_links_by_rods(fit.model))
     predicted = rods.predicted
     k = int(np.argmax(predicted))
     if not predicted[k] > 0 or rods.gravity[k] < THRESHOLDS.gravity * predicted[k]:
@@ -66,9 +66,9 @@ def implied_density(fit: TorqueFit) -> float | None:
     return float(np.linalg.norm(rods.measured) / np.linalg.norm(predicted))
 
 
-def scale_without_masses(fit: TorqueFit) -> Finding | None:
+def check_scale_without_masses(fit: TorqueFit) -> Finding | None:
     """Return a finding where no robot of this length has torques of this size."""
-    density = implied_density(fit)
+    density = infer_density(fit)
     if density is None:
         return None
     low, high = THRESHOLDS.density

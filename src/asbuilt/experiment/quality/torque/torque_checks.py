@@ -11,11 +11,15 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.experiment.quality.torque.conventions import convention_finding, gravity_finding
-from asbuilt.experiment.quality.torque.stand_in import scale_without_masses
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment, swapped_torques
+from asbuilt.experiment.quality.torque.conventions import check_conventions, check_gravity
+from asbuilt.experiment.quality.torque.stand_in import check_scale_without_masses
+from asbuilt.experiment.quality.torque.torque_fit import (
+    TorqueFit,
+    find_best_assignment,
+    find_swapped_torques,
+)
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
-from asbuilt.findings import Cure, Finding, Severity, joined
+from asbuilt.findings import Cure, Finding, Severity, join_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,7 @@ class TorqueThresholds:
 THRESHOLDS = TorqueThresholds()
 
 
-def torque_findings(
+def check_torques(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion, position_scale: Array
 ) -> Iterator[Finding]:
     """Compare the measured torques with the model's rigid-body torques.
@@ -60,8 +64,8 @@ def torque_findings(
     if not np.any(fit.predicted > 0):
         signs = fit.friction_correlation
         yield _without_masses(model, signs)
-        yield from _signs_by_friction(model, signs)
-        scale = scale_without_masses(fit)
+        yield from _check_signs_by_friction(model, signs)
+        scale = check_scale_without_masses(fit)
         if scale is not None:
             yield scale
         return
@@ -75,7 +79,7 @@ def torque_findings(
             Cure("log the measured joint torques or motor currents"),
         )
         return
-    mounted = gravity_finding(fit)
+    mounted = check_gravity(fit)
     if mounted is not None:
         yield mounted[0]
         model = model.with_gravity(mounted[1])
@@ -86,23 +90,23 @@ def torque_findings(
         fit = TorqueFit.of(model, motion, position_scale, 1.0 / ratio)
     else:
         ratio = 1.0
-    best = best_assignment(fit)
-    other = convention_finding(best)
+    best = find_best_assignment(fit)
+    other = check_conventions(best)
     if best is not fit:
-        yield _swapped(model, fit, best)
+        yield _report_swapped(model, fit, best)
     if other is not None:
         yield other[0]
         best = other[1]
     elif best is fit:
-        yield from _swapped_without_cad(model, fit)
-    yield from _sign_and_scale(model, recording, best, ratio)
+        yield from _find_swapped_without_cad(model, fit)
+    yield from _check_sign_and_scale(model, recording, best, ratio)
 
 
 def _without_masses(model: RobotModel, friction: Array) -> Finding:
     """Say what of the torques can be checked without masses, by correlations of friction (n,)."""
     seen = np.flatnonzero(np.abs(friction) > THRESHOLDS.braking)
     by = (
-        f"their signs by friction at {joined([model.joint_names[k] for k in seen])} alone"
+        f"their signs by friction at {join_names([model.joint_names[k] for k in seen])} alone"
         if seen.size
         else "their signs neither, as no friction shows"
     )
@@ -116,19 +120,19 @@ def _without_masses(model: RobotModel, friction: Array) -> Finding:
     )
 
 
-def _signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
+def _check_signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
     seen = np.abs(friction) > THRESHOLDS.braking
     wrong = np.flatnonzero(seen & (friction < 0.0)).tolist()
     right = np.flatnonzero(seen & (friction > 0.0)).tolist()
     if len(wrong) > max(len(right), 1):
-        listed = joined([f"{model.joint_names[k]} {friction[k]:.2f}" for k in wrong])
+        listed = join_names([f"{model.joint_names[k]} {friction[k]:.2f}" for k in wrong])
         yield Finding(
             "torque_flipped",
             "error",
             "the torque sign looks flipped: torques correlate negatively with the direction of"
             f" motion, unlike friction ({listed})",
-            _signs_cure(model, -1.0, right)
+            _make_signs_cure(model, -1.0, right)
             if right
             else Cure(
                 "flip the torque sign, or write sign = -1 in a recording sheet",
@@ -137,24 +141,24 @@ def _signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
         )
         return
     for k in wrong:
-        yield _drives_its_motion(model, k, float(friction[k]), 1.0, wrong)
+        yield _report_driven_motion(model, k, float(friction[k]), 1.0, wrong)
 
 
-def _drives_its_motion(
+def _report_driven_motion(
     model: RobotModel, k: int, correlation: float, sign: float, wrong: Collection[int]
 ) -> Finding:
     """Return the finding of a joint whose torque grows against the direction of its motion."""
-    return _flipped_joint(
+    return _report_flipped_joint(
         model,
         k,
         "warning",
         f"the torque of {model.joint_names[k]} correlates negatively with its direction of motion"
         f" ({correlation:.2f}), unlike friction; its sign may be flipped",
-        _signs_cure(model, sign, wrong),
+        _make_signs_cure(model, sign, wrong),
     )
 
 
-def _swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Finding:
+def _report_swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Finding:
     names = model.joint_names
     moved = [k for k in range(model.n_joints) if best.torque_of[k] != k or best.motion_of[k] != k]
     fits = []
@@ -170,15 +174,16 @@ def _swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Finding:
     return Finding(
         "joints_swapped",
         "error",
-        f"joints look swapped: {joined(fits)} (mean correlation with the model's torque {after:.3f}"
+        f"joints look swapped: {join_names(fits)} (mean correlation with the model's torque"
+        f" {after:.3f}"
         f" instead of {before:.3f})",
         Cure("name the columns in a recording sheet: [columns] position = [...], torque = [...]"),
         joint=names[moved[0]],
     )
 
 
-def _swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Finding]:
-    swap = swapped_torques(fit)
+def _find_swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Finding]:
+    swap = find_swapped_torques(fit)
     if swap is not None:
         one, other = (model.joint_names[k] for k in swap.joints)
         yield Finding(
@@ -192,14 +197,14 @@ def _swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Finding]
         )
 
 
-def _sign_and_scale(
+def _check_sign_and_scale(
     model: RobotModel, recording: FirstPass, fit: TorqueFit, ratio: float
 ) -> Iterator[Finding]:
     names = model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
     clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > THRESHOLDS.clear))]
     if not clear:
-        yield from _no_correlation(model, correlation, gain, predicted)
+        yield from _find_uncorrelated(model, correlation, gain, predicted)
         return
     evidence = "; ".join(
         f"{names[k]}: gain {gain[k]:.3g}, correlation {correlation[k]:.3f}"
@@ -222,23 +227,25 @@ def _sign_and_scale(
             "error",
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            _signs_cure(model, sign, alone) if alone else _flip_cure(recording.first.notes),
+            _make_signs_cure(model, sign, alone)
+            if alone
+            else _make_flip_cure(recording.first.notes),
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
     braking = np.flatnonzero(unclear & (friction < -THRESHOLDS.braking))
     doubtful = [k for k in braking.tolist() if k not in alone]
     for k in alone:
-        yield _flipped_joint(
+        yield _report_flipped_joint(
             model,
             k,
             "error",
             f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
             f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
-            _signs_cure(model, sign, alone),
+            _make_signs_cure(model, sign, alone),
         )
     for k in doubtful:
-        yield _drives_its_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
+        yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
     low, high = THRESHOLDS.plausible
     servo = recording.first.servo
     if servo is not None and np.any(np.isnan(servo.kp)):
@@ -251,7 +258,7 @@ def _sign_and_scale(
         )
         return
     if not low < scale < high:
-        yield _scale_finding(model, recording, scale, evidence)
+        yield _report_scale(model, recording, scale, evidence)
         return
     for k in clear:
         if abs(correlation[k]) > THRESHOLDS.certain and not usual[k]:
@@ -281,7 +288,7 @@ def _sign_and_scale(
             )
 
 
-def _no_correlation(
+def _find_uncorrelated(
     model: RobotModel, correlation: Array, gain: Array, predicted: Array
 ) -> Iterator[Finding]:
     """Find torques unlike the model's, unless noise or friction of the model's size explains it."""
@@ -298,7 +305,7 @@ def _no_correlation(
     )
 
 
-def _flip_cure(notes: Collection[str]) -> Cure:
+def _make_flip_cure(notes: Collection[str]) -> Cure:
     """Return the cure of all signs, which may have been flipped already."""
     if FLIPPED_TWICE in notes:
         return Cure(
@@ -312,19 +319,19 @@ def _flip_cure(notes: Collection[str]) -> Cure:
     )
 
 
-def _signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -> Cure:
+def _make_signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -> Cure:
     """Return the cure of signs, where the `flipped` joints have the opposite of all others."""
     signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(model.n_joints))
     return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
 
 
-def _flipped_joint(
+def _report_flipped_joint(
     model: RobotModel, k: int, severity: Severity, message: str, cure: Cure
 ) -> Finding:
     return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
 
 
-def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
+def _report_scale(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
     if recording.first.torque_source == "command":
         guess = "the stiffness of the servo differs"
         cure = Cure("check it, or leave it out, so that it is identified")

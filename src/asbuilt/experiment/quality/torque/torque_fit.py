@@ -22,7 +22,7 @@ from asbuilt.experiment.quality.reductions import SmoothedMotion
 T = TypeVar("T")
 
 
-def decisive_change(
+def choose_decisive_change(
     logged: T, changes: Iterable[T], cost: Callable[[T], float], fall: float
 ) -> T | None:
     """Return the cheapest of `changes` if it costs less than `logged` by more than `fall`.
@@ -32,7 +32,7 @@ def decisive_change(
     logged
         Order of columns as logged.
     changes
-        Other orders, such as the orders of `swaps`.
+        Other orders, such as the orders of `list_swaps`.
     cost
         Misfit of an order.
     fall
@@ -43,10 +43,10 @@ def decisive_change(
     return best[1] if best is not None and best[0] < cost(logged) - fall else None
 
 
-def swaps(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+def list_swaps(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
     """Yield the orders with two entries swapped.
 
-    >>> list(swaps((0, 1, 2)))
+    >>> list(list_swaps((0, 1, 2)))
     [(1, 0, 2), (2, 1, 0), (0, 2, 1)]
     """
     for i, j in combinations(range(len(order)), 2):
@@ -209,7 +209,9 @@ class TorqueFit:
 
     def changes(self) -> Iterator[TorqueFit]:
         """Yield the fits with two joints swapped: their torques, their motions, or both."""
-        for torque_of, motion_of in zip(swaps(self.torque_of), swaps(self.motion_of), strict=True):
+        for torque_of, motion_of in zip(
+            list_swaps(self.torque_of), list_swaps(self.motion_of), strict=True
+        ):
             yield replace(self, torque_of=torque_of)
             if self.model.n_joints <= THRESHOLDS.most_joints:
                 yield replace(self, torque_of=torque_of, motion_of=motion_of)
@@ -232,11 +234,13 @@ def friction_bases(qd: Array, springs: Array) -> Array:
     return np.concatenate([friction, bases * (sizes > 1e-9 * whole)[:, None, :]], axis=2)
 
 
-def best_assignment(fit: TorqueFit) -> TorqueFit:
+def find_best_assignment(fit: TorqueFit) -> TorqueFit:
     """Swap pairs of joints as long as the torques fit decisively better, and one joint well."""
     best = fit
     for _ in range(fit.model.n_joints):
-        change = decisive_change(best, best.changes(), lambda each: each.cost, THRESHOLDS.fall)
+        change = choose_decisive_change(
+            best, best.changes(), lambda each: each.cost, THRESHOLDS.fall
+        )
         if change is None:
             break
         moved = [
@@ -282,7 +286,7 @@ class TorqueSwap:
     swapped: float
 
 
-def swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
+def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     """Return the swap of two torques that base parameters and friction explain decisively better.
 
     Each order has its own least-squares fit of base parameters, viscous and Coulomb friction and
@@ -313,9 +317,9 @@ def swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
         samples,
     )
     logged = tuple(range(n))
-    found = decisive_change(
+    found = choose_decisive_change(
         logged,
-        swaps(logged),
+        list_swaps(logged),
         normal.cost,
         SWAP.fall,
     )

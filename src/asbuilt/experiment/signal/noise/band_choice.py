@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.signal.noise.noise_limit import NoiseLimit, noise_limit
+from asbuilt.experiment.signal.noise.noise_limit import NoiseLimit, estimate_noise_limit
 from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.resampling import UniformSegment
 
@@ -50,7 +50,7 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
             continue
         velocity = np.diff(q, axis=0) * rate
         total += power_density(velocity, rate, window, centred=False) * (q.shape[0] - 1)
-    total[_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
+    total[_mark_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
     power = total.sum(axis=0)
     moving = power > 1e-4 * power.max()
     if not moving.any():
@@ -60,7 +60,7 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     return float(max(frequency[reached.max()], 1.0 / RULES.window))
 
 
-def _noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
+def _mark_noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     """Return which bins (F, n) of velocity spectra are noise; `cycles` (F,) are per sample."""
     shape = np.sin(np.pi * cycles)[:, None] ** 2
     upper = cycles >= 0.25
@@ -141,7 +141,7 @@ def choose_band(
     highest = HIGHEST_SHARE if differenced else HIGHEST_SHARE_LOGGED
     wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), highest * rate)
     logged = [(segment.qd if of_velocity else segment.q, segment.tau) for segment in segments]
-    noise = noise_limit(
+    noise = estimate_noise_limit(
         [(x, tau) for x, tau in logged if x is not None], rate, of_velocity=of_velocity
     )
     cutoff = wanted if noise is None else noise.cutoff(wanted)

@@ -110,7 +110,7 @@ class NoiseLimit:
         )
 
 
-def noise_limit(
+def estimate_noise_limit(
     segments: Sequence[tuple[Array, Array]], rate: float, *, of_velocity: bool = False
 ) -> NoiseLimit | None:
     """Return the errors that a cutoff leaves, from positions and torques (L, n) of each segment.
@@ -133,12 +133,14 @@ def noise_limit(
     if window < 2 * rate / RULES.lowest or rate < 4.0 * RULES.lowest:
         return None
     frequency = np.asarray(np.fft.rfftfreq(window, 1.0 / rate), dtype=np.float64)
-    position, torque = (_spectrum([each[i] for each in segments], rate, window) for i in range(2))
+    position, torque = (
+        _estimate_spectrum([each[i] for each in segments], rate, window) for i in range(2)
+    )
     w = 2.0 * np.pi * frequency[:, None]
     if of_velocity:
         position = np.divide(position, w**2, out=np.zeros_like(position), where=w > 0.0)
     acceleration = w**4 * position
-    inertia = _squared_inertia(frequency, position, acceleration, torque)
+    inertia = _estimate_squared_inertia(frequency, position, acceleration, torque)
     white = np.median(position[frequency > RULES.torque_floor * rate], axis=0)
     clear = uniform_filter1d(position, RULES.smoothed, axis=0) > RULES.above_noise * white
     free = clear[frequency >= RULES.lowest].any(axis=0) & ~torque.any(axis=0)
@@ -154,12 +156,12 @@ def noise_limit(
     )
     return NoiseLimit(
         frequency,
-        _expected_errors(frequency, torque, excess, [tau for _, tau in segments], rate),
+        _predict_errors(frequency, torque, excess, [tau for _, tau in segments], rate),
         share * position,
     )
 
 
-def _spectrum(parts: Sequence[Array], rate: float, window: int) -> Array:
+def _estimate_spectrum(parts: Sequence[Array], rate: float, window: int) -> Array:
     """Return the spectrum (F, n) of the segments that are as long as the window."""
     total = np.zeros((window // 2 + 1, parts[0].shape[1]))
     weight = 0
@@ -170,7 +172,7 @@ def _spectrum(parts: Sequence[Array], rate: float, window: int) -> Array:
     return total / weight
 
 
-def _squared_inertia(
+def _estimate_squared_inertia(
     frequency: Array, position: Array, acceleration: Array, torque: Array
 ) -> Array:
     """Return torque over acceleration, squared (n,), at frequencies of the motion."""
@@ -189,7 +191,7 @@ def _squared_inertia(
     return found
 
 
-def _expected_errors(
+def _predict_errors(
     frequency: Array, torque: Array, excess: Array, logged: Sequence[Array], rate: float
 ) -> Array:
     """Return the squared error with a low-pass at each frequency relative to an ideal one."""

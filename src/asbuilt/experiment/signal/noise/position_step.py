@@ -43,7 +43,7 @@ FEW = 1_000
 """Differences that this share is taken from; its standard error is 0.015."""
 
 
-def position_steps(segments: Sequence[Array]) -> Array:
+def find_position_steps(segments: Sequence[Array]) -> Array:
     """Return the step of the values of each joint (n,), 0 where none is found.
 
     A joint that takes values on a grid changes between samples by multiples of its step, whatever
@@ -53,18 +53,18 @@ def position_steps(segments: Sequence[Array]) -> Array:
     Examples
     --------
     >>> q = np.round(np.sin(np.arange(2000) / 300.0) / 1e-3) * 1e-3
-    >>> position_steps([q[:, None]]).round(9).tolist()
+    >>> find_position_steps([q[:, None]]).round(9).tolist()
     [0.001]
     """
     return np.array(
         [
-            _step(np.concatenate([np.diff(q[:, k]) for q in segments]))
+            _find_step(np.concatenate([np.diff(q[:, k]) for q in segments]))
             for k in range(segments[0].shape[1])
         ]
     )
 
 
-def _step(differences: Array) -> float:
+def _find_step(differences: Array) -> float:
     size = np.abs(differences[:: max(1, differences.size // RULES.most_differences)])
     size = size[np.isfinite(size)]
     if not size.size:
@@ -74,16 +74,16 @@ def _step(differences: Array) -> float:
     if size.size < RULES.fewest:
         return 0.0
     few = np.ascontiguousarray(size[:: max(1, size.size // FEW)])
-    for candidate in _candidates(size):
-        if _share(few, _refined(few, candidate)) < RULES.roughly:
+    for candidate in _list_candidates(size):
+        if _measure_share(few, _refine_step(few, candidate)) < RULES.roughly:
             continue
-        step = _refined(size, candidate)
-        if step > 0.0 and _share(size, step) >= RULES.on_multiples:
-            return 0.0 if _constant_speed(size / step, n_all) else step
+        step = _refine_step(size, candidate)
+        if step > 0.0 and _measure_share(size, step) >= RULES.on_multiples:
+            return 0.0 if _has_constant_speed(size / step, n_all) else step
     return 0.0
 
 
-def _candidates(size: Array) -> Array:
+def _list_candidates(size: Array) -> Array:
     """Return possible steps, largest first: changes that are frequent, and their fractions."""
     typical = float(np.median(size))
     common = np.quantile(size, np.linspace(0.0, 0.9, 61))
@@ -95,7 +95,7 @@ def _candidates(size: Array) -> Array:
 
 
 @kernel("f1 f", fastmath=True)
-def _refined(size: Array, step: float) -> float:
+def _refine_step(size: Array, step: float) -> float:
     """Return the least-squares step of the differences that are near multiples of `step`.
 
     Without branches the sums run in vector registers.
@@ -115,7 +115,7 @@ def _refined(size: Array, step: float) -> float:
 
 
 @kernel("f1 f", fastmath=True)
-def _share(size: Array, step: float) -> float:
+def _measure_share(size: Array, step: float) -> float:
     """Return the share of differences that are near multiples of `step`."""
     count = 0.0
     for k in range(size.size):
@@ -126,7 +126,7 @@ def _share(size: Array, step: float) -> float:
     return count / size.size
 
 
-def _constant_speed(multiples: Array, n_all: int) -> bool:
+def _has_constant_speed(multiples: Array, n_all: int) -> bool:
     """Return whether the changes are of one size, as at a constant speed, and not exactly so."""
     alike = np.abs(multiples - 1.0) < NEAR
     return bool(alike.sum() > RULES.one_multiple * n_all and np.std(multiples[alike]) > RULES.exact)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask, any_of
+from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.experiment.recording import Recording
 
 
@@ -95,7 +95,9 @@ def without_spikes(recording: Recording) -> Recording:
     if recording.torque_source == "command" or recording.n_samples < FEWEST:
         return recording
     tau = np.array(recording.tau)
-    changed = any_of(tau[1:] != tau[:-1]) | any_of(recording.q[1:] != recording.q[:-1])
+    changed = find_true_rows(tau[1:] != tau[:-1]) | find_true_rows(
+        recording.q[1:] != recording.q[:-1]
+    )
     found = find_spikes(tau, np.concatenate([[True], changed]))
     if not found:
         return recording

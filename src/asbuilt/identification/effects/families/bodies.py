@@ -8,7 +8,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
 from asbuilt.identification.effects.found_effect import FoundEffect
 
@@ -64,7 +64,7 @@ class LinkMass(_Body):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return how much heavier a link is than the other links let expect."""
-        others = f" (or {joined(found.alternatives)})" if found.alternatives else ""
+        others = f" (or {join_names(found.alternatives)})" if found.alternatives else ""
         return Finding(
             "link_mass_differs",
             "warning",

@@ -35,10 +35,10 @@ class Coupling(Effect):
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return acceleration and velocity of each of both joints at the other one."""
         k = variant.joint or 1
-        return [_across(values, k) for values in (motion.qdd, motion.qd)]
+        return [_swap_neighbour(values, k) for values in (motion.qdd, motion.qd)]
 
 
-def _across(values: Array, k: int) -> Array:
+def _swap_neighbour(values: Array, k: int) -> Array:
     column = np.zeros_like(values)
     column[:, k], column[:, k - 1] = values[:, k - 1], values[:, k]
     return column

@@ -66,7 +66,7 @@ class DriveEffect(Effect):
             return
         for form in self.forms:
             n_columns = sum(bool(function) for function in form.functions())
-            for trial in _trials(form, robot):
+            for trial in _list_trials(form, robot):
                 yield Variant(self, n_columns, local=True, joints=joints, term=trial)
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
@@ -80,7 +80,7 @@ class DriveEffect(Effect):
         return [np.stack([own[c] for own in each], axis=1) for c in range(variant.n_columns)]
 
 
-def _trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
+def _list_trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
     """Yield the term with trial values of its first free nonlinear parameter."""
     if not term.free_nonlinear:
         yield term

@@ -14,7 +14,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.tables import significant
+from asbuilt.tables import round_significant
 
 
 def elastic_columns(
@@ -115,12 +115,16 @@ class Elastic(Effect):
             return None
         k, stiffness = model.joint_names.index(found.joint), 1.0 / found.estimate
         limit = rigid_limit(model, k, stiffness)
-        fails = f", so the rigid model is {100 * OFF:.0f} % off from {significant(limit, 2)} Hz on"
+        fails = (
+            f", so the rigid model is {100 * OFF:.0f} % off from"
+            f" {round_significant(limit, 2)} Hz on"
+        )
         unit = "N m/rad" if model.joints[k].is_revolute else "N/m"
         return Finding(
             "elastic_joint",
             "info",
-            f"Not in the model: {found.joint} is elastic, about {significant(stiffness, 2)} {unit}"
+            f"Not in the model: {found.joint} is elastic, about {round_significant(stiffness, 2)}"
+            f" {unit}"
             f"{fails if np.isfinite(limit) else ''}",
             Cure("log a second encoder (q_link_*), which shows the stiffness, or move slower"),
             joint=found.joint,

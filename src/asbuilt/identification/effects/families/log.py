@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.tables import plus_minus
+from asbuilt.tables import format_plus_minus
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -101,8 +101,10 @@ class Clock(_OfLog):
         return Finding(
             "clock_wrong",
             "warning",
-            f"The torques are those of a motion {_percent(found)} {pace} than the clock of the log"
-            f" says, for only then do masses act alike by gravity and acceleration{_worth(found)}",
+            f"The torques are those of a motion {_format_percent(found)} {pace} than the clock of"
+            " the log"
+            " says, for only then do masses act alike by gravity and"
+            f" acceleration{_word_worth(found)}",
             Cure(
                 f"check the sampling rate; if it is wrong, multiply the times by {1.0 / rate:.4g}"
                 f" (time_factor = {1.0 / rate:.4g} in a recording sheet), or the rate by {rate:.4g}"
@@ -174,10 +176,10 @@ class Zero(_OfLog):
             "warning",
             f"Positions of {found.joint} seem logged {size} too"
             f" {'large' if found.estimate > 0.0 else 'small'}: the zero position is not the"
-            f" description's{_worth(found)}",
+            f" description's{_word_worth(found)}",
             Cure(
                 "check the calibration of the joint, or correct it in a recording sheet:"
-                f" zero = {_listed(model, k, '0', f'{found.estimate:.3g}')}"
+                f" zero = {_write_joint_list(model, k, '0', f'{found.estimate:.3g}')}"
             ),
             joint=found.joint,
         )
@@ -223,13 +225,16 @@ class Gain(_OfTorque):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return the gain, or that the torque is another quantity."""
-        factor, gain = plus_minus(1.0 + found.estimate, found.std_error), 1.0 + found.estimate
+        factor, gain = (
+            format_plus_minus(1.0 + found.estimate, found.std_error),
+            1.0 + found.estimate,
+        )
         if gain < DEAD:
             return Finding(
                 "torque_does_not_follow",
                 "warning",
                 f"The torque of {found.joint} is {factor} of what the motion and the other joints"
-                f" imply{_worth(found)}: it is another quantity, or its sensor fails",
+                f" imply{_word_worth(found)}: it is another quantity, or its sensor fails",
                 Cure("check the column and the sensor"),
                 joint=found.joint,
             )
@@ -238,10 +243,10 @@ class Gain(_OfTorque):
             "joint_gain_wrong",
             "warning",
             f"The torque of {found.joint} is {factor} of what its own motion and the other joints"
-            f" imply{_worth(found)}",
+            f" imply{_word_worth(found)}",
             Cure(
                 "check its gain; to agree with the others, multiply it in a recording sheet by"
-                f" gains = {_listed(model, k, '1', f'{1.0 / gain:.3g}')}"
+                f" gains = {_write_joint_list(model, k, '1', f'{1.0 / gain:.3g}')}"
             ),
             joint=found.joint,
         )
@@ -269,8 +274,10 @@ class Saturation(_OfTorque):
         return Finding(
             "torque_saturates",
             "warning",
-            f"The largest torques of {found.joint} are {_percent(found)} smaller than the small"
-            f" ones imply{_worth(found)}: the drive or the sensor saturates, or a gain depends on"
+            f"The largest torques of {found.joint} are {_format_percent(found)} smaller than the"
+            " small"
+            f" ones imply{_word_worth(found)}: the drive or the sensor saturates, or a gain"
+            " depends on"
             " the torque",
             Cure("record a gentler motion, or check the range of the sensor"),
             joint=found.joint,
@@ -299,11 +306,11 @@ class Drift(_OfTorque):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return the drift."""
-        size = f"{plus_minus(found.estimate, found.std_error)} {found.unit}"
+        size = f"{format_plus_minus(found.estimate, found.std_error)} {found.unit}"
         return Finding(
             "torque_drifts",
             "warning",
-            f"The torque of {found.joint} drifts by {size} over the recording{_worth(found)}",
+            f"The torque of {found.joint} drifts by {size} over the recording{_word_worth(found)}",
             Cure("let the sensor warm up and set it to zero, or identify shorter parts"),
             joint=found.joint,
         )
@@ -328,18 +335,19 @@ class Warming(_OfTorque):
             "friction_drifts",
             "warning",
             f"Friction of {found.joint} {'rises' if found.estimate > 0.0 else 'falls'} by"
-            f" {_percent(found)} over the recording, as that of a drive whose temperature changes"
-            f"{_worth(found)}; its parameters are those of the middle",
+            f" {_format_percent(found)} over the recording, as that of a drive whose temperature"
+            " changes"
+            f"{_word_worth(found)}; its parameters are those of the middle",
             Cure("record cold and warm robots separately"),
             joint=found.joint,
         )
 
 
-def _percent(found: FoundEffect) -> str:
-    return f"{plus_minus(100.0 * abs(found.estimate), 100.0 * found.std_error)} %"
+def _format_percent(found: FoundEffect) -> str:
+    return f"{format_plus_minus(100.0 * abs(found.estimate), 100.0 * found.std_error)} %"
 
 
-def _worth(found: FoundEffect) -> str:
+def _word_worth(found: FoundEffect) -> str:
     """Return what the effect is worth, as the end of a clause."""
     others = (
         f"; {' or '.join(found.alternatives)} would explain as much" if found.alternatives else ""
@@ -347,5 +355,5 @@ def _worth(found: FoundEffect) -> str:
     return f" ({found.improvement}{others})"
 
 
-def _listed(model: RobotModel, joint: int, otherwise: str, value: str) -> str:
+def _write_joint_list(model: RobotModel, joint: int, otherwise: str, value: str) -> str:
     return f"[{', '.join(value if k == joint else otherwise for k in range(model.n_joints))}]"

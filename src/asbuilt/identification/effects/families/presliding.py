@@ -60,11 +60,11 @@ def presliding_column(t: ArrayLike, q: ArrayLike, stiffness_length: float) -> Ar
         return z
     starts = np.flatnonzero(steps > GAP * np.median(steps)) + 1
     for segment in np.split(np.arange(x.size), starts):
-        z[segment] = _deflection(x[segment], stiffness_length)
+        z[segment] = _integrate_deflection(x[segment], stiffness_length)
     return z
 
 
-def _deflection(x: Array, length: float) -> Array:
+def _integrate_deflection(x: Array, length: float) -> Array:
     """Return the deflection along a path from straight bristles, one reversal after another."""
     z, side = np.zeros(x.shape), np.sign(np.diff(x))
     turns = np.flatnonzero(side[1:] * side[:-1] <= 0.0) + 1

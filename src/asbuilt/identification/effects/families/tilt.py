@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import axes_across
+from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
 
@@ -55,7 +55,7 @@ class Tilt(Effect):
     ) -> tuple[RobotModel, list[Samples]]:
         """Return the robot with its base turned by a tilt about the axes across gravity."""
         gravity = np.array(model.gravity)
-        back = Rotation.from_rotvec(-values @ axes_across(gravity))
+        back = Rotation.from_rotvec(-values @ find_axes_across(gravity))
         return model.tilted(back.apply(gravity)), list(samples)
 
     def variants(self, robot: Described) -> Iterator[Variant]:
@@ -75,5 +75,5 @@ class Tilt(Effect):
                 still,
                 parameters=links,
             )
-            for axis in axes_across(model.gravity)
+            for axis in find_axes_across(model.gravity)
         ]

@@ -172,7 +172,7 @@ def scan_probability(single: float, d: int, r: int, first: int = SCAN.before) ->
     Simulated without a change where simulations resolve it; below, the sum over the candidates
     (Bonferroni), which bounds it.
     """
-    least = _least_probabilities(d, r, first)
+    least = _draw_least_probabilities(d, r, first)
     bound = (d - SCAN.after + 1 - first) * single
     rank = int(np.searchsorted(least, single, side="right"))
     if rank >= RESOLVED:
@@ -181,7 +181,7 @@ def scan_probability(single: float, d: int, r: int, first: int = SCAN.before) ->
 
 
 @lru_cache(maxsize=256)
-def _least_probabilities(d: int, r: int, first: int) -> Array:
+def _draw_least_probabilities(d: int, r: int, first: int) -> Array:
     """Return the least p-values of histories without a change, sorted, (DRAWS,)."""
     rng = np.random.default_rng(0)
     candidates = np.arange(first, d - SCAN.after + 1)

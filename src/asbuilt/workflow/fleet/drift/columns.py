@@ -45,7 +45,7 @@ class Day:
     covariates: Mapping[str, float]
 
 
-def day_of(entry: Entry) -> Day:
+def make_day(entry: Entry) -> Day:
     """Return a log as a day of its own."""
     grams = []
     for k, factors in enumerate(entry.whole.factors):
@@ -67,15 +67,15 @@ def day_of(entry: Entry) -> Day:
     return Day(entry.date, entry.date, 1, entry.whole.n_samples, tuple(grams), means)
 
 
-def by_day(logs: Iterable[Day]) -> tuple[Day, ...]:
+def merge_by_day(logs: Iterable[Day]) -> tuple[Day, ...]:
     """Merge the logs of each day (UTC), in order of time."""
     groups: dict[str, list[Day]] = {}
     for each in sorted(logs, key=lambda day: day.date):
         groups.setdefault(f"{each.date.astimezone(UTC):%Y-%m-%d}", []).append(each)
-    return tuple(_together(group) for group in groups.values())
+    return tuple(_merge_days(group) for group in groups.values())
 
 
-def _together(group: Sequence[Day]) -> Day:
+def _merge_days(group: Sequence[Day]) -> Day:
     if len(group) == 1:
         return group[0]
     names = set.intersection(*(set(day.covariates) for day in group))
@@ -88,7 +88,7 @@ def _together(group: Sequence[Day]) -> Day:
         group[-1].last,
         sum(day.n_logs for day in group),
         total,
-        summed(group),
+        sum_days(group),
         means,
     )
 
@@ -205,7 +205,7 @@ class FleetColumns:
         return self.energies(grams, np.append(np.zeros(self.size), 1.0), beta)
 
 
-def summed(days: Sequence[Day]) -> tuple[Array, ...]:
+def sum_days(days: Sequence[Day]) -> tuple[Array, ...]:
     """Return the Gram matrices of several days together."""
     found = []
     for parts in zip(*(day.grams for day in days), strict=True):

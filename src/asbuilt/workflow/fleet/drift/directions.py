@@ -11,8 +11,8 @@ from asbuilt.arrays import Array
 from asbuilt.identification.effects.families.bodies import Payload
 from asbuilt.identification.effects.families.log import Gain
 from asbuilt.identification.effects.families.tilt import Tilt
-from asbuilt.identification.effects.groups import LINKS, drive_places
-from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, summed
+from asbuilt.identification.effects.groups import LINKS, locate_drive_parameters
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, sum_days
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +32,13 @@ class Source:
     design: Array
 
 
-def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
+def list_sources(columns: FleetColumns) -> tuple[Source, ...]:
     """Return the effects that can change in a robot type; without those that its columns lack."""
     n, base, unit = columns.n_joints, columns.base, np.eye(columns.size)
     found = [
         Source(effect, k, unit[:, places])
         for k in range(n)
-        for effect, places in drive_places(base, k).items()
+        for effect, places in locate_drive_parameters(base, k).items()
     ]
     found += [Source(Gain.key, k, unit[:, [columns.gains.start + k]]) for k in range(n)]
     K = unit[:, : base.n_base] @ base.regrouping[:, 10 * columns.tool_link :][:, :10]
@@ -72,14 +72,14 @@ class UsualChanges:
 USUAL = UsualChanges()
 
 
-def usual_changes(columns: FleetColumns, information: Array, beta: Array) -> Array:
+def derive_usual_changes(columns: FleetColumns, information: Array, beta: Array) -> Array:
     """Return the changes of effects of usual size, (size, number of changes).
 
     `information` is what a day gives about the parameters beta.
     """
     found = []
     payload = np.repeat(USUAL.payload, (6, 3, 1))
-    for source in sources_of(columns):
+    for source in list_sources(columns):
         places = np.argmax(np.abs(source.design), axis=0)
         clear = np.sqrt(np.einsum("im,ij,jm->m", source.design, information, source.design))
         clear = np.where(clear > 0.0, clear, np.inf)
@@ -143,7 +143,7 @@ class Directions:
 
     def reference(self, days: Sequence[Day]) -> Array:
         """Return the base parameters of a robot by all its days."""
-        return self.columns.fit(summed(days), self.weights, self.beta)
+        return self.columns.fit(sum_days(days), self.weights, self.beta)
 
     def scores(self, days: Sequence[Day], beta: Array) -> tuple[Array, Array]:
         """Return information (d, r, r) and score (d, r) of each day about a robot's parameters."""
@@ -161,22 +161,22 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     to `Q^T J Q = 1`. The noise of a joint is the
     median over days of its RMS residual about a fit of that day alone.
     """
-    totals = [summed(days) for days in robots]
+    totals = [sum_days(days) for days in robots]
     samples = np.array([sum(day.n_samples for day in days) for days in robots], dtype=float)
     zero = np.zeros(columns.base.n_base)
-    weights = 1.0 / np.maximum(_rms(columns, totals, samples, [zero] * len(totals)), 1e-300)
+    weights = 1.0 / np.maximum(_measure_rms(columns, totals, samples, [zero] * len(totals)), 1e-300)
     floor = 1e-9 / float(weights.min())
     beta, own = zero, [zero] * len(totals)
     for _ in range(RULES.iterations):
         own = [columns.fit(grams, weights, zero) for grams in totals]
-        weights = 1.0 / np.maximum(_noise(columns, robots, weights, own), floor)
+        weights = 1.0 / np.maximum(_estimate_noise(columns, robots, weights, own), floor)
     beta = np.median(own, axis=0)
     n_days = sum(len(days) for days in robots)
     J = np.zeros((columns.size, columns.size))
     for grams, values in zip(totals, own, strict=True):
         J += columns.information(grams, values, weights)[:-1, :-1] / n_days
     J += 1e-12 * np.diag(np.diag(J))
-    changes = usual_changes(columns, J, beta)
+    changes = derive_usual_changes(columns, J, beta)
     length = np.sqrt(np.maximum(np.diag(J), 1e-300))
     values, axes = np.linalg.eigh(J / np.outer(length, length))
     root = (axes * np.sqrt(np.maximum(values, 0.0))).T * length
@@ -187,7 +187,7 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     return Directions(columns, weights, basis, beta)
 
 
-def _noise(
+def _estimate_noise(
     columns: FleetColumns,
     robots: Sequence[Sequence[Day]],
     weights: Array,
@@ -204,7 +204,7 @@ def _noise(
     return np.asarray(np.median(found, axis=0))
 
 
-def _rms(
+def _measure_rms(
     columns: FleetColumns,
     totals: Sequence[Sequence[Array]],
     samples: Array,

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.codec import plain
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.codec import make_plain
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import UsageError
-from asbuilt.findings import Finding, ranked
+from asbuilt.findings import Finding, rank_findings
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
-from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, by_day, day_of
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, make_day, merge_by_day
 from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
 from asbuilt.workflow.fleet.drift.explanation import explain_change
 from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation
@@ -70,7 +70,7 @@ class RobotDrift:
 
     def as_document(self) -> dict[str, Any]:
         """Return it as plain data."""
-        document: dict[str, Any] = plain(self)
+        document: dict[str, Any] = make_plain(self)
         return document
 
 
@@ -122,8 +122,8 @@ class FleetDrift:
         return {
             "ledger": self.ledger,
             "since": self.since,
-            "robots": plain(self.robots),
-            "types": plain(self.types),
+            "robots": make_plain(self.robots),
+            "types": make_plain(self.types),
             "false_discovery_rate": self.false_discovery_rate,
             "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
             "findings": [each.as_dict() for each in self.findings],
@@ -179,7 +179,9 @@ def fleet_drift(
 
         def read(robot_id: str, digest: str = digest) -> tuple[Day, ...]:
             entries = opened.entries(robot_id, types=types)
-            return by_day(day_of(each) for each in entries if each.settings.digest == digest)
+            return merge_by_day(
+                make_day(each) for each in entries if each.settings.digest == digest
+            )
 
         def tick(robot_id: str) -> None:
             nonlocal done
@@ -187,7 +189,7 @@ def fleet_drift(
             if progress is not None:
                 progress(f"{robot_id} read", done / (total + 1))
 
-        rows, kind = type_drift(
+        rows, kind = scan_type(
             settings.robot_type, FleetColumns.of(settings), robot_ids, read, since, tick
         )
         found += rows
@@ -197,7 +199,7 @@ def fleet_drift(
     )
 
 
-def type_drift(
+def scan_type(
     robot_type: str,
     columns: FleetColumns,
     robot_ids: Sequence[str],
@@ -219,7 +221,7 @@ def type_drift(
         Called with each robot that was read.
     """
     step = max(1, -(-len(robot_ids) // EXAMPLES))
-    with one_blas_thread():
+    with use_one_blas_thread():
         examples = {each: read(each) for each in robot_ids[::step]}
         sound = [days for days in examples.values() if days]
         if not sound:
@@ -231,13 +233,13 @@ def type_drift(
         for robot_id in robot_ids:
             days = examples[robot_id] if robot_id in examples else read(robot_id)
             if days:
-                histories[robot_id] = _history(directions, days, names)
+                histories[robot_id] = _build_history(directions, days, names)
                 dates[robot_id] = tuple(replace(day, grams=(), covariates={}) for day in days)
             if tick is not None:
                 tick(robot_id)
         variation = estimate_variation(list(histories.values()))
         rows = [
-            _robot_drift(
+            _scan_robot(
                 robot_id,
                 robot_type,
                 directions,
@@ -257,7 +259,7 @@ def type_drift(
         n_days,
         directions.count,
         variation.autocorrelation,
-        _variation_torque(directions, variation, sound),
+        _measure_variation_torque(directions, variation, sound),
         columns.joint_units,
     )
 
@@ -279,7 +281,7 @@ def conclude_drift(
     rates = benjamini_hochberg([float(each.p_value or 0.0) for each in tested])
     rate_of = {each.id: float(rate) for each, rate in zip(tested, rates, strict=True)}
     level = options.false_discovery_rate
-    decided = [_decided(each, rate_of.get(each.id), level) for each in robots]
+    decided = [_decide_change(each, rate_of.get(each.id), level) for each in robots]
     decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
     few = [each.id for each in robots if each.p_value is None]
     shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
@@ -311,17 +313,17 @@ def conclude_drift(
         tuple(decided),
         tuple(types),
         level,
-        ranked(reported),
+        rank_findings(reported),
     )
 
 
-def _decided(each: RobotDrift, rate: float | None, level: float) -> RobotDrift:
+def _decide_change(each: RobotDrift, rate: float | None, level: float) -> RobotDrift:
     changed = rate is not None and rate <= level
     when, what = (each.when, each.what) if changed else (None, ())
     return replace(each, changed=changed, when=when, what=what, false_discovery=rate)
 
 
-def _history(directions: Directions, days: Sequence[Day], names: Sequence[str]) -> History:
+def _build_history(directions: Directions, days: Sequence[Day], names: Sequence[str]) -> History:
     J, s = directions.scores(days, directions.reference(days))
     covariates = np.array(
         [[day.covariates.get(name, np.nan) for name in names] for day in days]
@@ -329,7 +331,7 @@ def _history(directions: Directions, days: Sequence[Day], names: Sequence[str]) 
     return History(J, s, covariates)
 
 
-def _robot_drift(
+def _scan_robot(
     robot_id: str,
     robot_type: str,
     directions: Directions,
@@ -370,11 +372,13 @@ def _robot_drift(
         None,
         what,
         tuple(f"{day.date.astimezone(UTC):%Y-%m-%d}" for day in dates),
-        _distances(adjusted, variation, None if found is None else found.place),
+        _measure_distances(adjusted, variation, None if found is None else found.place),
     )
 
 
-def _distances(history: History, variation: Variation, place: int | None) -> tuple[float, ...]:
+def _measure_distances(
+    history: History, variation: Variation, place: int | None
+) -> tuple[float, ...]:
     """Return the distance of each day from the median of those before the change."""
     y = history.estimates
     centre = np.median(y[: max(place or 0, SCAN.before)], axis=0)
@@ -386,7 +390,7 @@ def _distances(history: History, variation: Variation, place: int | None) -> tup
     return tuple(float(x) for x in np.round(np.sqrt(np.maximum(squares, 0.0) / r), 3))
 
 
-def _variation_torque(
+def _measure_variation_torque(
     directions: Directions, variation: Variation, robots: Sequence[Sequence[Day]]
 ) -> tuple[float, ...]:
     """Return the RMS torque of the variation at each joint, over the days of some robots."""

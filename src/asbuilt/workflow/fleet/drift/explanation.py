@@ -12,11 +12,11 @@ from asbuilt.arrays import Array
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.bodies import Payload
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.identification.effects.groups import LINKS, group_title
-from asbuilt.identification.effects.selection import RULES, worth_of
-from asbuilt.tables import plus_minus, significant
-from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, summed
-from asbuilt.workflow.fleet.drift.directions import Directions, Source, sources_of
+from asbuilt.identification.effects.groups import LINKS, name_group
+from asbuilt.identification.effects.selection import RULES, evaluate_worth
+from asbuilt.tables import format_plus_minus, round_significant
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, sum_days
+from asbuilt.workflow.fleet.drift.directions import Directions, Source, list_sources
 from asbuilt.workflow.fleet.drift.variation import Variation
 
 
@@ -69,12 +69,12 @@ def explain_change(
     the most worthy, then further ones in addition that are no chance and much of the change.
     """
     columns = directions.columns
-    beta = columns.fit(summed(days[: max(place, 1)]), directions.weights, directions.beta)
-    step = _stepping(directions, variation.covariance, days, place, beta)
-    taken = _selected(step, sources_of(columns), inflation)
+    beta = columns.fit(sum_days(days[: max(place, 1)]), directions.weights, directions.beta)
+    step = _accumulate_stepping(directions, variation.covariance, days, place, beta)
+    taken = _select_effects(step, list_sources(columns), inflation)
     _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
-    after = summed(days[place:])
-    all_days, n = summed(days), sum(day.n_samples for day in days)
+    after = sum_days(days[place:])
+    all_days, n = sum_days(days), sum(day.n_samples for day in days)
     effects, start = [], 0
     x = np.zeros(columns.size)
     for source in taken:
@@ -82,26 +82,28 @@ def explain_change(
         start = part.stop
         own = source.design @ found[part]
         rms = np.sqrt(columns.energies(all_days, own, beta) / n)
-        errors = tuple(_relative_error(columns, after, each, beta) for each in (x, x + own))
+        errors = tuple(_measure_relative_error(columns, after, each, beta) for each in (x, x + own))
         x = x + own
         spread = inflation * covariance[part, part]
-        size = _size(source, found[part], spread, columns, beta, all_days)
-        effects.append(_effect(source, size, rms, errors, columns))
+        size = _word_size(source, found[part], spread, columns, beta, all_days)
+        effects.append(_make_effect(source, size, rms, errors, columns))
     return tuple(sorted(effects, key=lambda each: -each.torque))
 
 
-def _selected(step: _Stepping, sources: Sequence[Source], inflation: float) -> list[Source]:
+def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float) -> list[Source]:
     """Return the effects that are taken, in order; residuals of the best scale the statistics."""
     whole, _, _, _ = step.fit(np.eye(len(step.score)))
     taken: list[Source] = []
     reached, rank = 0.0, 0
     while len(taken) < CHANGE.most:
-        left = [each for each in sources if not any(_overlap(each, own) for own in taken)]
+        left = [each for each in sources if not any(_has_overlap(each, own) for own in taken)]
         fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
         gains = np.array([fit[0] for fit in fits]) - reached
         ranks = [fit[3] - rank for fit in fits]
         spread = max(inflation, (whole - reached - gains.max()) / len(step.score))
-        worth = [worth_of(0.5 * g / spread, m) for g, m in zip(gains.tolist(), ranks, strict=True)]
+        worth = [
+            evaluate_worth(0.5 * g / spread, m) for g, m in zip(gains.tolist(), ranks, strict=True)
+        ]
         # Of effects that explain the same, as links and a payload of few joints do, the first.
         best = int(np.flatnonzero(np.array(worth) >= max(worth) - CHANGE.same * abs(max(worth)))[0])
         chance = float(chdtrc(max(ranks[best], 1), max(gains[best], 0.0) / spread)) * len(left)
@@ -112,14 +114,14 @@ def _selected(step: _Stepping, sources: Sequence[Source], inflation: float) -> l
     return taken
 
 
-def _overlap(source: Source, other: Source) -> bool:
+def _has_overlap(source: Source, other: Source) -> bool:
     """Return whether two effects are one, or one contains the other."""
     bodies = {LINKS, Payload.key}
     same = source.effect == other.effect and source.joint == other.joint
     return same or {source.effect, other.effect} == bodies
 
 
-def _stepping(
+def _accumulate_stepping(
     directions: Directions, V: Array, days: Sequence[Day], place: int, beta: Array
 ) -> _Stepping:
     columns, Q, w = directions.columns, directions.basis, directions.weights
@@ -144,7 +146,9 @@ def _stepping(
     return _Stepping(A - across @ C, b - across @ d)
 
 
-def _relative_error(columns: FleetColumns, grams: Sequence[Array], x: Array, beta: Array) -> float:
+def _measure_relative_error(
+    columns: FleetColumns, grams: Sequence[Array], x: Array, beta: Array
+) -> float:
     """Return the torque error about the parameters beta changed by x, relative to the torque."""
     zero = np.zeros(columns.base.n_base)
     torque = float(columns.residual_energy(grams, zero).sum())
@@ -152,7 +156,7 @@ def _relative_error(columns: FleetColumns, grams: Sequence[Array], x: Array, bet
     return float(np.sqrt(left / torque)) if torque > 0.0 else 0.0
 
 
-def _effect(
+def _make_effect(
     source: Source,
     size: tuple[float, float, str, str],
     rms: Array,
@@ -162,8 +166,8 @@ def _effect(
     """Return an effect with the RMS torque (n,) that it makes, and the errors around it."""
     at = int(np.argmax(rms))
     joint = None if source.joint is None else columns.joint_names[source.joint]
-    where = f"{group_title(source.effect)}{f' of {joint}' if joint else ''} {size[3]}".rstrip()
-    felt = f"{significant(float(rms[at]))} {columns.joint_units[at]}"
+    where = f"{name_group(source.effect)}{f' of {joint}' if joint else ''} {size[3]}".rstrip()
+    felt = f"{round_significant(float(rms[at]))} {columns.joint_units[at]}"
     return FoundEffect(
         effect=source.effect,
         joint=joint,
@@ -179,7 +183,7 @@ def _effect(
     )
 
 
-def _size(
+def _word_size(
     source: Source,
     values: Array,
     covariance: Array,
@@ -197,12 +201,12 @@ def _size(
         size, error, unit = family.size(values, covariance, revolute=revolute)
         text = family.text_of(size, error, revolute=revolute)
     else:
-        size, error, unit = _share(source, values, covariance, columns, beta, grams)
-        text = f"{plus_minus(size, error)} {unit}"
+        size, error, unit = _measure_torque_share(source, values, covariance, columns, beta, grams)
+        text = f"{format_plus_minus(size, error)} {unit}"
     return size, error, unit, f"+{text}" if size > 0.0 else text
 
 
-def _share(
+def _measure_torque_share(
     source: Source,
     values: Array,
     covariance: Array,

@@ -111,14 +111,14 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
     after it, and days far off less weight, so robots that changed do not count as varying (Huber,
     Robust Statistics, 1981, chapter 8).
     """
-    coefficients = _temperature(histories)
+    coefficients = _fit_temperature(histories)
     found = [each.without(coefficients) for each in histories]
     r = found[0].score.shape[1]
     V = _start(found)
     inflations, degrees, rho = np.ones(len(found)), 0.0, 0.0
     for _ in range(ITERATIONS):
         parts = [
-            _segments(each, _cut(each, V, s) if cut else None)
+            _split_history(each, _find_clear_change(each, V, s) if cut else None)
             for each, s in zip(found, inflations, strict=True)
         ]
         counts = np.array([sum(len(score) - 1 for _, score in each) for each in parts])
@@ -127,22 +127,22 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
             null = NullDistribution.theoretical(r)
             return Variation(V, 0.0, inflations, 0.0, coefficients, null)
         for _ in range(STEPS):
-            V = _scored([segment for each in parts for segment in each], V)
-        whitened = [[_whitened(J, s, V) for J, s in each] for each in parts]
+            V = _step_scoring([segment for each in parts for segment in each], V)
+        whitened = [[_whiten_residuals(J, s, V) for J, s in each] for each in parts]
         own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
         spread = (r * OWN_DAYS + own) / (r * (OWN_DAYS + counts))
-        rho = _autocorrelation([z for each in whitened for z in each])
+        rho = _estimate_autocorrelation([z for each in whitened for z in each])
         inflations = np.maximum(spread, 1.0)
     quiet = [
         (each, float(s))
         for each, s, segments in zip(found, inflations, parts, strict=True)
         if len(segments) == 1 and len(segments[0][1]) == each.n_days
     ]
-    null = _null_distribution(quiet, V, degrees)
+    null = _simulate_null_distribution(quiet, V, degrees)
     return Variation(V, degrees, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null)
 
 
-def _null_distribution(
+def _simulate_null_distribution(
     quiet: Sequence[tuple[History, float]], V: Array, degrees: float
 ) -> NullDistribution:
     """Return the distribution of the statistic in histories with their days in random order.
@@ -180,22 +180,22 @@ def _start(histories: Sequence[History]) -> Array:
     for _ in range(3):
         far = np.einsum("ni,ij,nj->n", steps, np.linalg.pinv(S, hermitian=True), steps)
         weight = np.minimum(1.0, float(chdtri(r, OUTLYING)) / np.maximum(far, 1e-300))
-        S = _shrunk((steps * weight[:, None]).T @ steps / weight.sum(), len(steps))
+        S = _shrink_covariance((steps * weight[:, None]).T @ steps / weight.sum(), len(steps))
     return np.asarray(S)
 
 
-def _shrunk(S: Array, degrees: float) -> Array:
+def _shrink_covariance(S: Array, degrees: float) -> Array:
     """Return a covariance of r directions shrunk to its diagonal by r / (r + degrees)."""
     share = len(S) / (len(S) + max(degrees, 1.0))
     return np.asarray((1.0 - share) * S + share * np.diag(np.diag(S)))
 
 
-def _cut(history: History, V: Array, inflation: float) -> int | None:
+def _find_clear_change(history: History, V: Array, inflation: float) -> int | None:
     found = scan(history.information, history.score, V, inflation=inflation)
     return found.place if found is not None and found.p_value < CLEAR else None
 
 
-def _segments(history: History, place: int | None) -> list[tuple[Array, Array]]:
+def _split_history(history: History, place: int | None) -> list[tuple[Array, Array]]:
     """Return information and score of the days before and after a change."""
     J, s = history.information, history.score
     if place is None:
@@ -204,7 +204,7 @@ def _segments(history: History, place: int | None) -> list[tuple[Array, Array]]:
     return [(J[span], s[span]) for span in spans if len(s[span]) > 1]
 
 
-def _about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
+def _weigh_about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     """Return the weights P_t of the days and `P_t (y_t - mu)`."""
     A = np.eye(len(V)) + J @ V
     P, b = np.linalg.solve(A, J), np.linalg.solve(A, s[..., None])[..., 0]
@@ -212,7 +212,7 @@ def _about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     return np.asarray(P), np.asarray(b - P @ mean)
 
 
-def _scored(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
+def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     """Return V after one step of scoring: `V + A^-1 (U - A) A^-1`.
 
     U is the mean of `u u^T` of the weighted residuals `u = P (y - mu)`, A its expectation. What is
@@ -222,8 +222,10 @@ def _scored(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     limit = float(chdtri(r, OUTLYING))
     U, A, n = np.zeros((r, r)), 1e-9 * np.eye(r), 0
     for J, s in segments:
-        P, u = _about_mean(J, s, V)
-        weight = np.sqrt(np.minimum(1.0, limit / np.maximum(_squares(P, u), 1e-300)))
+        P, u = _weigh_about_mean(J, s, V)
+        weight = np.sqrt(
+            np.minimum(1.0, limit / np.maximum(_measure_squared_distances(P, u), 1e-300))
+        )
         u = u * weight[:, None]
         total = P.sum(axis=0)
         spent = np.einsum(
@@ -234,31 +236,31 @@ def _scored(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     change = n * (root @ (root.T @ U @ root - np.eye(r)) @ root.T)
     back = (axes * np.sqrt(values)) @ axes.T / np.sqrt(n)
-    new = _positive(back @ (V + change) @ back)
+    new = _clip_eigenvalues(back @ (V + change) @ back)
     inverse = np.linalg.inv(back)
     return np.asarray(inverse @ new @ inverse)
 
 
-def _squares(P: Array, u: Array) -> Array:
+def _measure_squared_distances(P: Array, u: Array) -> Array:
     """Return `u^T P^+ u` of each day: the squared distance from the mean."""
     weak = 1e-9 * np.eye(P.shape[-1])
     return np.asarray(np.sum(u * np.linalg.solve(P + weak, u[..., None])[..., 0], axis=1))
 
 
-def _whitened(J: Array, s: Array, V: Array) -> Array:
+def _whiten_residuals(J: Array, s: Array, V: Array) -> Array:
     """Return residuals of unit covariance, (d, r)."""
-    P, u = _about_mean(J, s, V)
+    P, u = _weigh_about_mean(J, s, V)
     values, axes = np.linalg.eigh((P + np.swapaxes(P, 1, 2)) / 2.0)
     root = axes / np.sqrt(np.maximum(values, 1e-9))[:, None, :]
     return np.asarray(np.einsum("dij,dkj,dk->di", axes, root, u, optimize=True))
 
 
-def _positive(matrix: Array) -> Array:
+def _clip_eigenvalues(matrix: Array) -> Array:
     values, axes = np.linalg.eigh((matrix + matrix.T) / 2.0)
     return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
 
-def _autocorrelation(residuals: Sequence[Array]) -> float:
+def _estimate_autocorrelation(residuals: Sequence[Array]) -> float:
     """Return the mean correlation of neighbouring days, zero if negative, at most 0.9.
 
     Residuals about a mean of d days have a correlation of about -1 / d by themselves.
@@ -271,7 +273,7 @@ def _autocorrelation(residuals: Sequence[Array]) -> float:
     return float(np.clip(product / square + 1.0 / days, 0.0, 0.9))
 
 
-def _temperature(histories: Sequence[History]) -> Array:
+def _fit_temperature(histories: Sequence[History]) -> Array:
     """Return the change by a unit of temperature (c, r), pooled over robots; empty without any."""
     c, r = histories[0].covariates.shape[1], histories[0].score.shape[1]
     rows, targets = [], []

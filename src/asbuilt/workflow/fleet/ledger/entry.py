@@ -26,14 +26,14 @@ from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.workflow.fleet.ledger.merging import merged_blocks
+from asbuilt.workflow.fleet.ledger.merging import merge_blocks
 from asbuilt.workflow.fleet.ledger.settings import (
     FORMAT_VERSION,
     SOFTWARE,
     TypeSettings,
     check_version,
 )
-from asbuilt.workflow.fleet.ledger.store import folder_of, unpacked
+from asbuilt.workflow.fleet.ledger.store import name_entry_folder, unpack_table
 
 DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""
@@ -95,7 +95,7 @@ class EntryName:
         """Path of the file in the ledger."""
         stamp = self.date.strftime("%Y%m%dT%H%M%SZ")
         return (
-            f"{folder_of(self.robot_id)}/{stamp}-{self.source}-{self.settings}"
+            f"{name_entry_folder(self.robot_id)}/{stamp}-{self.source}-{self.settings}"
             f"-{self.content}.parquet"
         )
 
@@ -160,13 +160,13 @@ class Entry:
     @cached_property
     def whole(self) -> SquareRootInformation:
         """The information of the whole log as one block."""
-        return merged_blocks(self.information, 1)
+        return merge_blocks(self.information, 1)
 
     @cached_property
     def content(self) -> bytes:
         """The content of the Parquet file: the same bytes wherever it is made."""
         stream = io.BytesIO()
-        _frame(self).write_parquet(stream, compression="zstd", compression_level=1)
+        _build_frame(self).write_parquet(stream, compression="zstd", compression_level=1)
         return stream.getvalue()
 
     @property
@@ -177,16 +177,16 @@ class Entry:
             self.date.astimezone(UTC).replace(microsecond=0),
             self.source_sha256[:DIGITS],
             self.settings.digest,
-            content_digest(self.content),
+            digest_content(self.content),
         )
 
 
-def content_digest(content: bytes) -> str:
+def digest_content(content: bytes) -> str:
     """Return the digest of a file in its name."""
     return hashlib.sha256(content).hexdigest()[:DIGITS]
 
 
-def entry_from(content: bytes, name: EntryName, settings: TypeSettings) -> Entry:
+def read_entry(content: bytes, name: EntryName, settings: TypeSettings) -> Entry:
     """Read an entry.
 
     Raises
@@ -194,22 +194,22 @@ def entry_from(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
     ResultError
         If the file is damaged, is of another format, or is not what its name says.
     """
-    if content_digest(content) != name.content:
-        raise _damaged(name.path, "its content is not what was written")
+    if digest_content(content) != name.content:
+        raise _make_damage_error(name.path, "its content is not what was written")
     try:
-        frame = _frame_of(content)
+        frame = _unpack_frame(content)
         check_version(name.path, frame["format_version"][0])
         _check_schema(frame)
-        return _entry(frame, name, settings)
+        return _rebuild_entry(frame, name, settings)
     except ResultError:
         raise
     except (pl.exceptions.PolarsError, ValueError, KeyError, TypeError, IndexError) as problem:
-        raise _damaged(name.path, f"{type(problem).__name__} {problem}") from problem
+        raise _make_damage_error(name.path, f"{type(problem).__name__} {problem}") from problem
     except AsbuiltError as problem:
-        raise _damaged(name.path, problem.message) from problem
+        raise _make_damage_error(name.path, problem.message) from problem
 
 
-def _frame(entry: Entry) -> pl.DataFrame:
+def _build_frame(entry: Entry) -> pl.DataFrame:
     rows: dict[str, list[Any]] = {key: [] for key in SCHEMA}
     joints = entry.information.joint_names
     for information, first in ((entry.whole, WHOLE), (entry.information, 0)):
@@ -226,7 +226,7 @@ def _frame(entry: Entry) -> pl.DataFrame:
                 rows["factor"].append(factor[np.triu_indices(len(factor))].tolist())
                 products = entry.tilt[k].ravel().tolist() if first == WHOLE and entry.tilt else None
                 rows["tilt"].append(products)
-                rows["covariates"].append(_covariates(entry, first, b, k))
+                rows["covariates"].append(_list_covariates(entry, first, b, k))
     fixed = {
         "robot_id": entry.robot_id,
         "robot_type": entry.settings.robot_type,
@@ -245,7 +245,7 @@ def _frame(entry: Entry) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=SCHEMA)
 
 
-def _covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[str, Any]]:
+def _list_covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[str, Any]]:
     """Return the covariates of a block and joint; of the whole log, weighted by samples."""
     listed = []
     for name, values in sorted(entry.covariates.items()):
@@ -261,13 +261,13 @@ def _covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[s
     return listed
 
 
-def _frame_of(content: bytes) -> pl.DataFrame:
+def _unpack_frame(content: bytes) -> pl.DataFrame:
     """Return the table of an entry, unpacked by another process with limits."""
     with NamedTemporaryFile(suffix=".parquet") as file:
         file.write(content)
         file.flush()
         try:
-            table = read_isolated(unpacked, Path(file.name))
+            table = read_isolated(unpack_table, Path(file.name))
         except RecordingError as problem:
             raise ValueError(problem.message.replace(file.name, "it")) from None
     return pl.read_ipc_stream(io.BytesIO(table.columns["arrow"].tobytes()))
@@ -293,7 +293,7 @@ def _check_schema(frame: pl.DataFrame) -> None:
             raise ValueError(f"{name} is not positive in some rows")
 
 
-def _entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entry:
+def _rebuild_entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entry:
     row = frame.row(0, named=True)
     stored = EntryName(
         row["robot_id"],
@@ -309,7 +309,7 @@ def _entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entr
     source, n = f"{row['log']} ({row['source_sha256'][:DIGITS]})", settings.model.n_joints
     if frame["block"].to_list() != [WHOLE + k // n for k in range(len(frame))]:
         raise ValueError("its rows are not in order")
-    information = _information(frame[n:], settings, source)
+    information = _rebuild_information(frame[n:], settings, source)
     entry = Entry(
         robot_id=row["robot_id"],
         settings=settings,
@@ -320,15 +320,17 @@ def _entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entr
         date_from=row["date_from"],
         duration=row["duration"],
         rate=row["rate"],
-        covariates=_stored_covariates(frame[n:], information),
+        covariates=_read_covariates(frame[n:], information),
         warnings=tuple(row["warnings"]),
-        tilt=_stored_tilt(frame[:n], settings),
+        tilt=_read_tilt(frame[:n], settings),
     )
-    entry.__dict__["whole"] = _information(frame[:n], settings, source)
+    entry.__dict__["whole"] = _rebuild_information(frame[:n], settings, source)
     return entry
 
 
-def _information(frame: pl.DataFrame, settings: TypeSettings, source: str) -> SquareRootInformation:
+def _rebuild_information(
+    frame: pl.DataFrame, settings: TypeSettings, source: str
+) -> SquareRootInformation:
     """Rebuild the information of rows that go block by block, and joint by joint in each."""
     joints, support = settings.model.joint_names, settings.plan.support
     n_blocks, left = divmod(len(frame), len(joints))
@@ -355,7 +357,7 @@ def _information(frame: pl.DataFrame, settings: TypeSettings, source: str) -> Sq
     )
 
 
-def _stored_tilt(frame: pl.DataFrame, settings: TypeSettings) -> tuple[Array, ...]:
+def _read_tilt(frame: pl.DataFrame, settings: TypeSettings) -> tuple[Array, ...]:
     stored = frame["tilt"].to_list() if "tilt" in frame.columns else []
     if not stored or any(each is None for each in stored):
         return ()
@@ -365,7 +367,7 @@ def _stored_tilt(frame: pl.DataFrame, settings: TypeSettings) -> tuple[Array, ..
     )
 
 
-def _stored_covariates(frame: pl.DataFrame, information: SquareRootInformation) -> dict[str, Array]:
+def _read_covariates(frame: pl.DataFrame, information: SquareRootInformation) -> dict[str, Array]:
     shape = (information.n_blocks, information.n_joints)
     found: dict[str, Array] = {}
     for row, covariates in enumerate(frame["covariates"].to_list()):
@@ -375,7 +377,7 @@ def _stored_covariates(frame: pl.DataFrame, information: SquareRootInformation) 
     return found
 
 
-def _damaged(path: str, why: str) -> ResultError:
+def _make_damage_error(path: str, why: str) -> ResultError:
     return ResultError(
         f"{path} is damaged: {why[:200]}",
         cure=Cure("remove it and add its log again"),
@@ -383,14 +385,12 @@ def _damaged(path: str, why: str) -> ResultError:
     )
 
 
-def joined_entries(entries: Iterable[Entry], most: int) -> SquareRootInformation:
+def join_entries(entries: Iterable[Entry], most: int) -> SquareRootInformation:
     """Return the information of entries of one type, about `most` blocks in all.
 
     Each log keeps the same number of blocks, one at least.
     """
     listed = list(entries)
     each = most // len(listed)
-    parts = [
-        merged_blocks(entry.information, each) if each > 1 else entry.whole for entry in listed
-    ]
+    parts = [merge_blocks(entry.information, each) if each > 1 else entry.whole for entry in listed]
     return parts[0].merge(*parts[1:])

@@ -7,13 +7,19 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 
-from asbuilt.codec import json_text
+from asbuilt.codec import format_json
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.findings import Cure, Finding
-from asbuilt.untrusted import parsed_json
-from asbuilt.workflow.fleet.ledger.entry import Entry, EntryName, content_digest, entry_from
+from asbuilt.untrusted import parse_json
+from asbuilt.workflow.fleet.ledger.entry import Entry, EntryName, digest_content, read_entry
 from asbuilt.workflow.fleet.ledger.settings import FORMAT_VERSION, TypeSettings, check_version
-from asbuilt.workflow.fleet.ledger.store import Store, folder_of, is_folder, open_store, robot_of
+from asbuilt.workflow.fleet.ledger.store import (
+    Store,
+    is_folder,
+    name_entry_folder,
+    open_store,
+    read_folder_robot,
+)
 
 FORMAT = "asbuilt fleet ledger"
 MARK = "ledger.json"
@@ -49,7 +55,7 @@ class Ledger:
         for name in folders:
             if not is_folder(name):
                 self._name_foreign(f"logs/{name[:80]}")
-        return sorted(robot_of(name) for name in folders if is_folder(name))
+        return sorted(read_folder_robot(name) for name in folders if is_folder(name))
 
     def types(self) -> dict[str, TypeSettings]:
         """Return the settings of each robot type: the first of the latest generation."""
@@ -76,7 +82,7 @@ class Ledger:
 
     def names(self, robot_id: str) -> list[EntryName]:
         """Return the names of a robot's entries of any settings, by date."""
-        folder, found = folder_of(robot_id), []
+        folder, found = name_entry_folder(robot_id), []
         for name in self.store.names(folder):
             parsed = EntryName.parse(robot_id, name)
             if parsed is None:
@@ -135,7 +141,7 @@ class Ledger:
     def read(self, name: EntryName, settings: TypeSettings) -> Entry | None:
         """Return an entry; None if its file is damaged, which is named in `findings`."""
         try:
-            return entry_from(self.store.read(name.path), name, settings)
+            return read_entry(self.store.read(name.path), name, settings)
         except ResultError as problem:
             self._skip(name.path, problem)
             return None
@@ -158,7 +164,7 @@ class Ledger:
     def is_sound(self, name: EntryName) -> bool:
         """Return whether the file of an entry has the content that was written."""
         try:
-            return content_digest(self.store.read(name.path)) == name.content
+            return digest_content(self.store.read(name.path)) == name.content
         except ResultError:
             return False
 
@@ -231,7 +237,7 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
                 file=root,
             )
         mark = {"format": FORMAT, "format_version": FORMAT_VERSION}
-        store.write(MARK, json_text(mark).encode())
+        store.write(MARK, format_json(mark).encode())
         return Ledger(store)
     _check_mark(root, store)
     return Ledger(store)
@@ -239,7 +245,7 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
 
 def _check_mark(root: str, store: Store) -> None:
     try:
-        mark = parsed_json(store.read(MARK))
+        mark = parse_json(store.read(MARK))
         written, version = mark["format"], mark.get("format_version")
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
         raise ResultError(

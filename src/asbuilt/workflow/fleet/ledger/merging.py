@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 
 
-def merged_factors(factors: Array) -> Array:
+def merge_factors(factors: Array) -> Array:
     """Return one factor (q, q) of several (m, q, q), merged pair by pair.
 
     The tree depends on m alone, so the result is the same to the last bit wherever it is made; an
@@ -27,7 +27,7 @@ def merged_factors(factors: Array) -> Array:
     return np.asarray(factors[0])
 
 
-def merged_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:
+def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:
     """Return the information with at most `most` blocks, equal numbers of neighbours merged.
 
     Blocks of different recordings are merged too where there are more recordings than `most`.
@@ -37,9 +37,9 @@ def merged_blocks(information: SquareRootInformation, most: int) -> SquareRootIn
         return information
     edges = np.linspace(0, n, most + 1).round().astype(int).tolist()
     groups = [range(first, last) for first, last in pairwise(edges)]
-    with one_blas_thread():
+    with use_one_blas_thread():
         factors = tuple(
-            np.array([merged_factors(each[group.start : group.stop]) for group in groups])
+            np.array([merge_factors(each[group.start : group.stop]) for group in groups])
             for each in information.factors
         )
     return SquareRootInformation(
@@ -48,10 +48,10 @@ def merged_blocks(information: SquareRootInformation, most: int) -> SquareRootIn
         information.support,
         factors,
         np.array([information.torque_sum[g.start : g.stop].sum(axis=0) for g in groups]),
-        tuple(_together(information.blocks[g.start : g.stop]) for g in groups),
+        tuple(_merge_blocks(information.blocks[g.start : g.stop]) for g in groups),
     )
 
 
-def _together(blocks: Sequence[TimeBlock]) -> TimeBlock:
+def _merge_blocks(blocks: Sequence[TimeBlock]) -> TimeBlock:
     first, last = blocks[0], blocks[-1]
     return TimeBlock(first.source, first.start, last.stop, sum(each.n_samples for each in blocks))

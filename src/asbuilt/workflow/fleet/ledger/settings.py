@@ -11,7 +11,7 @@ from importlib.metadata import version as version_of
 from typing import Any
 from urllib.parse import quote
 
-from asbuilt.codec import json_text, plain, restored
+from asbuilt.codec import format_json, make_plain, restore_dataclass
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
@@ -21,7 +21,7 @@ from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
-from asbuilt.untrusted import parsed_json
+from asbuilt.untrusted import parse_json
 
 FORMAT = "asbuilt fleet settings"
 FORMAT_VERSION = 1
@@ -82,7 +82,7 @@ class TypeSettings:
     @cached_property
     def content(self) -> bytes:
         """The settings as a JSON document, which `from_content` reads back to the last bit."""
-        return json_text(self._document | {"digest": self.digest}).encode()
+        return format_json(self._document | {"digest": self.digest}).encode()
 
     @cached_property
     def digest(self) -> str:
@@ -90,7 +90,7 @@ class TypeSettings:
         document = self._document
         model = {key: value for key, value in document["model"].items() if key not in DESCRIBED}
         kept = ("robot_type", "generation", "torque_source", "drive", "chain", "parameters")
-        return _digest({key: document[key] for key in kept} | {"model": model})
+        return _hash_document({key: document[key] for key in kept} | {"model": model})
 
     @cached_property
     def _document(self) -> dict[str, Any]:
@@ -102,12 +102,12 @@ class TypeSettings:
             "generation": self.generation,
             "torque_source": self.torque_source,
             "drive": list(self.drive.specifications),
-            "chain": plain(self.chain),
+            "chain": make_plain(self.chain),
             "parameters": list(self.base.names),
             "columns": [support.tolist() for support in self.plan.support],
             "joints": list(self.model.joint_names),
             "asked_drive": self.asked_drive,
-            "asked_chain": plain(self.asked_chain),
+            "asked_chain": make_plain(self.asked_chain),
             "chosen": list(self.chosen),
             "model": model_document(self.model),
             "described": model_document(self.described),
@@ -132,7 +132,7 @@ class TypeSettings:
         ResultError
             If they are damaged, or of another format.
         """
-        return _restored(content, path)
+        return _restore_settings(content, path)
 
 
 def check_version(path: str, version: object) -> None:
@@ -146,9 +146,9 @@ def check_version(path: str, version: object) -> None:
 
 
 @lru_cache(maxsize=64)
-def _restored(content: bytes, path: str) -> TypeSettings:
+def _restore_settings(content: bytes, path: str) -> TypeSettings:
     try:
-        document = parsed_json(content)
+        document = parse_json(content)
         check_version(path, document["format_version"] if document["format"] == FORMAT else None)
         found = TypeSettings(
             robot_type=str(document["robot_type"]),
@@ -156,20 +156,20 @@ def _restored(content: bytes, path: str) -> TypeSettings:
             described=model_from_document(document["described"]),
             model=model_from_document(document["model"]),
             drive=DriveSet.parse(document["drive"]),
-            chain=restored(SignalChain, document["chain"]),
+            chain=restore_dataclass(SignalChain, document["chain"]),
             torque_source=document["torque_source"],
             asked_drive=document["asked_drive"],
-            asked_chain=restored(SignalChain, document["asked_chain"]),
+            asked_chain=restore_dataclass(SignalChain, document["asked_chain"]),
             chosen=tuple(map(str, document["chosen"])),
         )
     except ResultError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, AsbuiltError) as problem:
-        raise _damaged(path, str(problem) or type(problem).__name__) from problem
+        raise _make_damage_error(path, str(problem) or type(problem).__name__) from problem
     if found.digest != document.get("digest", path.rpartition("-")[2].removesuffix(".json")):
-        raise _damaged(path, "its content is not what its digest says")
+        raise _make_damage_error(path, "its content is not what its digest says")
     if path.startswith("types/") and not path.startswith(f"types/{found.robot_type}/"):
-        raise _damaged(path, f"it belongs to the type {found.robot_type}")
+        raise _make_damage_error(path, f"it belongs to the type {found.robot_type}")
     if list(found.base.names) != document["parameters"]:
         raise ResultError(
             f"{path} has other base parameters than its robot has today",
@@ -179,20 +179,20 @@ def _restored(content: bytes, path: str) -> TypeSettings:
     return found
 
 
-def robot_type_of(described: RobotModel) -> str:
+def name_robot_type(described: RobotModel) -> str:
     """Return the name of a robot type: the description's name and a digest of its content."""
     document = model_document(described)
     what = {key: value for key, value in document.items() if key not in DESCRIBED}
-    return f"{quote(described.name, safe='')[:60]}-{_digest(what)}"
+    return f"{quote(described.name, safe='')[:60]}-{_hash_document(what)}"
 
 
-def _digest(document: Mapping[str, Any]) -> str:
-    text = json.dumps(plain(document), sort_keys=True, allow_nan=False)
+def _hash_document(document: Mapping[str, Any]) -> str:
+    text = json.dumps(make_plain(document), sort_keys=True, allow_nan=False)
     # Hexadecimal digits of a digest in names.
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _damaged(path: str, why: str) -> ResultError:
+def _make_damage_error(path: str, why: str) -> ResultError:
     return ResultError(
         f"{path} is damaged: {why[:200]}",
         cure=Cure("restore it from a copy, or rebuild the ledger from its logs"),

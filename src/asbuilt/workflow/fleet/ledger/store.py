@@ -14,7 +14,7 @@ import polars as pl
 from asbuilt.errors import MissingExtraError, ResultError, UsageError
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.findings import Cure
-from asbuilt.untrusted import read_bytes, reason, shown_path
+from asbuilt.untrusted import describe_problem, read_bytes, shorten_path
 from asbuilt.writing import atomic_write
 
 LONGEST = 60
@@ -31,7 +31,7 @@ LARGEST = 50_000_000
 """Bytes of a file, packed or not; an entry of 30 joints has 4 MB, and 6 MB unpacked."""
 
 
-def checked_id(robot_id: str) -> str:
+def check_robot_id(robot_id: str) -> str:
     """Return the identity of a robot.
 
     Raises `UsageError` unless it is one line of 1 to 60 printable characters whose folder can be
@@ -50,12 +50,12 @@ def checked_id(robot_id: str) -> str:
     return robot_id
 
 
-def folder_of(robot_id: str) -> str:
-    """Return the folder of a robot's entries; raises as `checked_id` does."""
-    return "logs/" + quote(checked_id(robot_id), safe=" ").replace(".", "%2E")
+def name_entry_folder(robot_id: str) -> str:
+    """Return the folder of a robot's entries; raises as `check_robot_id` does."""
+    return "logs/" + quote(check_robot_id(robot_id), safe=" ").replace(".", "%2E")
 
 
-def robot_of(folder: str) -> str:
+def read_folder_robot(folder: str) -> str:
     """Return the robot of a folder of entries."""
     return unquote(folder)
 
@@ -63,19 +63,19 @@ def robot_of(folder: str) -> str:
 def is_folder(name: str) -> bool:
     """Return whether this is the name of a robot's folder."""
     try:
-        return folder_of(robot_of(name)) == f"logs/{name}"
+        return name_entry_folder(read_folder_robot(name)) == f"logs/{name}"
     except UsageError:
         return False
 
 
-def identity_in(pattern: str, path: str) -> str | None:
+def find_identity(pattern: str, path: str) -> str | None:
     """Return what stands at `{id}` where a pattern matches the end of a path; None if it does not.
 
     A `*` takes as much of a name as it can, `{id}` as little, and both stay within one name. Every
     pair of a place in the pattern and one in the path is tried once, so that the time is bounded
     by the product of the lengths, which backtracking is not.
 
-    >>> identity_in("*_{id}.csv", "logs/run_1_arm.csv")
+    >>> find_identity("*_{id}.csv", "logs/run_1_arm.csv")
     'arm'
     """
     before, _, after = pattern.partition("{id}")
@@ -158,7 +158,9 @@ class LocalStore:
         except NotADirectoryError:
             raise UsageError(f"{place} is a file; a ledger is a folder or a URL") from None
         except (OSError, ValueError) as problem:
-            raise UsageError(f"{shown_path(place)} cannot be read: {reason(problem)}") from None
+            raise UsageError(
+                f"{shorten_path(place)} cannot be read: {describe_problem(problem)}"
+            ) from None
 
     def read(self, path: str) -> bytes:
         """Return the content of a file."""
@@ -191,8 +193,10 @@ class RemoteStore:
             package = getattr(problem, "name", None) or "fsspec"
             raise MissingExtraError(package, extra, f"a ledger at {protocol}://") from None
         except Exception as problem:
-            shown = shown_path(url)
-            raise UsageError(f"the ledger {shown} cannot be opened: {reason(problem)}") from None
+            shown = shorten_path(url)
+            raise UsageError(
+                f"the ledger {shown} cannot be opened: {describe_problem(problem)}"
+            ) from None
 
     def names(self, folder: str) -> list[str]:
         """Return the names in a folder."""
@@ -202,7 +206,7 @@ class RemoteStore:
         except FileNotFoundError:
             return []
         except Exception as problem:
-            raise _unreachable(self.root, problem) from problem
+            raise _make_unreachable_error(self.root, problem) from problem
         names = {path.rstrip("/").rpartition("/")[2] for path in found if path.rstrip("/") != place}
         return sorted(name for name in names if name and not name.startswith("."))
 
@@ -211,7 +215,7 @@ class RemoteStore:
         try:
             content: Any = self._files.cat_file(f"{self._folder}/{path}", end=LARGEST + 1)
         except Exception as problem:
-            raise _unreachable(f"{self.root}/{path}", problem) from problem
+            raise _make_unreachable_error(f"{self.root}/{path}", problem) from problem
         if len(content) > LARGEST:
             raise ResultError(f"{self.root}/{path} has more than {LARGEST / 1e6:.0f} MB")
         return bytes(content)
@@ -232,16 +236,17 @@ class RemoteStore:
             raise
         except Exception as problem:
             raise UsageError(
-                f"cannot write {len(content)} bytes to {self.root}/{path}: {reason(problem)}"
+                f"cannot write {len(content)} bytes to {self.root}/{path}:"
+                f" {describe_problem(problem)}"
             ) from problem
 
 
-def _unreachable(root: str, problem: Exception) -> ResultError:
-    why = f"{type(problem).__name__} {reason(problem)}"
-    return ResultError(f"{shown_path(root)} cannot be reached: {why}", file=root)
+def _make_unreachable_error(root: str, problem: Exception) -> ResultError:
+    why = f"{type(problem).__name__} {describe_problem(problem)}"
+    return ResultError(f"{shorten_path(root)} cannot be reached: {why}", file=root)
 
 
-def unpacked(path: Path) -> LogTable:
+def unpack_table(path: Path) -> LogTable:
     """Return the table of a Parquet file as one column, the bytes of an Arrow stream.
 
     `read_isolated` calls this, since decompression takes what memory it likes.

@@ -14,14 +14,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError, UsageError
 from asbuilt.executor import Outcome, Workers, open_workers
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.readers import grouped_files
-from asbuilt.findings import Cure, Finding, ranked
-from asbuilt.untrusted import shown_path
+from asbuilt.experiment.logs.readers import group_files
+from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.untrusted import shorten_path
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
-from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
-from asbuilt.workflow.fleet.ledger.store import LONGEST_PATTERN, checked_id, identity_in
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings, name_robot_type
+from asbuilt.workflow.fleet.ledger.store import LONGEST_PATTERN, check_robot_id, find_identity
 from asbuilt.workflow.fleet.options import FleetOptions
-from asbuilt.workflow.fleet.overview import suspicions
+from asbuilt.workflow.fleet.overview import report_suspicions
 from asbuilt.workflow.fleet.reduction.log_source import choose_settings
 from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
 from asbuilt.workflow.options import StudyOptions
@@ -112,15 +112,15 @@ def add_logs(
         If the place is no ledger, no log is given, or no log can fix the settings.
     """
     began = time.monotonic()
-    ledger, logs, reading = reachable(ledger, logs, reading or ReadingOptions(), fleet)
+    ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
     options = options or StudyOptions()
     described = robot if isinstance(robot, RobotModel) else load_robot(robot)
     if reading.gravity is not None:
         described = described.with_gravity(reading.gravity)
-    recordings = recordings_of(logs)
+    recordings = group_recording_files(logs)
     opened = open_ledger(ledger, create=True)
-    with open_workers(*who(fleet)) as workers:
-        settings, fixed, failed = _settings(
+    with open_workers(*read_worker_settings(fleet)) as workers:
+        settings, fixed, failed = _choose_type_settings(
             opened, described, recordings, reading, options, robot_id, workers
         )
         unusable = {report.log for report in failed}
@@ -128,7 +128,7 @@ def add_logs(
             LogTask(
                 ledger=opened.root,
                 settings_path=settings.path,
-                robot_id=_identity(robot_id, files[0]),
+                robot_id=_check_identity(robot_id, files[0]),
                 paths=files,
                 reading=reading,
                 date=date,
@@ -144,7 +144,7 @@ def add_logs(
     )
 
 
-def id_from(pattern: str) -> Callable[[Path], str]:
+def make_identity_finder(pattern: str) -> Callable[[Path], str]:
     """Return a function that finds the identity of a robot in the path of a log.
 
     Parameters
@@ -160,7 +160,7 @@ def id_from(pattern: str) -> Callable[[Path], str]:
 
     Examples
     --------
-    >>> id_from("{id}/*.csv")(Path("logs/arm-7/2026-03-01.csv"))
+    >>> make_identity_finder("{id}/*.csv")(Path("logs/arm-7/2026-03-01.csv"))
     'arm-7'
     """
     if pattern.count("{id}") != 1:
@@ -173,9 +173,9 @@ def id_from(pattern: str) -> Callable[[Path], str]:
         raise UsageError(f"the pattern has {len(pattern)} characters, at most {LONGEST_PATTERN}")
 
     def identity(path: Path) -> str:
-        found = identity_in(pattern, path.as_posix())
+        found = find_identity(pattern, path.as_posix())
         if found is None:
-            shown = shown_path(path)
+            shown = shorten_path(path)
             raise UsageError(f"{shown} does not match the pattern {pattern!r} of identities")
         return found
 
@@ -192,11 +192,11 @@ def run_tasks(
     else:
         report(f"reduce: {count} logs by {workers.count} workers", 0.0)
     for done, outcome in enumerate(workers.run(reduce_log, tasks), start=1):
-        yield _report(outcome)
+        yield _report_outcome(outcome)
         rate = done / max(time.monotonic() - began, 1e-9)
         left = (count - done) / rate
         report(
-            f"reduce: {done} of {count} logs, {rate:.3g} a second, {_duration(left)} left",
+            f"reduce: {done} of {count} logs, {rate:.3g} a second, {_format_duration(left)} left",
             done / count,
         )
 
@@ -224,7 +224,7 @@ def conclude_addition(
             for each in settings
         ]
     for robot_id in sorted({each.robot_id for each in added}):
-        findings += suspicions(ledger, robot_id)
+        findings += report_suspicions(ledger, robot_id)
     return Addition(
         ledger=ledger.root,
         settings=settings,
@@ -232,13 +232,13 @@ def conclude_addition(
         added=added,
         skipped=tuple(e for e in ordered if not e.added and e.problem is None),
         failed=tuple(each for each in ordered if each.problem is not None),
-        findings=ranked([*findings, *ledger.findings]),
+        findings=rank_findings([*findings, *ledger.findings]),
         seconds=time.monotonic() - began,
         dashboard=dashboard,
     )
 
 
-def reachable(
+def make_reachable(
     ledger: str | Path,
     logs: Sequence[str | Path],
     reading: ReadingOptions,
@@ -249,7 +249,7 @@ def reachable(
     Those run in other folders than this process.
     """
     root, paths, sheet = str(ledger), [Path(each) for each in logs], reading.sheet
-    if who(fleet)[1] is None:
+    if read_worker_settings(fleet)[1] is None:
         return root, paths, reading
     if isinstance(sheet, str | os.PathLike):
         reading = replace(reading, sheet=Path(sheet).absolute())
@@ -260,27 +260,27 @@ def reachable(
     )
 
 
-def who(fleet: FleetOptions | None) -> tuple[int | None, str | None]:
+def read_worker_settings(fleet: FleetOptions | None) -> tuple[int | None, str | None]:
     """Return the number of workers and the address of the scheduler."""
     chosen = fleet or FleetOptions()
     return chosen.workers, chosen.scheduler
 
 
-def recordings_of(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
+def group_recording_files(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
     """Return the files of each recording, sorted, missing ones too."""
     if not logs:
         raise UsageError("no log is given; give at least one")
     paths = sorted({Path(each) for each in logs})
     present = [path for path in paths if path.exists()]
-    groups = [tuple(group) for group in grouped_files(present)]
+    groups = [tuple(group) for group in group_files(present)]
     return sorted([*groups, *((path,) for path in paths if not path.exists())])
 
 
-def _identity(robot_id: str | Callable[[Path], str], path: Path) -> str:
-    return checked_id(robot_id if isinstance(robot_id, str) else robot_id(path))
+def _check_identity(robot_id: str | Callable[[Path], str], path: Path) -> str:
+    return check_robot_id(robot_id if isinstance(robot_id, str) else robot_id(path))
 
 
-def _settings(
+def _choose_type_settings(
     ledger: Ledger,
     described: RobotModel,
     recordings: Sequence[tuple[Path, ...]],
@@ -291,17 +291,17 @@ def _settings(
 ) -> tuple[TypeSettings, bool, list[LogReport]]:
     """Return the settings of a type, whether they are new, and the logs that could not fix them."""
     for files in recordings:
-        _identity(robot_id, files[0])
-    known = ledger.settings_of(robot_type_of(described))
+        _check_identity(robot_id, files[0])
+    known = ledger.settings_of(name_robot_type(described))
     if known is not None:
         _check_asked(known, options)
         return known, False, []
     failed: list[LogReport] = []
     for files in recordings:
-        identity = _identity(robot_id, files[0])
+        identity = _check_identity(robot_id, files[0])
         try:
-            check_type(ledger, identity, described, robot_type_of(described))
-            outcome = next(workers.run(_chosen, [(described, files, reading, options)]))
+            check_type(ledger, identity, described, name_robot_type(described))
+            outcome = next(workers.run(_choose_from_task, [(described, files, reading, options)]))
             if outcome.result is None:
                 raise RecordingError(outcome.problem or "")
             if isinstance(outcome.result, AsbuiltError):
@@ -321,7 +321,7 @@ def _settings(
     )
 
 
-def _chosen(
+def _choose_from_task(
     task: tuple[RobotModel, tuple[Path, ...], ReadingOptions, StudyOptions],
 ) -> TypeSettings | AsbuiltError:
     described, files, reading, options = task
@@ -350,14 +350,14 @@ def _check_asked(known: TypeSettings, options: StudyOptions) -> None:
         )
 
 
-def _report(outcome: Outcome[LogTask, LogReport]) -> LogReport:
+def _report_outcome(outcome: Outcome[LogTask, LogReport]) -> LogReport:
     if outcome.result is not None:
         return outcome.result
     task = outcome.task
     return LogReport(str(task.paths[0]), task.robot_id, problem=outcome.problem or "it failed")
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = seconds / 60

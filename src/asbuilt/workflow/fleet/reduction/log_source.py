@@ -13,14 +13,14 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Cure, joined
+from asbuilt.findings import Cure, join_names
 from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.workflow.fleet.ledger.entry import DateSource
-from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings, name_robot_type
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import prepare
 
@@ -32,7 +32,7 @@ _IN_NAME = re.compile(
 )
 
 
-def source_hash(paths: Sequence[Path]) -> str:
+def hash_sources(paths: Sequence[Path]) -> str:
     """Return the SHA-256 of the content of a recording's files, which may lie in folders.
 
     Raises `RecordingError` if one cannot be read.
@@ -65,7 +65,7 @@ def read_logs(
     """
     extra = any(find_sheet(path, reading.sheet)[0].columns.extra for path in paths)
     # Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB.
-    model, (read,) = fitted_recordings(
+    model, (read,) = read_fitted_recordings(
         described, (list(paths),), reading, streamed_from=None if extra else 50e6
     )
     logged = [each for each in read if not isinstance(each, Samples)]
@@ -83,7 +83,7 @@ def parse_date(text: str) -> datetime:
     ('2026-03-01T00:00:00+00:00', '2026-03-01T10:30:00+00:00')
     """
     try:
-        return in_utc(datetime.fromisoformat(text.strip()))
+        return convert_to_utc(datetime.fromisoformat(text.strip()))
     except (ValueError, OverflowError):
         raise UsageError(
             f"{text[:60]!r} is not a date; expected one such as 2026-03-01 or 2026-03-01T12:30:00",
@@ -91,9 +91,9 @@ def parse_date(text: str) -> datetime:
         ) from None
 
 
-def _trusted(date: datetime) -> datetime:
+def _check_date(date: datetime) -> datetime:
     """Return a date of a log; raises `RecordingError` beyond those that a clock can have."""
-    if EARLIEST <= in_utc(date) < LATEST:
+    if EARLIEST <= convert_to_utc(date) < LATEST:
         return date
     raise RecordingError(
         f"the log has the date {date.date()}, which is not between {EARLIEST:%Y} and {LATEST:%Y}",
@@ -101,18 +101,19 @@ def _trusted(date: datetime) -> datetime:
     )
 
 
-def in_utc(date: datetime) -> datetime:
+def convert_to_utc(date: datetime) -> datetime:
     """Return a date in UTC, which one without time zone is in already."""
     return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
 
 
-def date_in_name(path: Path) -> datetime | None:
+def find_date_in_name(path: Path) -> datetime | None:
     """Return the date in the name of a log, or else of its folder.
 
-    >>> date_in_name(Path("r1/2026-03-01/run_2026-03-01_12-30-05.csv")).isoformat()
+    >>> find_date_in_name(Path("r1/2026-03-01/run_2026-03-01_12-30-05.csv")).isoformat()
     '2026-03-01T12:30:05+00:00'
-    >>> date_in_name(Path("run_20260301.csv")).isoformat(), date_in_name(Path("run_7.csv"))
-    ('2026-03-01T00:00:00+00:00', None)
+    >>> find_date_in_name(Path("run_20260301.csv")).isoformat()
+    '2026-03-01T00:00:00+00:00'
+    >>> find_date_in_name(Path("run_7.csv"))
     """
     for text in (path.name, path.parent.name):
         found = _IN_NAME.search(text)
@@ -126,7 +127,7 @@ def date_in_name(path: Path) -> datetime | None:
     return None
 
 
-def log_date(
+def choose_log_date(
     path: Path, recording: Recording, given: datetime | None, in_sheet: datetime | None
 ) -> tuple[datetime, DateSource]:
     """Return when a log began: as given, in its sheet, by its time stamps, or in its name.
@@ -137,13 +138,13 @@ def log_date(
         If nothing says when.
     """
     if given is not None:
-        return _trusted(given), "given"
+        return _check_date(given), "given"
     if in_sheet is not None:
-        return _trusted(in_utc(in_sheet)), "sheet"
+        return _check_date(convert_to_utc(in_sheet)), "sheet"
     if EARLIEST.timestamp() < recording.started < LATEST.timestamp():
         began = recording.started + float(recording.t[0])
         return datetime.fromtimestamp(round(began, 3), UTC), "stamps"
-    named = date_in_name(path)
+    named = find_date_in_name(path)
     if named is not None:
         return named, "name"
     clock = "its time stamps count from no date"
@@ -204,12 +205,12 @@ def choose_settings(
             cure=Cure("leave these terms out", {"drive": "viscous,coulomb,offset"}),
         )
     chain = prepared.chain or SignalChain()
-    names = joined([files[0].name for files in logs], most=3)
+    names = join_names([files[0].name for files in logs], most=3)
     cutoff = "" if chain.cutoff is None else f", cutoff {chain.cutoff:.3g} Hz"
     late = ", ".join(f"{1e3 * each:.3g}" for each in chain.delays)
     delay = f", torque {late} ms late" if late else ""
     return TypeSettings(
-        robot_type=robot_type or robot_type_of(described),
+        robot_type=robot_type or name_robot_type(described),
         generation=generation,
         described=described,
         model=model,

@@ -30,9 +30,9 @@ from asbuilt.identification.information.square_root_information import (
 )
 from asbuilt.workflow.fleet.ledger.entry import DIGITS, Entry, EntryName
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
-from asbuilt.workflow.fleet.ledger.merging import merged_blocks
+from asbuilt.workflow.fleet.ledger.merging import merge_blocks
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
-from asbuilt.workflow.fleet.reduction.log_source import log_date, read_logs, source_hash
+from asbuilt.workflow.fleet.reduction.log_source import choose_log_date, hash_sources, read_logs
 from asbuilt.workflow.prepare import prepare
 
 
@@ -109,8 +109,8 @@ def reduce_log(task: LogTask) -> LogReport:
     """Reduce a recording and append its entry, unless it is in the ledger already."""
     log = str(task.paths[0])
     try:
-        ledger, settings = _opened(task.ledger), _settings(task.ledger, task.settings_path)
-        digest = source_hash(task.paths)
+        ledger, settings = _open_root(task.ledger), _read_settings(task.ledger, task.settings_path)
+        digest = hash_sources(task.paths)
         known = ledger.names(task.robot_id)
         for name in known:
             same = name.source == digest[:DIGITS] and name.settings == settings.digest
@@ -118,7 +118,7 @@ def reduce_log(task: LogTask) -> LogReport:
                 return LogReport(log, task.robot_id, name)
         if any(name.settings != settings.digest for name in known):
             check_type(ledger, task.robot_id, settings.described, settings.robot_type)
-        entry, findings = reduced_entry(task, settings, digest)
+        entry, findings = reduce_to_entry(task, settings, digest)
         name = ledger.append(entry)
     except AsbuiltError as problem:
         return LogReport(log, task.robot_id, problem=problem.message, cure=problem.cure)
@@ -135,7 +135,7 @@ def reduce_log(task: LogTask) -> LogReport:
     )
 
 
-def reduced_entry(
+def reduce_to_entry(
     task: LogTask, settings: TypeSettings, digest: str
 ) -> tuple[Entry, tuple[Finding, ...]]:
     """Return the entry of a recording, and its findings.
@@ -150,11 +150,11 @@ def reduced_entry(
     logged = read[0]
     head = head_of(logged)
     _check_fits(first, model, head, settings)
-    began, date_from = log_date(
+    began, date_from = choose_log_date(
         first, head, task.date, find_sheet(first, task.reading.sheet)[0].date
     )
     beginning = head.taken(slice(0, HEAD)) if head.n_samples > HEAD else head
-    codes = _checked(settings, beginning) if task.checked else ()
+    codes = _check_beginning(settings, beginning) if task.checked else ()
     prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
     samples = prepared.training[0]
     tilts = ColumnsBeside.tilts(settings.model)
@@ -167,7 +167,7 @@ def reduced_entry(
         threads=1,
         beside=tilts,
     )
-    information = merged_blocks(information, 2 * RULES.blocks)
+    information = merge_blocks(information, 2 * RULES.blocks)
     entry = Entry(
         robot_id=task.robot_id,
         settings=settings,
@@ -178,14 +178,16 @@ def reduced_entry(
         date_from=date_from,
         duration=float(samples.t[-1] - samples.t[0]),
         rate=samples.parallel.output_rate if samples.parallel else samples.rate,
-        covariates=block_covariates(head, information),
+        covariates=average_covariates(head, information),
         warnings=codes,
         tilt=tuple(tilts.products),
     )
-    return entry, other_settings(task, settings, beginning)
+    return entry, check_other_settings(task, settings, beginning)
 
 
-def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tuple[Finding, ...]:
+def check_other_settings(
+    task: LogTask, settings: TypeSettings, head: Recording
+) -> tuple[Finding, ...]:
     """Return findings if a log alone would have led to other settings than its type has."""
     if settings.asked_chain.cutoff is not None or settings.chain.cutoff is None:
         return ()
@@ -209,7 +211,7 @@ def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tu
     )
 
 
-def block_covariates(head: Recording, information: SquareRootInformation) -> dict[str, Array]:
+def average_covariates(head: Recording, information: SquareRootInformation) -> dict[str, Array]:
     """Return the mean of logged temperatures in each block (n_blocks, n), by name.
 
     A recording sheet names them; one column for all joints is repeated for each.
@@ -229,7 +231,7 @@ def block_covariates(head: Recording, information: SquareRootInformation) -> dic
     return found
 
 
-def _checked(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
+def _check_beginning(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
     """Return the codes of warnings of a recording; raise `RecordingError` if it has errors.
 
     All of a beginning is checked only if something is found in the first part of it.
@@ -246,13 +248,13 @@ def _checked(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=4)
-def _opened(root: str) -> Ledger:
+def _open_root(root: str) -> Ledger:
     return open_ledger(root)
 
 
 @lru_cache(maxsize=16)
-def _settings(root: str, path: str) -> TypeSettings:
-    return TypeSettings.from_content(_opened(root).store.read(path), path)
+def _read_settings(root: str, path: str) -> TypeSettings:
+    return TypeSettings.from_content(_open_root(root).store.read(path), path)
 
 
 def check_type(ledger: Ledger, robot_id: str, described: RobotModel, robot_type: str) -> None:

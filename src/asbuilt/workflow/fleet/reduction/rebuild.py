@@ -21,12 +21,12 @@ from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.reduction.add import (
     Addition,
     conclude_addition,
-    reachable,
-    recordings_of,
+    group_recording_files,
+    make_reachable,
+    read_worker_settings,
     run_tasks,
-    who,
 )
-from asbuilt.workflow.fleet.reduction.log_source import choose_settings, source_hash
+from asbuilt.workflow.fleet.reduction.log_source import choose_settings, hash_sources
 from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress
@@ -76,14 +76,14 @@ def rebuild_ledger(
         If the logs from which settings are chosen cannot be used.
     """
     began = time.monotonic()
-    ledger, logs, reading = reachable(ledger, logs, reading or ReadingOptions(), fleet)
+    ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
     options = options or StudyOptions()
     opened, renewed = open_ledger(ledger), []
     types = opened.types()
-    with open_workers(*who(fleet)) as workers:
-        by_type, reports = _by_type(opened, types, workers, recordings_of(logs))
+    with open_workers(*read_worker_settings(fleet)) as workers:
+        by_type, reports = _group_by_type(opened, types, workers, group_recording_files(logs))
         for robot_type, items in sorted(by_type.items()):
-            settings = _renewed(types[robot_type], items, reading, options)
+            settings = _renew_settings(types[robot_type], items, reading, options)
             renewed.append(settings)
             opened.store.write(settings.pending_path, settings.content)
             tasks = (
@@ -93,7 +93,7 @@ def rebuild_ledger(
                     robot_id=name.robot_id,
                     paths=files,
                     reading=reading,
-                    date=_given_date(opened, name),
+                    date=_read_given_date(opened, name),
                     checked=options.checked,
                 )
                 for files, name in items
@@ -111,7 +111,7 @@ def rebuild_ledger(
     )
 
 
-def _by_type(
+def _group_by_type(
     ledger: Ledger,
     types: dict[str, TypeSettings],
     workers: Workers,
@@ -127,7 +127,7 @@ def _by_type(
     }
     found: dict[str, list[tuple[tuple[Path, ...], EntryName]]] = {}
     failed = []
-    for outcome in workers.run(source_hash, recordings):
+    for outcome in workers.run(hash_sources, recordings):
         files, digest = outcome.task, outcome.result
         name = entry_of.get((digest or "")[:DIGITS])
         if name is not None and type_of[name.settings] in types:
@@ -143,7 +143,7 @@ def _by_type(
     return found, failed
 
 
-def _renewed(
+def _renew_settings(
     before: TypeSettings,
     items: Sequence[tuple[tuple[Path, ...], EntryName]],
     reading: ReadingOptions,
@@ -167,7 +167,7 @@ def _renewed(
     )
 
 
-def _given_date(ledger: Ledger, name: EntryName) -> datetime | None:
+def _read_given_date(ledger: Ledger, name: EntryName) -> datetime | None:
     """Return the date of an entry if it was given, since the log does not say it."""
     for settings in ledger.all_settings():
         if settings.digest == name.settings:

@@ -12,19 +12,26 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import FIGURES, IdentificationResult
 from asbuilt.identification.result.torque_prediction import Prediction
-from asbuilt.writers.figures.figure_style import AS_BUILT, GREY, INK, blank_figure, headline, styled
-from asbuilt.writers.figures.study_figures import draw_errors, draw_torque, torque_label
+from asbuilt.writers.figures.figure_style import (
+    AS_BUILT,
+    GREY,
+    INK,
+    add_headline,
+    apply_style,
+    make_blank_figure,
+)
+from asbuilt.writers.figures.study_figures import draw_errors, draw_torque, label_torque_axis
 
 Axes = NDArray[np.object_]
 
 
-def _axes_in(axes: Any, count: int, width: float, height: float) -> Axes:
+def _make_axes(axes: Any, count: int, width: float, height: float) -> Axes:
     """Return `count` axes as a vector, if none are given in a column of a new figure [inch].
 
     Raises `UsageError` for another number of axes.
     """
     if axes is None:
-        axes = blank_figure(width, height).subplots(count, 1, sharex=True, squeeze=False)
+        axes = make_blank_figure(width, height).subplots(count, 1, sharex=True, squeeze=False)
     given: Axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
     if given.size != count:
         raise UsageError(
@@ -45,9 +52,9 @@ def draw_parameters(result: IdentificationResult, prediction: Prediction | None,
     low, high = ((result.conf_int().T - cad) / errors).reshape(2, -1)
     rows = np.arange(len(difference))
     determined = np.array([each.determined for each in result.parameters])
-    with styled():
+    with apply_style():
         # 0.17: height of a parameter's row [inch].
-        (axis,) = own = _axes_in(axes, 1, 7.0, 0.17 * len(rows) + 1.0)
+        (axis,) = own = _make_axes(axes, 1, 7.0, 0.17 * len(rows) + 1.0)
         for chosen, color, label in (
             (determined, AS_BUILT, "as built, with its interval"),
             (~determined, GREY, "undetermined"),
@@ -71,7 +78,7 @@ def draw_parameters(result: IdentificationResult, prediction: Prediction | None,
         axis.set_xlabel("as built less CAD [standard errors]")
         axis.legend(loc="lower right")
         if axes is None:
-            headline(axis.figure, f"{result.robot}: parameters")
+            add_headline(axis.figure, f"{result.robot}: parameters")
     return own
 
 
@@ -88,18 +95,18 @@ def draw_joints(
             cure=Cure("give a recording or its prediction, or draw the figure of the study"),
         )
     joints, residuals = result.model.joints, kind == "residuals"
-    with styled():
+    with apply_style():
         # 1.25: height of a joint's axis [inch].
-        own = _axes_in(axes, len(joints), 8.0, 1.25 * len(joints) + 0.7)
+        own = _make_axes(axes, len(joints), 8.0, 1.25 * len(joints) + 0.7)
         for k, (axis, joint) in enumerate(zip(own, joints, strict=True)):
             torques = shown.t, shown.measured[:, k], shown.predicted[:, k]
             (draw_errors if residuals else draw_torque)(axis, *torques)
-            axis.set_ylabel(torque_label(joint.name, "N m" if joint.is_revolute else "N"))
+            axis.set_ylabel(label_torque_axis(joint.name, "N m" if joint.is_revolute else "N"))
         for axis in own if residuals else own[:1]:
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
         own[-1].set_xlabel("time [s]")
         if axes is None:
-            headline(own[0].figure, f"{result.robot}: {shown.source}")
+            add_headline(own[0].figure, f"{result.robot}: {shown.source}")
     return own
 
 

@@ -28,10 +28,10 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.observer import armature_matrix
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.c.c_dynamics import Mechanism, drive_entries, with_drives
+from asbuilt.writers.models.c.c_dynamics import Mechanism, list_drive_entries, with_drives
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
 from asbuilt.writers.models.c.c_observer import ObserverCode
-from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.sample_states import draw_sample_states
 
 CHECKED_STATES = 3
 """States in the self-test of the C file."""
@@ -49,7 +49,7 @@ class CCode:
     source: str
 
 
-def c_code(
+def generate_c_code(
     model: RobotModel,
     *,
     drive: DriveSet | None = None,
@@ -85,50 +85,52 @@ def c_code(
         values = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
     base = find_base_parameters(model, terms)
     beta = base.values(np.concatenate([model.parameters, values]))
-    name = prefix or _identifier(model.name)
+    name = prefix or _make_identifier(model.name)
     n = model.n_joints
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
-    chi = _fewest_parameters(model)
+    chi = _derive_fewest_parameters(model)
     torques = with_drives(forward, forward.torques(chi), terms, values, chi)
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     functions = [
-        _function(
+        _write_function(
             f"void {name}_inverse_dynamics({motion}, double tau[{n}])",
             ("q", "qd", "qdd"),
             forward.code,
-            _assigned("tau", torques),
+            _assign_entries("tau", torques),
         ),
-        _function(
+        _write_function(
             f"void {name}_gravity_torque(const double q[{n}], double tau[{n}])",
             ("q",),
             still.code,
-            _assigned("tau", still.torques(chi)),
+            _assign_entries("tau", still.torques(chi)),
         ),
-        _function(
+        _write_function(
             f"void {name}_regressor({motion}, double Y[{n * base.n_base}])",
             ("q", "qd", "qdd"),
             linear.code,
             {
                 f"Y[{j * base.n_base + k}]": entry
-                for (j, k), entry in sorted(_regressor(linear, base, terms, chi).items())
+                for (j, k), entry in sorted(_derive_regressor(linear, base, terms, chi).items())
             },
             opening=(f"for (int k = 0; k < {n * base.n_base}; k++) Y[k] = 0.0;",),
         ),
-        *_controller_functions(model, terms, values, chi, name),
+        *_write_controller_functions(model, terms, values, chi, name),
     ]
     watching = None if observer is None else observer(name)
-    header = _header(model, base, terms, name, stem, "" if watching is None else watching.header)
+    header = _write_header(
+        model, base, terms, name, stem, "" if watching is None else watching.header
+    )
     source = "\n\n".join(
         [
-            _comment(
+            _write_comment(
                 f"{model.name}: inverse dynamics, gravity torque, regressor and what controllers"
                 f" need; see {stem}.h for units and conventions."
             ),
             f'#include "{stem}.h"\n\n#include <math.h>',
-            _tables(base, beta, name),
+            _write_tables(base, beta, name),
             *functions,
             *([] if watching is None else [watching.source]),
-            _self_test(model, terms, values, base, name),
+            _write_self_test(model, terms, values, base, name),
         ]
     )
     return CCode(name, header, source + "\n")
@@ -142,7 +144,7 @@ def write_c(
     drive_values: ArrayLike | None = None,
     observer: Callable[[str], ObserverCode] | None = None,
 ) -> tuple[Path, Path]:
-    """Write `NAME.c` and `NAME.h` with the functions of `c_code`; return both paths."""
+    """Write `NAME.c` and `NAME.h` with the functions of `generate_c_code`; return both paths."""
     target = Path(path)
     if target.suffix != ".c":
         raise UsageError(f"C code is written to NAME.c and its header NAME.h, got {target.name!r}")
@@ -152,11 +154,13 @@ def write_c(
             f"the name of a C file must have plain characters, got {target.name!r}",
             cure=Cure(f"name it {stem}.c"),
         )
-    code = c_code(model, drive=drive, drive_values=drive_values, stem=stem, observer=observer)
+    code = generate_c_code(
+        model, drive=drive, drive_values=drive_values, stem=stem, observer=observer
+    )
     return atomic_write(target, code.source), atomic_write(target.with_suffix(".h"), code.header)
 
 
-def _controller_functions(
+def _write_controller_functions(
     model: RobotModel, terms: DriveSet, values: Array, chi: Array, name: str
 ) -> list[str]:
     """Return mass matrix, Coriolis torque, friction and momentum as functions."""
@@ -170,34 +174,34 @@ def _controller_functions(
     masses = still.mass_matrix(chi, armature)
     q, qd = f"const double q[{n}]", f"const double qd[{n}]"
     return [
-        _function(
+        _write_function(
             f"void {name}_mass_matrix({q}, double M[{n * n}])",
             ("q",),
             still.code,
             {f"M[{j * n + k}]": masses[j, k] for j in range(n) for k in range(n)},
         ),
-        _function(
+        _write_function(
             f"void {name}_coriolis({q}, {qd}, double tau[{n}])",
             ("q", "qd"),
             weightless.code,
-            _assigned("tau", weightless.torques(chi)),
+            _assign_entries("tau", weightless.torques(chi)),
         ),
-        _function(
+        _write_function(
             f"void {name}_friction({q}, {qd}, double tau[{n}])",
             ("q", "qd"),
             rubbing.code,
-            _assigned("tau", friction),
+            _assign_entries("tau", friction),
         ),
-        _function(
+        _write_function(
             f"void {name}_momentum({q}, {qd}, double p[{n}], double gradient[{n}])",
             ("q", "qd"),
             moving.code,
-            _assigned("p", p) | _assigned("gradient", gradient),
+            _assign_entries("p", p) | _assign_entries("gradient", gradient),
         ),
     ]
 
 
-def _fewest_parameters(model: RobotModel) -> Array:
+def _derive_fewest_parameters(model: RobotModel) -> Array:
     """Return standard parameters with the torques of the model, zero but at base columns.
 
     Those of the model if the torques differ by more than rounding, as for lengths of almost zero.
@@ -205,30 +209,30 @@ def _fewest_parameters(model: RobotModel) -> Array:
     rigid = find_base_parameters(model)
     chi = np.zeros(10 * model.n_links)
     chi[rigid.columns] = rigid.values(model.parameters)
-    states = sample_states(model, 100)
+    states = draw_sample_states(model, 100)
     torques = inverse_dynamics(model, *states)
     apart = np.abs(inverse_dynamics(model, *states, parameters=chi) - torques).max()
     # Relative torque difference that is rounding.
     return chi if apart <= 1e-12 * np.abs(torques).max() else model.parameters
 
 
-def _regressor(
+def _derive_regressor(
     mechanism: Mechanism, base: BaseParameters, terms: DriveSet, parameters: Array
 ) -> dict[tuple[int, int], Term]:
     inertial = 10 * mechanism.model.n_links
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
-    drives = drive_entries(mechanism, terms, parameters)
+    drives = list_drive_entries(mechanism, terms, parameters)
     for position, column in enumerate(base.columns[len(columns) :], start=len(columns)):
         entries |= {(j, position): entry for j, entry in drives[int(column) - inertial].items()}
     return entries
 
 
-def _assigned(array: str, values: Sequence[Term]) -> dict[str, Term]:
+def _assign_entries(array: str, values: Sequence[Term]) -> dict[str, Term]:
     return {f"{array}[{j}]": value for j, value in enumerate(values)}
 
 
-def _function(
+def _write_function(
     head: str,
     arguments: Sequence[str],
     code: StraightLine,
@@ -246,7 +250,7 @@ def _function(
     return "\n".join([head, "{", *[f"    {line}" for line in [*unused, *lines]], "}"])
 
 
-def _header(
+def _write_header(
     model: RobotModel,
     base: BaseParameters,
     terms: DriveSet,
@@ -292,7 +296,7 @@ def _header(
             ),
         ]
     )
-    return f"""{_comment(about)}
+    return f"""{_write_comment(about)}
 #ifndef {capital}_H
 #define {capital}_H
 
@@ -346,14 +350,14 @@ void {name}_momentum(const double q[{n}], const double qd[{n}], double p[{n}],
 """
 
 
-def _tables(base: BaseParameters, beta: Array, name: str) -> str:
+def _write_tables(base: BaseParameters, beta: Array, name: str) -> str:
     entries = zip(base.ids, base.names, base.expressions, base.units, strict=True)
     table = [
-        f"    {{{number}, {_string(called)}, {_string(text)}, {_string(unit)}}}"
+        f"    {{{number}, {_write_string(called)}, {_write_string(text)}, {_write_string(unit)}}}"
         for number, called, text, unit in entries
     ]
     rows = ",\n".join(table)
-    numbers = ",\n".join(f"    {_number(value)}" for value in beta)
+    numbers = ",\n".join(f"    {_write_number(value)}" for value in beta)
     p = base.n_base
     return (
         f"const {name}_parameter {name}_base_parameters[{p}] = {{\n{rows}\n}};\n\nconst double"
@@ -361,10 +365,10 @@ def _tables(base: BaseParameters, beta: Array, name: str) -> str:
     )
 
 
-def _self_test(
+def _write_self_test(
     model: RobotModel, terms: DriveSet, values: Array, base: BaseParameters, name: str
 ) -> str:
-    q, qd, qdd = sample_states(model, CHECKED_STATES)
+    q, qd, qdd = draw_sample_states(model, CHECKED_STATES)
     rigid = inverse_dynamics(model, q, qd, qdd)
     tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
     arrays = {"q": q, "qd": qd, "qdd": qdd, "tau": tau, "gravity": gravity_torque(model, q)}
@@ -372,7 +376,7 @@ def _self_test(
     rounding = max(1e-9, 1e-12 * float(np.abs(tau).max()))
     known = "\n".join(
         f"static const double expected_{key}[{S}][{n}] = {{\n"
-        + ",\n".join(f"    {{{', '.join(map(_number, row))}}}" for row in rows)
+        + ",\n".join(f"    {{{', '.join(map(_write_number, row))}}}" for row in rows)
         + "\n};"
         for key, rows in arrays.items()
     )
@@ -411,23 +415,23 @@ int main(void)
 #endif"""
 
 
-def _comment(text: str) -> str:
+def _write_comment(text: str) -> str:
     lines = [
         re.sub(r"[^ -~]|\*(?=/)|/(?=\*)|\\$|\?(?=\?)", "_", line) for line in text.splitlines()
     ]
     return "\n".join(["/*", *[f" * {line}".rstrip() for line in lines], " */"])
 
 
-def _string(text: str) -> str:
+def _write_string(text: str) -> str:
     # Longest string; C99 compilers accept 4095 characters.
     plain = re.sub(r"[^ -~]", "_", text)[:2000]
     return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?") + '"'
 
 
-def _identifier(name: str) -> str:
+def _make_identifier(name: str) -> str:
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return plain if plain and not plain[0].isdigit() else f"robot_{plain}".rstrip("_")
 
 
-def _number(value: float) -> str:
+def _write_number(value: float) -> str:
     return repr(float(value) + 0.0)

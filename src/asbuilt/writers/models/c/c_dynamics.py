@@ -201,7 +201,7 @@ class Mechanism:
 
     def _moved(self, j: int, joint: Joint) -> Motion:
         above = (
-            Motion(NOTHING, NOTHING, _vector(-self.model.gravity))
+            Motion(NOTHING, NOTHING, _make_vector(-self.model.gravity))
             if joint.parent == ROOT
             else self.motions[joint.parent]
         )
@@ -242,15 +242,17 @@ class Mechanism:
 
     def _into(self, placement: Array, motion: Motion) -> Motion:
         """Return the motion of a frame at `placement` in a moving frame."""
-        R, p = placement[:3, :3], _vector(placement[:3, 3])
+        R, p = placement[:3, :3], _make_vector(placement[:3, 3])
         a = motion.a
         if any(not part.is_zero for part in p):
             a = self._added(a, self._times(self._swing(motion), p))
-        return Motion(*(self._times(_matrix(R.T), vector) for vector in (motion.w, motion.dw, a)))
+        return Motion(
+            *(self._times(_make_matrix(R.T), vector) for vector in (motion.w, motion.dw, a))
+        )
 
     def _out(self, placement: Array, wrench: Wrench) -> Wrench:
         """Return a wrench on a frame at `placement` as one on the frame that carries it."""
-        R, p = _matrix(placement[:3, :3]), _vector(placement[:3, 3])
+        R, p = _make_matrix(placement[:3, :3]), _make_vector(placement[:3, 3])
         force = self._times(R, wrench.force)
         return Wrench(force, self._added(self._times(R, wrench.moment), self._cross(p, force)))
 
@@ -309,7 +311,7 @@ class Mechanism:
         return screws
 
     def _through(self, placement: Array, screw: Screw) -> Screw:
-        R, p = _matrix(placement[:3, :3].T), _vector(placement[:3, 3])
+        R, p = _make_matrix(placement[:3, :3].T), _make_vector(placement[:3, 3])
         return Screw(
             self._times(R, screw.z), self._times(R, self._added(screw.m, self._cross(screw.z, p)))
         )
@@ -342,13 +344,13 @@ class Mechanism:
         return x, y, z
 
 
-def _vector(values: Array) -> Vector:
+def _make_vector(values: Array) -> Vector:
     x, y, z = map(Term, values.tolist())
     return x, y, z
 
 
-def _matrix(values: Array) -> Matrix:
-    x, y, z = (_vector(row) for row in values)
+def _make_matrix(values: Array) -> Matrix:
+    x, y, z = (_make_vector(row) for row in values)
     return x, y, z
 
 
@@ -364,7 +366,7 @@ FUNCTIONS = {
 """Operations of formulas that are not sums or products."""
 
 
-def written(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Term:
+def write_formula(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Term:
     """Return a formula of a drive term as C, each name replaced by its value."""
 
     def apply(operation: str, *operands: Term) -> Term:
@@ -383,7 +385,7 @@ def written(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Ter
     return Formula(formula).fold(Term, values.__getitem__, apply)
 
 
-def drive_entries(
+def list_drive_entries(
     mechanism: Mechanism, drive: DriveSet, parameters: Array
 ) -> list[dict[int, Term]]:
     """Return for each drive parameter, joint by joint, its column at each joint that it acts on.
@@ -413,7 +415,9 @@ def drive_entries(
             values |= {
                 name: Term(term.value(name)) for name in (each.name for each in term.nonlinear)
             }
-            columns = [written(code, column, {**values, "load": load}) for column in term.columns]
+            columns = [
+                write_formula(code, column, {**values, "load": load}) for column in term.columns
+            ]
             entries += [
                 {
                     int(j): code.total((Term(float(acts_on[j])), column))
@@ -429,7 +433,7 @@ def with_drives(
 ) -> list[Term]:
     """Return joint torques with the torques of drive terms of these values added."""
     found = list(torques)
-    for entry, value in zip(drive_entries(mechanism, drive, parameters), values, strict=True):
+    for entry, value in zip(list_drive_entries(mechanism, drive, parameters), values, strict=True):
         for j, column in entry.items():
             found[j] = mechanism.code.total((found[j],), (Term(float(value)), column))
     return found

@@ -23,7 +23,7 @@ class Term:
 
     def written(self) -> str:
         """Return the C expression."""
-        return _product(self.factor, self.name)
+        return _write_product(self.factor, self.name)
 
 
 ZERO, ONE = Term(0.0), Term(1.0)
@@ -88,7 +88,7 @@ class StraightLine:
             text = ""
             for names, factor in entries:
                 sign = (" - " if text else "-") if factor < 0 else (" + " if text else "")
-                text += sign + _product(abs(factor), *names)
+                text += sign + _write_product(abs(factor), *names)
             self.known[entries] = self._defined(
                 text, tuple(name for names, _ in entries for name in names)
             )
@@ -100,7 +100,7 @@ class StraightLine:
         return Term(1.0, name)
 
 
-def _product(factor: float, *names: str) -> str:
+def _write_product(factor: float, *names: str) -> str:
     written = "*".join(name for name in names if name)
     if not written:
         return repr(float(factor))

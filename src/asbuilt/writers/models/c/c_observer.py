@@ -21,7 +21,7 @@ class ObserverCode:
     source: str
 
 
-def observer_code(
+def generate_observer_code(
     name: str,
     n: int,
     *,
@@ -71,8 +71,8 @@ void {name}_observer_update({name}_observer *observer, double dt, {state},
 """
     source = _update(name, n, width, thresholds)
     if thresholds is not None:
-        header += _threshold_header(name, n, thresholds)
-        source += _threshold_source(
+        header += _write_threshold_header(name, n, thresholds)
+        source += _write_threshold_source(
             name, n, thresholds, np.zeros((0, 0)) if factor is None else factor
         )
     return ObserverCode(header, source)
@@ -87,9 +87,9 @@ def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> s
             least /= slow_speed[j];
             observer->slowness[j] += share*(exp(-least*least) - observer->slowness[j]);
 """
-    tables = "" if thresholds is None else _table("slow_speed", thresholds.slow_speed) + "\n"
+    tables = "" if thresholds is None else _write_table("slow_speed", thresholds.slow_speed) + "\n"
     errors = np.zeros(n) if thresholds is None else thresholds.velocity_error
-    tables += _table("velocity_error", errors) + "\n"
+    tables += _write_table("velocity_error", errors) + "\n"
     return f"""{tables}void {name}_observer_restart({name}_observer *observer)
 {{
     for (int j = 0; j < {n}; j++) {{
@@ -150,7 +150,7 @@ void {name}_observer_update({name}_observer *observer, double dt, const double q
 }}"""
 
 
-def _threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
+def _write_threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
     rate = thresholds.false_alarms_per_hour
     filtered = ""
     if thresholds.filtered:
@@ -174,7 +174,7 @@ unsigned {name}_observer_alarms(const {name}_observer *observer, const double th
 """
 
 
-def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) -> str:
+def _write_threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) -> str:
     p, k = factor.shape
     parts = {
         "level": thresholds.level,
@@ -183,10 +183,10 @@ def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) 
         "fast": thresholds.fast,
         "model_square": thresholds.model_part**2,
     }
-    tables = "\n".join(_table(key, values) for key, values in parts.items())
+    tables = "\n".join(_write_table(key, values) for key, values in parts.items())
     spread = ""
     if k:
-        tables += "\n" + _table("factor", factor.ravel())
+        tables += "\n" + _write_table("factor", factor.ravel())
         spread = f"""        for (int c = 0; c < {k}; c++) {{
             double sum = 0.0;
             for (int b = 0; b < {p}; b++) sum += Y[j*{p} + b]*factor[b*{k} + c];
@@ -223,7 +223,7 @@ unsigned {name}_observer_alarms(const {name}_observer *observer, const double th
 }}"""
 
 
-def _table(name: str, values: Sequence[float] | Array) -> str:
+def _write_table(name: str, values: Sequence[float] | Array) -> str:
     numbers = [repr(float(value) + 0.0) for value in values]
     rows = [", ".join(numbers[k : k + 3]) for k in range(0, len(numbers), 3)]
     body = ",\n".join(f"    {row}" for row in rows)

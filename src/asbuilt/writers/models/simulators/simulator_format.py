@@ -14,7 +14,11 @@ from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.registry import Registry
-from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, servo_left_out
+from asbuilt.writers.models.physical import (
+    convert_to_plain_friction,
+    note_left_out_drives,
+    note_left_out_servo,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +31,7 @@ class ExportedDrives:
     @cached_property
     def plain(self) -> RobotModel:
         """The robot with plain Coulomb friction in place of asymmetric and smooth friction."""
-        return in_plain_friction(self.model)
+        return convert_to_plain_friction(self.model)
 
     @property
     def servo(self) -> PositionServo | None:
@@ -65,7 +69,7 @@ class ExportedDrives:
         falling: bool = False,
     ) -> tuple[str, ...]:
         """Return notes on what a format cannot hold, apart from `carried` terms and the options."""
-        notes = list(left_out_drives(self.plain, carried, kind))
+        notes = list(note_left_out_drives(self.plain, carried, kind))
         for key in ("asymmetric_coulomb", "smooth_coulomb"):
             if key not in carried and any(key in joint.drive.terms for joint in self.model.joints):
                 notes.append(f"{key.replace('_', ' ')} friction is written as Coulomb friction")
@@ -73,7 +77,7 @@ class ExportedDrives:
         if not offset and any(offsets.values()):
             listed = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
             notes.append(f"{kind} has no place for the offsets of the drives [N m or N]: {listed}")
-        notes += servo_left_out(self.servo, kind, delay=delay, falling=falling)
+        notes += note_left_out_servo(self.servo, kind, delay=delay, falling=falling)
         if gains and not self.has_gains:
             notes.append(
                 "no position servo was identified: gains are zero, and commands are torques"
@@ -98,6 +102,6 @@ SIMULATOR_FORMATS: Registry[SimulatorFormat] = Registry(
 """Simulator formats by key."""
 
 
-def simulator_format(key: str) -> SimulatorFormat:
+def find_simulator_format(key: str) -> SimulatorFormat:
     """Return the format of this name; raises `UsageError` if there is none."""
     return SIMULATOR_FORMATS.find(key)

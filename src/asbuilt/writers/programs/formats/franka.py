@@ -15,12 +15,12 @@ from asbuilt.writers.programs.format import (
 )
 from asbuilt.writers.programs.program_text import (
     STREAMED_DECIMALS,
-    commented,
-    numbers,
-    preamble,
+    comment_lines,
+    compose_preamble,
+    format_numbers,
+    format_sheet,
+    format_streamed_motion,
     render,
-    sheet_text,
-    streamed_motion,
 )
 
 CONTROL_RATE = 1000.0
@@ -69,21 +69,21 @@ class FrankaFormat(ProgramFormat):
         )
         source = render(
             "franka.cpp.j2",
-            preamble=commented(preamble(request, self.title, use), "//"),
+            preamble=comment_lines(compose_preamble(request, self.title, use), "//"),
             motion_class=render(
                 "motion_table.hpp.j2",
                 n_joints=request.model.n_joints,
                 duration=f"{request.motion.duration:.9f}",
-                start=numbers(request.motion.start, STREAMED_DECIMALS),
+                start=format_numbers(request.motion.start, STREAMED_DECIMALS),
             ),
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             tolerance=f"{request.start_tolerance.min():g}",
-            approach=numbers(request.approach_speed),
+            approach=format_numbers(request.approach_speed),
             table=table,
             log=f"{stem}_log.csv",
             dry_run_log=f"{stem}_dry_run_log.csv",
         )
-        sheet = sheet_text(
+        sheet = format_sheet(
             request,
             (
                 (
@@ -109,7 +109,7 @@ class FrankaFormat(ProgramFormat):
         )
         return (
             ProgramFile("program", source_name, source),
-            ProgramFile("motion", table, streamed_motion(request)),
+            ProgramFile("motion", table, format_streamed_motion(request)),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
 

@@ -13,16 +13,16 @@ from asbuilt.writers.programs.format import (
     ProgramRequest,
 )
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
-from asbuilt.writers.programs.naming import class_name
+from asbuilt.writers.programs.naming import make_class_name
 from asbuilt.writers.programs.program_text import (
     STREAMED_DECIMALS,
-    commented,
-    numbers,
-    preamble,
+    comment_lines,
+    compose_preamble,
+    format_numbers,
+    format_rounded_down,
+    format_sheet,
+    format_streamed_motion,
     render,
-    rounded_down,
-    sheet_text,
-    streamed_motion,
 )
 
 SPEED_ALLOWANCE = 1.05
@@ -47,7 +47,7 @@ class FriFormat(ProgramFormat):
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return client, table, Java application and the sheet of the client's log."""
-        stem, java = request.stem, class_name(request.name, suffix="FriHold")
+        stem, java = request.stem, make_class_name(request.name, suffix="FriHold")
         client = f"{stem}_fri.cpp"
         table = f"{stem}_fri.csv"
         use = (
@@ -73,7 +73,7 @@ class FriFormat(ProgramFormat):
                 f" {stem}_log.csv"
             ),
         )
-        head = preamble(request, self.title, use)
+        head = compose_preamble(request, self.title, use)
         limit = MotionBounds.of(request.model).velocity
         known = np.isfinite(limit)
         approach = (
@@ -82,7 +82,7 @@ class FriFormat(ProgramFormat):
             else APPROACH_PART
         )
         values = {
-            "start": numbers(request.motion.start, STREAMED_DECIMALS),
+            "start": format_numbers(request.motion.start, STREAMED_DECIMALS),
             "tolerance": f"{request.start_tolerance.min():g}",
         }
         table_class = render(
@@ -93,11 +93,11 @@ class FriFormat(ProgramFormat):
         )
         source = render(
             "fri_client.cpp.j2",
-            preamble=commented(head, "//"),
+            preamble=comment_lines(head, "//"),
             motion_class=table_class,
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             tolerance=values["tolerance"],
-            top_speed=numbers(SPEED_ALLOWANCE * request.motion.peaks(1) + 1e-6),
+            top_speed=format_numbers(SPEED_ALLOWANCE * request.motion.peaks(1) + 1e-6),
             fade_speed=f"{FADE_SPEED:g}",
             table=table,
             java_class=java,
@@ -106,15 +106,15 @@ class FriFormat(ProgramFormat):
         )
         application = render(
             "FriHold.java.j2",
-            preamble=commented(head, " *"),
+            preamble=comment_lines(head, " *"),
             package=PACKAGE,
             class_name=java,
             interval=request.period_ms,
-            approach=rounded_down(approach),
+            approach=format_rounded_down(approach),
             tolerance=values["tolerance"],
-            start=numbers(request.motion.start),
+            start=format_numbers(request.motion.start),
         )
-        sheet = sheet_text(
+        sheet = format_sheet(
             request,
             (f"Written by {client} in every cycle of the FRI.", SIGN_NOTE),
             {
@@ -132,7 +132,7 @@ class FriFormat(ProgramFormat):
         )
         return (
             ProgramFile("program", client, source),
-            ProgramFile("motion", table, streamed_motion(request)),
+            ProgramFile("motion", table, format_streamed_motion(request)),
             ProgramFile("application", f"{java}.java", application),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )

@@ -9,7 +9,12 @@ from asbuilt.writers.programs.format import (
     ProgramFormat,
     ProgramRequest,
 )
-from asbuilt.writers.programs.program_text import GAINS_TO_FILL_IN, motion_csv, preamble, sheet_text
+from asbuilt.writers.programs.program_text import (
+    GAINS_TO_FILL_IN,
+    compose_preamble,
+    format_motion_csv,
+    format_sheet,
+)
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""
@@ -47,7 +52,7 @@ class CsvFormat(ProgramFormat):
             ),
         )
         names = request.model.joint_names
-        sheet = sheet_text(
+        sheet = format_sheet(
             request,
             (
                 (
@@ -74,14 +79,16 @@ class CsvFormat(ProgramFormat):
         )
         columns = [prefix + name for prefix in PREFIXES for name in names]
         full, slow = (
-            motion_csv(motion, columns, request.rate, DECIMALS)
+            format_motion_csv(motion, columns, request.rate, DECIMALS)
             for motion in (request.motion, request.dry_run)
         )
         return (
             ProgramFile("program", f"{stem}.csv", full),
             ProgramFile("dry_run", f"{stem}_dry_run.csv", slow),
             ProgramFile(
-                "notes", f"{stem}_notes.txt", "\n".join(preamble(request, self.title, use)) + "\n"
+                "notes",
+                f"{stem}_notes.txt",
+                "\n".join(compose_preamble(request, self.title, use)) + "\n",
             ),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )

@@ -11,14 +11,14 @@ from asbuilt.writers.programs.format import (
     ProgramRequest,
 )
 from asbuilt.writers.programs.formats.plain_csv import DECIMALS
-from asbuilt.writers.programs.naming import yaml_string
+from asbuilt.writers.programs.naming import quote_yaml
 from asbuilt.writers.programs.program_text import (
     GAINS_TO_FILL_IN,
-    commented,
-    numbers,
-    preamble,
+    comment_lines,
+    compose_preamble,
+    format_numbers,
+    format_sheet,
     render,
-    sheet_text,
 )
 
 
@@ -47,20 +47,20 @@ class Ros2Format(ProgramFormat):
             ),
             f"The bag is {stem}_bag, its sheet {stem}_bag.toml: asbuilt identify ROBOT {stem}_bag",
         )
-        head = preamble(request, self.title, use)
-        yaml_head = commented(head, "#") + "\n"
+        head = compose_preamble(request, self.title, use)
+        yaml_head = comment_lines(head, "#") + "\n"
         script = render(
             "ros2_run.py.j2",
             preamble="\n".join(head),
             full=full,
             dry_run=dry_run,
-            approach=numbers(request.approach_speed),
+            approach=format_numbers(request.approach_speed),
             tolerance=", ".join(f"{tolerance:g}" for tolerance in request.start_tolerance),
             bag=f"{stem}_bag",
             dry_run_bag=f"{stem}_dry_run_bag",
         )
         names = request.model.joint_names
-        sheet = sheet_text(
+        sheet = format_sheet(
             request,
             (
                 (
@@ -85,32 +85,34 @@ class Ros2Format(ProgramFormat):
         return (
             ProgramFile("program", f"{stem}_run.py", script, executable=True),
             ProgramFile(
-                "motion", full, yaml_head + trajectory_yaml(request.motion, names, request.rate)
+                "motion",
+                full,
+                yaml_head + format_trajectory_yaml(request.motion, names, request.rate),
             ),
             ProgramFile(
                 "dry_run",
                 dry_run,
                 yaml_head
-                + trajectory_yaml(request.dry_run, names, request.rate / DRY_RUN_SLOWDOWN),
+                + format_trajectory_yaml(request.dry_run, names, request.rate / DRY_RUN_SLOWDOWN),
             ),
             ProgramFile("sheet", f"{stem}_bag.toml", sheet),
         )
 
 
-def trajectory_yaml(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str:
+def format_trajectory_yaml(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str:
     """Return the fields of a trajectory_msgs/JointTrajectory as YAML.
 
     The end of the motion is the last point whatever the rate.
     """
     t = times_to_end(motion, rate)
-    names = ", ".join(map(yaml_string, joint_names))
+    names = ", ".join(map(quote_yaml, joint_names))
     lines = [f"joint_names: [{names}]", "points:"]
     for time, q, qd, qdd in zip(t, *motion.at(t), strict=True):
         nanoseconds = round(float(time) * 1e9)
         lines += [
-            f"- positions: [{numbers(q, DECIMALS)}]",
-            f"  velocities: [{numbers(qd, DECIMALS)}]",
-            f"  accelerations: [{numbers(qdd, DECIMALS)}]",
+            f"- positions: [{format_numbers(q, DECIMALS)}]",
+            f"  velocities: [{format_numbers(qd, DECIMALS)}]",
+            f"  accelerations: [{format_numbers(qdd, DECIMALS)}]",
             f"  time_from_start: {{sec: {nanoseconds // 10**9}, nanosec: {nanoseconds % 10**9}}}",
         ]
     return "\n".join(lines) + "\n"

@@ -17,17 +17,17 @@ from asbuilt.writers.programs.format import (
     ProgramFormat,
     ProgramRequest,
 )
-from asbuilt.writers.programs.naming import class_name
+from asbuilt.writers.programs.naming import make_class_name
 from asbuilt.writers.programs.program_text import (
     DRY_RUN_PART,
-    commented,
-    numbers,
-    preamble,
+    comment_lines,
+    compose_preamble,
+    format_numbers,
+    format_rounded_down,
+    format_sheet,
     render,
-    rounded_down,
-    sheet_text,
 )
-from asbuilt.writers.programs.via_points import Segment, point_to_point_segments, spline_times
+from asbuilt.writers.programs.via_points import Segment, choose_spline_times, divide_point_to_point
 
 PACKAGE = "application"
 """Java package of the application."""
@@ -85,9 +85,9 @@ class SunriseFormat(ProgramFormat):
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return the Java class and the sheet of its DataRecorder log."""
-        segments = point_to_point_segments(request.motion)
+        segments = divide_point_to_point(request.motion)
         spline = segments is None
-        segments = segments if segments is not None else _spline_segments(request)
+        segments = segments if segments is not None else _list_spline_segments(request)
         if len(segments) > SUNRISE.most_points:
             raise MotionError(
                 f"the motion needs {len(segments)} points, more than the {SUNRISE.most_points} that"
@@ -99,7 +99,7 @@ class SunriseFormat(ProgramFormat):
             for segment in segments
         ]
         approach = min(0.1, float((request.approach_speed / limit).min()))
-        name = class_name(request.name, suffix="Excitation")
+        name = make_class_name(request.name, suffix="Excitation")
         planner = (
             f"The path is a joint spline (SplineJP) through {len(segments)} points of the motion"
             " and stays near it; "
@@ -133,26 +133,26 @@ class SunriseFormat(ProgramFormat):
         )
         text = render(
             "Sunrise.java.j2",
-            preamble=commented(preamble(request, self.title, use), " *"),
+            preamble=comment_lines(compose_preamble(request, self.title, use), " *"),
             package=PACKAGE,
             spline=spline,
             class_name=name,
             dry_run=f"{1 / DRY_RUN_SLOWDOWN:g}",
             dry_run_percent=DRY_RUN_PART,
-            approach=rounded_down(approach),
+            approach=format_rounded_down(approach),
             acceleration=f"{SUNRISE.acceleration:g}",
             jerk=f"{SUNRISE.acceleration:g}",
             tolerance=f"{request.start_tolerance.min():g}",
             interval=request.period_ms,
-            start=numbers(request.motion.start),
+            start=format_numbers(request.motion.start),
             step=f"{request.motion.duration / len(segments):.4f}",
-            points=[numbers(segment.pose) for segment in segments],
-            speeds=[rounded_down(speed) for speed in speeds],
+            points=[format_numbers(segment.pose) for segment in segments],
+            speeds=[format_rounded_down(speed) for speed in speeds],
             dwells=[10 * round(100 * segment.dwell) for segment in segments],
             log=f"{request.stem}_log.txt",
             dry_run_log=f"{request.stem}_dry_run_log.txt",
         )
-        sheet = sheet_text(
+        sheet = format_sheet(
             request,
             (
                 (
@@ -181,8 +181,8 @@ class SunriseFormat(ProgramFormat):
         )
 
 
-def _spline_segments(request: ProgramRequest) -> tuple[Segment, ...]:
-    times = spline_times(request.motion, SUNRISE.spline_tolerance)
+def _list_spline_segments(request: ProgramRequest) -> tuple[Segment, ...]:
+    times = choose_spline_times(request.motion, SUNRISE.spline_tolerance)
     segments = []
     for begin, end in pairwise(times):
         within = np.linspace(begin, end, 21)

@@ -10,17 +10,17 @@ from asbuilt.writers.programs.format import (
     ProgramFormat,
     ProgramRequest,
 )
-from asbuilt.writers.programs.naming import identifier, plain_text
+from asbuilt.writers.programs.naming import make_lowercase_identifier, make_plain_text
 from asbuilt.writers.programs.program_text import (
     DRY_RUN_PART,
     GAINS_TO_FILL_IN,
-    commented,
-    numbers,
-    preamble,
+    comment_lines,
+    compose_preamble,
+    format_numbers,
+    format_sheet,
     render,
-    sheet_text,
 )
-from asbuilt.writers.programs.via_points import hermite_knots
+from asbuilt.writers.programs.via_points import choose_hermite_knots
 
 LOOK_AHEAD, GAIN = 0.05, 600
 """servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000)."""
@@ -90,9 +90,9 @@ class UrScriptFormat(ProgramFormat):
                 f" asbuilt identify ROBOT {stem}_log.csv"
             ),
         )
-        head = commented(preamble(request, self.title, use), "#")
+        head = comment_lines(compose_preamble(request, self.title, use), "#")
         # How far the cubics between the points may leave the motion [rad].
-        knots = hermite_knots(request.motion, 1e-4)
+        knots = choose_hermite_knots(request.motion, 1e-4)
         q, v = request.motion.derivative(knots[1:]), request.motion.derivative(knots[1:], 1)
         values = {
             "preamble": head,
@@ -102,16 +102,16 @@ class UrScriptFormat(ProgramFormat):
             "look_ahead": f"{LOOK_AHEAD:g}",
             "gain": f"{GAIN}",
             "spacing": f"{knots[-1] / (knots.size - 1):.9f}",
-            "start": numbers(request.motion.start, 7),
-            "title": plain_text(request.name)[:40],
+            "start": format_numbers(request.motion.start, 7),
+            "title": make_plain_text(request.name)[:40],
             "points": [
-                (numbers(a, 7).replace(" ", ""), numbers(b, 7).replace(" ", ""))
+                (format_numbers(a, 7).replace(" ", ""), format_numbers(b, 7).replace(" ", ""))
                 for a, b in zip(q, v, strict=True)
             ],
         }
         full = render(
             "urscript.script.j2",
-            function=identifier(request.name, prefix="asbuilt_"),
+            function=make_lowercase_identifier(request.name, prefix="asbuilt_"),
             kind="FULL SPEED",
             slowdown="1.0",
             duration=f"{request.motion.duration:.1f}",
@@ -120,7 +120,7 @@ class UrScriptFormat(ProgramFormat):
         )
         dry_run = render(
             "urscript.script.j2",
-            function=identifier(request.name, prefix="asbuilt_dry_run_"),
+            function=make_lowercase_identifier(request.name, prefix="asbuilt_dry_run_"),
             kind=f"Dry run at {DRY_RUN_PART} of the speed",
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             duration=f"{request.dry_run.duration:.1f}",
@@ -130,15 +130,16 @@ class UrScriptFormat(ProgramFormat):
         return (
             ProgramFile("program", f"{stem}.script", full),
             ProgramFile("dry_run", f"{stem}_dry_run.script", dry_run),
-            ProgramFile("recipe", recipe, _recipe(request)),
-            ProgramFile("sheet", f"{stem}_log.toml", _sheet(request)),
+            ProgramFile("recipe", recipe, _write_recipe(request)),
+            ProgramFile("sheet", f"{stem}_log.toml", _write_sheet(request)),
         )
 
 
-def _recipe(request: ProgramRequest) -> str:
+def _write_recipe(request: ProgramRequest) -> str:
     fields = "\n".join(f'    <field name="{name}" type="VECTOR6D"/>' for name in FIELDS)
     comment = (
-        f"What to record of motion {plain_text(request.name)}, for Universal Robots' RTDE client"
+        f"What to record of motion {make_plain_text(request.name)}, for Universal Robots' RTDE"
+        " client"
         " library".replace("--", "- -")
     )
     return (
@@ -147,7 +148,7 @@ def _recipe(request: ProgramRequest) -> str:
     )
 
 
-def _sheet(request: ProgramRequest) -> str:
+def _write_sheet(request: ProgramRequest) -> str:
     columns = {
         quantity: f"{field}_0-{field}_5"
         for quantity, field in (
@@ -156,7 +157,7 @@ def _sheet(request: ProgramRequest) -> str:
             ("torque", "actual_current"),
         )
     }
-    return sheet_text(
+    return format_sheet(
         request,
         (
             (

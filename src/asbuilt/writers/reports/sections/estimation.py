@@ -6,9 +6,9 @@ import shlex
 from typing import Any
 
 from asbuilt.identification import FoundEffect, IdentificationResult, method_title
-from asbuilt.identification.screen import effect_text
-from asbuilt.tables import share, significant
-from asbuilt.validation.comparison.parameter_text import drive_text
+from asbuilt.identification.screen import format_effect
+from asbuilt.tables import format_share, round_significant
+from asbuilt.validation.comparison.parameter_text import describe_drive
 from asbuilt.writers.reports.cards import MOODS, study_cards
 from asbuilt.writers.reports.section import Report, Section, sections
 
@@ -75,46 +75,46 @@ PROVENANCE = """\
 """
 
 
-def _estimation(report: Report) -> dict[str, Any]:
+def _collect_estimation(report: Report) -> dict[str, Any]:
     study = report.study
     return {
         "findings": study.findings,
-        "facts": _facts(study.result),
+        "facts": _list_facts(study.result),
         "notes": study.result.notes,
     }
 
 
-def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
-    relative = f"{share(result.train.relative_error)} on the training data"
+def _list_facts(result: IdentificationResult) -> list[tuple[str, str]]:
+    relative = f"{format_share(result.train.relative_error)} on the training data"
     if result.validation:
-        held_out = (share(metrics.relative_error) for metrics in result.validation)
+        held_out = (format_share(metrics.relative_error) for metrics in result.validation)
         relative += f", {', '.join(held_out)} held out"
     consistency = {True: "OK", False: "PHYSICALLY INCONSISTENT", None: "not checked"}
     return [
         ("method", method_title(result.method)),
-        ("drive terms", drive_text(result.base.drive)),
+        ("drive terms", describe_drive(result.base.drive)),
         (
             "samples",
             f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz,"
             f" {result.duration:.1f} s",
         ),
         ("standard errors", result.errors.kind),
-        ("independent samples", significant(result.effective_samples)),
+        ("independent samples", round_significant(result.effective_samples)),
         (
             "rank",
             f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)",
         ),
         (
             "condition number",
-            f"{significant(result.condition_number)} (columns scaled"
-            f" {significant(result.scaled_condition_number)})",
+            f"{round_significant(result.condition_number)} (columns scaled"
+            f" {round_significant(result.scaled_condition_number)})",
         ),
         ("relative error", relative),
         ("consistency", consistency[result.physically_consistent]),
     ]
 
 
-def _identifiability(report: Report) -> dict[str, Any]:
+def _collect_identifiability(report: Report) -> dict[str, Any]:
     result = report.study.result
     return {
         "rank": result.rank,
@@ -124,7 +124,7 @@ def _identifiability(report: Report) -> dict[str, Any]:
     }
 
 
-def _provenance(report: Report) -> dict[str, Any]:
+def _collect_provenance(report: Report) -> dict[str, Any]:
     result = report.study.result
     return {
         "provenance": result.provenance,
@@ -135,11 +135,13 @@ def _provenance(report: Report) -> dict[str, Any]:
 
 
 for identifier, section in {
-    "estimation": Section("Findings and estimation", 35, ESTIMATION, _estimation, folded=True),
-    "identifiability": Section(
-        "Identifiability", 70, IDENTIFIABILITY, _identifiability, folded=True
+    "estimation": Section(
+        "Findings and estimation", 35, ESTIMATION, _collect_estimation, folded=True
     ),
-    "provenance": Section("Provenance", 80, PROVENANCE, _provenance, folded=True),
+    "identifiability": Section(
+        "Identifiability", 70, IDENTIFIABILITY, _collect_identifiability, folded=True
+    ),
+    "provenance": Section("Provenance", 80, PROVENANCE, _collect_provenance, folded=True),
 }.items():
     sections.register(identifier, section)
 
@@ -173,7 +175,7 @@ EFFECTS = """\
 """
 
 
-def _verdict(report: Report) -> dict[str, Any]:
+def _collect_verdict(report: Report) -> dict[str, Any]:
     study = report.study
     findings = [each for each in study.findings if each.severity != "info"]
     return {
@@ -184,7 +186,7 @@ def _verdict(report: Report) -> dict[str, Any]:
     }
 
 
-def _effects(report: Report) -> dict[str, Any] | None:
+def _collect_effects(report: Report) -> dict[str, Any] | None:
     found = sorted(
         report.study.result.effects,
         key=lambda each: (not each.in_model, each.error_after - each.error_before),
@@ -192,20 +194,20 @@ def _effects(report: Report) -> dict[str, Any] | None:
     if not found:
         return None
     largest = max(max(each.error_before, each.error_after) for each in found) or 1.0
-    return {"effects": [_row(each, largest) for each in found]}
+    return {"effects": [_build_row(each, largest) for each in found]}
 
 
-def _row(each: FoundEffect, largest: float) -> dict[str, Any]:
+def _build_row(each: FoundEffect, largest: float) -> dict[str, Any]:
     before, after = each.error_before, each.error_after
     return {
-        "text": effect_text(each),
+        "text": format_effect(each),
         "in_model": each.in_model,
-        "before": f"{significant(100.0 * before, 2)} %",
-        "after": f"{significant(100.0 * after, 2)} %",
+        "before": f"{round_significant(100.0 * before, 2)} %",
+        "after": f"{round_significant(100.0 * after, 2)} %",
         "wide": round(100.0 * before / largest, 2),
         "narrow": round(100.0 * after / largest, 2),
     }
 
 
-sections.register("verdict", Section("Verdict", 10, VERDICT, _verdict))
-sections.register("effects", Section("What CAD lacks", 12, EFFECTS, _effects))
+sections.register("verdict", Section("Verdict", 10, VERDICT, _collect_verdict))
+sections.register("effects", Section("What CAD lacks", 12, EFFECTS, _collect_effects))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from asbuilt.tables import beside, deviation, percent, rounded
+from asbuilt.tables import format_deviation, format_percent, round_beside, round_with_error
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter
 from asbuilt.writers.reports.section import Report, Section, sections
 
@@ -65,44 +65,44 @@ WIDTH, MARGIN = 170.0, 12.0
 """Size of a drawing, and space left of its smallest and right of its largest value."""
 
 
-def _context(report: Report) -> dict[str, Any]:
+def _collect_parameters(report: Report) -> dict[str, Any]:
     comparison = report.study.comparison
     return {
         "verdict": comparison.verdict(),
         "verdicts": list(dict.fromkeys(each.verdict for each in comparison.parameters)),
-        "rows": [_row(parameter) for parameter in comparison.parameters],
+        "rows": [_build_row(parameter) for parameter in comparison.parameters],
         "rule": comparison.rule(),
         "errors": comparison.errors,
     }
 
 
-def _row(parameter: ComparedParameter) -> dict[str, Any]:
+def _build_row(parameter: ComparedParameter) -> dict[str, Any]:
     """Return texts, sort keys and the drawing of one parameter."""
     cad, value, error = parameter.cad, parameter.estimate, parameter.std_error
-    shown, uncertainty = rounded(value, error)
-    outcome = {"differs": "DIFFERS", "agrees": deviation(parameter.sigmas, math.inf)}
+    shown, uncertainty = round_with_error(value, error)
+    outcome = {"differs": "DIFFERS", "agrees": format_deviation(parameter.sigmas, math.inf)}
     return {
         "id": parameter.id,
         "expression": parameter.expression,
         "words": parameter.words,
         "unit": parameter.unit,
-        "cad": "-" if cad is None else beside(cad, error),
-        "cad_value": _key(cad),
+        "cad": "-" if cad is None else round_beside(cad, error),
+        "cad_value": _choose_key(cad),
         "built": shown,
         "built_value": value,
         "error": "dropped" if parameter.verdict == "dropped" else uncertainty,
-        "error_value": _key(error),
-        "percent": percent(value, error),
-        "percent_value": _key(None if error is None or not value else abs(error / value)),
+        "error_value": _choose_key(error),
+        "percent": format_percent(value, error),
+        "percent_value": _choose_key(None if error is None or not value else abs(error / value)),
         "verdict": parameter.verdict,
         "outcome": outcome.get(parameter.verdict, parameter.verdict),
-        "sigmas": _key(None if parameter.sigmas is None else abs(parameter.sigmas)),
+        "sigmas": _choose_key(None if parameter.sigmas is None else abs(parameter.sigmas)),
         "sigma_text": "" if parameter.sigmas is None else f"{parameter.sigmas:+.1f} sigma",
-        **interval_drawing(value, 1.96 * (error or 0.0), cad),
+        **place_interval(value, 1.96 * (error or 0.0), cad),
     }
 
 
-def interval_drawing(value: float, half: float, cad: float | None) -> dict[str, Any]:
+def place_interval(value: float, half: float, cad: float | None) -> dict[str, Any]:
     """Return where an interval, its CAD value and two to four ticks are drawn."""
     ends = [value - half, value + half, *([] if cad is None else [cad])]
     low, high = min(ends), max(ends)
@@ -125,8 +125,10 @@ def interval_drawing(value: float, half: float, cad: float | None) -> dict[str, 
     }
 
 
-def _key(value: float | None) -> float | str:
+def _choose_key(value: float | None) -> float | str:
     return "" if value is None else value
 
 
-sections.register("parameters", Section("Parameters", 60, TEMPLATE, _context, folded=True))
+sections.register(
+    "parameters", Section("Parameters", 60, TEMPLATE, _collect_parameters, folded=True)
+)

@@ -9,11 +9,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.tables import Column, Table, significant
+from asbuilt.tables import Column, Table, round_significant
 from asbuilt.validation import Rollout, Validation
 from asbuilt.writers.reports.page import table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
-from asbuilt.writers.tables.rollout_tables import rollout_table
+from asbuilt.writers.tables.rollout_tables import tabulate_rollouts
 
 TORQUE = """\
 <div class="controls">
@@ -45,20 +45,20 @@ WHITE = 0.05
 """Smallest p value of a residual that counts as white (usual level)."""
 
 
-def _torque(report: Report) -> dict[str, Any] | None:
+def _collect_torque(report: Report) -> dict[str, Any] | None:
     labels = [label for label, _ in report.predictions]
     return {"labels": labels, "joints": report.study.result.joint_names} if labels else None
 
 
-def _error(report: Report) -> dict[str, Any] | None:
+def _collect_errors(report: Report) -> dict[str, Any] | None:
     tables = [
-        table_markup(_residual_table(label, validation), f"residuals-{number}")
+        table_markup(_build_residual_table(label, validation), f"residuals-{number}")
         for number, (label, validation) in enumerate(report.predictions)
     ]
     return {"tables": tables} if tables else None
 
 
-def _residual_table(label: str, validation: Validation) -> Table:
+def _build_residual_table(label: str, validation: Validation) -> Table:
     built, cad = validation.metrics_as_built, validation.metrics_cad
     analysis = validation.residuals()
     columns = (
@@ -81,15 +81,15 @@ def _residual_table(label: str, validation: Validation) -> Table:
         Column(
             "independent samples",
             align="right",
-            of=lambda k: significant(analysis.effective_samples[k]),
+            of=lambda k: round_significant(analysis.effective_samples[k]),
         ),
     )
     return Table.of(range(len(validation.joint_names)), columns, label)
 
 
-sections.register("torque", Section("Torque", 20, TORQUE, _torque))
+sections.register("torque", Section("Torque", 20, TORQUE, _collect_torque))
 sections.register(
-    "error", Section("Error of the prediction as built", 30, ERROR, _error, folded=True)
+    "error", Section("Error of the prediction as built", 30, ERROR, _collect_errors, folded=True)
 )
 
 ROLLOUT = """\
@@ -117,18 +117,18 @@ LONGEST = 12.0
 """Longest part of a recording that is drawn [s]."""
 
 
-def _context(report: Report) -> dict[str, Any] | None:
+def _collect_rollouts(report: Report) -> dict[str, Any] | None:
     rollouts = report.study.rollouts
-    return rollout_fields(report.study.result.model, rollouts) if rollouts else None
+    return fill_rollout_fields(report.study.result.model, rollouts) if rollouts else None
 
 
-def rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, Any]:
+def fill_rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, Any]:
     """Return the fields of the template: errors, and the motion of the longest rollouts."""
     shown = rollouts[-1]
     first = shown.motions[0].windows
-    count = _count(shown)
+    count = _count_windows(shown)
     return {
-        "table": table_markup(rollout_table(model, rollouts), "rollouts"),
+        "table": table_markup(tabulate_rollouts(model, rollouts), "rollouts"),
         "note": (
             f"Windows of {shown.horizon:g} s, one after another, driven by the"
             f" {shown.driven_by}: measured (grey), simulated by CAD (orange) and as built (blue)."
@@ -137,7 +137,7 @@ def rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, 
             + (f" The first {count} of {first.n_windows}." if count < first.n_windows else "")
         ),
         "joints": [
-            _joint(joint.name, shown, k, "rad" if joint.is_revolute else "m")
+            _draw_joint(joint.name, shown, k, "rad" if joint.is_revolute else "m")
             for k, joint in enumerate(model.joints)
         ],
         "seconds": f"{count * first.horizon:.3g}",
@@ -145,15 +145,15 @@ def rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, 
     }
 
 
-def _count(rollout: Rollout) -> int:
+def _count_windows(rollout: Rollout) -> int:
     """Return how many windows of the first recording are drawn."""
     windows = rollout.motions[0].windows
     return max(1, min(windows.n_windows, int(LONGEST / windows.horizon)))
 
 
-def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str]:
+def _draw_joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str]:
     """Return name, lines, range and largest errors of a joint in the first recording."""
-    motion, count = rollout.motions[0], _count(rollout)
+    motion, count = rollout.motions[0], _count_windows(rollout)
     paths = {"measured": motion.windows.q, "CAD": motion.cad, "as built": motion.as_built}
     measured = motion.windows.q[:count, :, k]
     there = {what: path[:count, :, k] for what, path in paths.items() if path is not None}
@@ -163,27 +163,33 @@ def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[An
     reach = max(0.1 * float(np.ptp(measured)), 1.2 * largest.get("as built", 0.0), 1e-3)
     lower, upper = float(measured.min()) - reach, float(measured.max()) + reach
     lines = [
-        (COLOURS[what], 3.5 if what == "measured" else 1.4, _pieces(path, lower, upper, 0.0, 160.0))
+        (
+            COLOURS[what],
+            3.5 if what == "measured" else 1.4,
+            _draw_windows(path, lower, upper, 0.0, 160.0),
+        )
         for what, path in there.items()
     ] + [
-        (COLOURS[what], 1.6, _pieces(error, -bound, bound, 172.0, 248.0))
+        (COLOURS[what], 1.6, _draw_windows(error, -bound, bound, 172.0, 248.0))
         for what, error in errors.items()
     ]
-    texts = [f"{_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())]
+    texts = [
+        f"{_format_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())
+    ]
     extent = f"{measured.min():.3g} to {measured.max():.3g} {unit}"
     return name, lines, extent, ", ".join(texts)
 
 
-def _length(value: float, unit: str) -> str:
+def _format_length(value: float, unit: str) -> str:
     """Return a distance in thousandths of its unit, or in the unit from one on.
 
-    >>> _length(0.0123, "rad"), _length(6.07, "rad")
+    >>> _format_length(0.0123, "rad"), _format_length(6.07, "rad")
     ('12.3 mrad', '6.07 rad')
     """
     return f"{value:.3g} {unit}" if value >= 1.0 else f"{1e3 * value:.3g} m{unit}"
 
 
-def _pieces(path: Array, lower: float, upper: float, top: float, bottom: float) -> list[str]:
+def _draw_windows(path: Array, lower: float, upper: float, top: float, bottom: float) -> list[str]:
     """Return the points of each window (W, L) between two heights, as far as they are finite."""
     count, length = path.shape
     at = np.unique(np.linspace(0, length - 1, min(length, max(2, POINTS // count))).astype(int))
@@ -198,4 +204,4 @@ def _pieces(path: Array, lower: float, upper: float, top: float, bottom: float) 
     return pieces
 
 
-sections.register("rollout", Section("Rollout", 13, ROLLOUT, _context))
+sections.register("rollout", Section("Rollout", 13, ROLLOUT, _collect_rollouts))

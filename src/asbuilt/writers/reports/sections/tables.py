@@ -7,40 +7,45 @@ from typing import Any
 import numpy as np
 
 from asbuilt.identification.calibration.encoders import EncoderPair
-from asbuilt.tables import Column, Table, plus_minus, significant
-from asbuilt.writers.figures.comparison_figures import attribution_figure
-from asbuilt.writers.figures.figure_style import figure_address
+from asbuilt.tables import Column, Table, format_plus_minus, round_significant
+from asbuilt.writers.figures.comparison_figures import draw_attribution
+from asbuilt.writers.figures.figure_style import encode_figure
 from asbuilt.writers.reports.page import image_markup, list_markup, paragraph_markup, table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
 from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
-from asbuilt.writers.tables.payload_tables import payload_table, payload_torque_table
+from asbuilt.writers.tables.payload_tables import tabulate_payload, tabulate_payload_torques
 
 PARTS = "{% for part in parts %}{{ part }}\n{% endfor %}"
 
 
-def _parts(tables: dict[str, Table], *before: Any) -> dict[str, Any]:
+def _collect_parts(tables: dict[str, Table], *before: Any) -> dict[str, Any]:
     return {"parts": [*before, *(table_markup(table, name) for name, table in tables.items())]}
 
 
-def _comparison(report: Report) -> dict[str, Any]:
+def _collect_comparison(report: Report) -> dict[str, Any]:
     found = report.study.comparison
-    return _parts({"torque-table": found.torque_table()}, paragraph_markup(found.verdict(), ""))
+    return _collect_parts(
+        {"torque-table": found.torque_table()}, paragraph_markup(found.verdict(), "")
+    )
 
 
-def _masses(report: Report) -> dict[str, Any] | None:
+def _collect_masses(report: Report) -> dict[str, Any] | None:
     masses = exported_masses(report.study.result)
-    return None if masses is None else _parts({"mass-table": mass_table(masses)})
+    return None if masses is None else _collect_parts({"mass-table": mass_table(masses)})
 
 
-def _payload(report: Report) -> dict[str, Any] | None:
+def _collect_payload(report: Report) -> dict[str, Any] | None:
     found = report.payload
     if found is None:
         return None
-    tables = {"payload-values": payload_table(found), "payload-torque": payload_torque_table(found)}
-    return _parts(tables)
+    tables = {
+        "payload-values": tabulate_payload(found),
+        "payload-torque": tabulate_payload_torques(found),
+    }
+    return _collect_parts(tables)
 
 
-def _causes(report: Report) -> dict[str, Any] | None:
+def _collect_causes(report: Report) -> dict[str, Any] | None:
     found = report.study.attribution
     if found is None:
         return None
@@ -48,16 +53,18 @@ def _causes(report: Report) -> dict[str, Any] | None:
         "Shares of the squared CAD error by cause, joint by joint; the numbers are in the table"
         " below"
     )
-    drawn = image_markup(figure_address(attribution_figure(found)), words)
-    return _parts(
+    drawn = image_markup(encode_figure(draw_attribution(found)), words)
+    return _collect_parts(
         {"shares": found.share_table()}, list_markup((*found.sentences, *found.findings)), drawn
     )
 
 
-sections.register("masses", Section("Masses", 22, PARTS, _masses))
-sections.register("comparison", Section("CAD and as built", 24, PARTS, _comparison))
-sections.register("causes", Section("Causes of the CAD error", 40, PARTS, _causes, folded=True))
-sections.register("payload", Section("Payload", 50, PARTS, _payload))
+sections.register("masses", Section("Masses", 22, PARTS, _collect_masses))
+sections.register("comparison", Section("CAD and as built", 24, PARTS, _collect_comparison))
+sections.register(
+    "causes", Section("Causes of the CAD error", 40, PARTS, _collect_causes, folded=True)
+)
+sections.register("payload", Section("Payload", 50, PARTS, _collect_payload))
 
 TEMPLATE = """\
 <p class="quiet">Lag of the link's encoder, and the spring between motor and link. The rotor is\
@@ -67,7 +74,7 @@ TEMPLATE = """\
 """
 
 
-def _context(report: Report) -> dict[str, Any] | None:
+def _collect_encoders(report: Report) -> dict[str, Any] | None:
     pairs = report.study.result.encoders
     if not pairs:
         return None
@@ -80,20 +87,23 @@ def _context(report: Report) -> dict[str, Any] | None:
         Column("hysteresis", "mdeg, um", "right"),
         Column("rest", "mdeg, um", "right"),
     )
-    return {"table": Table(columns, tuple(map(_row, pairs))).as_html("encoders")}
+    return {"table": Table(columns, tuple(map(_build_row, pairs))).as_html("encoders")}
 
 
-def _row(pair: EncoderPair) -> tuple[str, ...]:
+def _build_row(pair: EncoderPair) -> tuple[str, ...]:
     scale = 1e3 * float(np.rad2deg(1.0)) if pair.revolute else 1e6
     rotor = None if pair.rotor is None else (pair.rotor, pair.rotor_error or 0.0)
     return (
         pair.joint,
-        plus_minus(1e3 * pair.lag, 1e3 * pair.lag_error),
-        *("-" if each is None else plus_minus(*each) for each in (pair.stiffness, pair.damping)),
-        "-" if rotor is None else plus_minus(*rotor),
-        plus_minus(scale * pair.hysteresis, scale * pair.hysteresis_error),
-        significant(scale * pair.rest, 2),
+        format_plus_minus(1e3 * pair.lag, 1e3 * pair.lag_error),
+        *(
+            "-" if each is None else format_plus_minus(*each)
+            for each in (pair.stiffness, pair.damping)
+        ),
+        "-" if rotor is None else format_plus_minus(*rotor),
+        format_plus_minus(scale * pair.hysteresis, scale * pair.hysteresis_error),
+        round_significant(scale * pair.rest, 2),
     )
 
 
-sections.register("encoders", Section("Two encoders", 14, TEMPLATE, _context))
+sections.register("encoders", Section("Two encoders", 14, TEMPLATE, _collect_encoders))

@@ -13,8 +13,8 @@ from typing import Any
 from asbuilt.errors import MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
-from asbuilt.experiment.logs.formats.ros.joint_table import joint_table
-from asbuilt.experiment.logs.formats.ros.messages import JOINT_STATE, KINDS, chosen_topics
+from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
+from asbuilt.experiment.logs.formats.ros.messages import JOINT_STATE, KINDS, choose_topics
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
@@ -37,7 +37,7 @@ def read_ros_bag(
     Times are the message header's if it has one, else the bag's. Measured joints come from
     `sensor_msgs/JointState`, `control_msgs/DynamicJointState` or the state of a trajectory
     controller; commanded positions from `command_topic`, or the only topic that holds some
-    (`chosen_topics`). `command_joints` names the joints of commands that are numbers alone;
+    (`choose_topics`). `command_joints` names the joints of commands that are numbers alone;
     `required` says that commands which cannot be used are an error even if there are efforts.
 
     Raises
@@ -58,11 +58,11 @@ def read_ros_bag(
         store.deserialize_ros1 if first_ros else store.deserialize_cdr
     )
     try:
-        with _opened(path) as bag:
+        with _open_bag(path) as bag:
             types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in KINDS}
             if not types:
                 raise _without_joints(path, [c.topic for c in bag.connections])
-            topics = chosen_topics(path, types, topic, command_topic)
+            topics = choose_topics(path, types, topic, command_topic)
             messages: dict[str, list[tuple[int, Any]]] = {}
             for each in {topics.states, topics.commands} - {None}:
                 found = [c for c in bag.connections if c.topic == each]
@@ -81,7 +81,7 @@ def read_ros_bag(
             f" ({type(error).__name__}: {error})",
             file=str(path),
         ) from error
-    return joint_table(
+    return tabulate_joint_messages(
         path, topics, types, messages, command_joints=command_joints, required=required
     )
 
@@ -121,20 +121,20 @@ def _define(path: Path, store: Any, connection: Any) -> None:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_bag(path: Path) -> Iterator[Any]:
     """Open a bag by its suffix; a compressed file is unpacked to a temporary one."""
     from rosbags.rosbag1 import Reader as FirstReader  # noqa: PLC0415
     from rosbags.rosbag2 import Reader  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="asbuilt-") as folder:
-        storage = _storage(path)
+        storage = _find_storage(path)
         if storage.suffix == ".zstd":
-            storage = _unpacked(storage, Path(folder) / storage.stem)
+            storage = _unpack(storage, Path(folder) / storage.stem)
         with FirstReader(storage) if storage.suffix == ".bag" else Reader(storage) as bag:
             yield bag
 
 
-def _storage(path: Path) -> Path:
+def _find_storage(path: Path) -> Path:
     """Return the bag, or the only file of a folder without its list."""
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return path
@@ -154,7 +154,7 @@ def _storage(path: Path) -> Path:
     return files[0]
 
 
-def _unpacked(packed: Path, target: Path) -> Path:
+def _unpack(packed: Path, target: Path) -> Path:
     """Unpack a file compressed with Zstandard, up to a limit."""
     standard = sys.version_info >= (3, 14)
     zstd = import_module("compression.zstd" if standard else "backports.zstd")
@@ -170,7 +170,7 @@ def _unpacked(packed: Path, target: Path) -> Path:
     return target
 
 
-def choices_of_topics(sheet: RecordingSheet) -> dict[str, Any]:
+def read_topic_choices(sheet: RecordingSheet) -> dict[str, Any]:
     """Return what a sheet says of the topics, for `read_ros_bag` and `read_mcap`."""
     stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
     return {
@@ -185,7 +185,7 @@ FORMATS.register(
     "rosbag",
     LogFormat(
         suffixes=(".db3", ".bag", ".zstd"),
-        read=lambda path, sheet: read_isolated(read_ros_bag, path, **choices_of_topics(sheet)),
+        read=lambda path, sheet: read_isolated(read_ros_bag, path, **read_topic_choices(sheet)),
         folders=True,
     ),
 )

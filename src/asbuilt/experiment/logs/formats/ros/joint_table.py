@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable, table_of_joints
+from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_joints
 from asbuilt.experiment.logs.formats.ros.messages import FIELDS, KINDS, JointMessage, Topics
 from asbuilt.findings import Cure
 
 
-def joint_table(
+def tabulate_joint_messages(
     path: Path,
     topics: Topics,
     types: Mapping[str, str],
@@ -50,26 +50,26 @@ def joint_table(
     RecordingError
         If there is neither an effort nor a command, or the commands cannot be used.
     """
-    states = _states(path, topics, types, messages)
-    names = _usual_names(states)
-    kept = _naming(states, names)
+    states = _select_states(path, topics, types, messages)
+    names = _find_usual_names(states)
+    kept = _select_naming(states, names)
     notes: list[str] = []
     try:
         commands = read_commands(path, topics, types, messages, command_joints)
-        commanded, commands = _of_joints(path, topics, names, commands, command_joints or ())
-        stamps, sent, commands = _clocks(path, topics, kept, commands)
+        commanded, commands = _select_joints(path, topics, names, commands, command_joints or ())
+        stamps, sent, commands = _choose_clock(path, topics, kept, commands)
     except RecordingError as problem:
         if required or not any(each.effort.size for each in kept):
             raise
         notes.append(f"commands were left out: {problem.message}")
         commanded, commands = (), []
-        stamps, sent, commands = _clocks(path, topics, kept, commands)
+        stamps, sent, commands = _choose_clock(path, topics, kept, commands)
     groups = [
         (field, quantity, names, values)
         for field, quantity in FIELDS
-        if (values := _values(kept, field, names)) is not None
+        if (values := _stack_values(kept, field, names)) is not None
     ]
-    values = _values(commands, "position", commanded) if commands else None
+    values = _stack_values(commands, "position", commanded) if commands else None
     if values is not None:
         last = np.searchsorted(sent, stamps, side="right") - 1
         if before := int(np.count_nonzero(last < 0)):
@@ -79,10 +79,10 @@ def joint_table(
         raise _without_commands(path, topics, names)
     if dropped := len(states) - len(kept):
         notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
-    return table_of_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups, notes)
+    return tabulate_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups, notes)
 
 
-def _states(
+def _select_states(
     path: Path,
     topics: Topics,
     types: Mapping[str, str],
@@ -106,7 +106,7 @@ def _states(
     return states
 
 
-def _of_joints(
+def _select_joints(
     path: Path,
     topics: Topics,
     names: tuple[str, ...],
@@ -116,7 +116,7 @@ def _of_joints(
     """Return the joints of the states that are commanded, and the commands that name them all."""
     if not commands:
         return (), []
-    others = _usual_names(commands)
+    others = _find_usual_names(commands)
     commanded = tuple(name for name in names if name in others)
     unknown = [name for name in listed if name in others and name not in names]
     if not commanded or unknown:
@@ -131,7 +131,7 @@ def _of_joints(
             value=list(others),
             expected=list(names),
         )
-    return commanded, _naming(commands, commanded)
+    return commanded, _select_naming(commands, commanded)
 
 
 def _without_commands(path: Path, topics: Topics, names: Sequence[str]) -> RecordingError:
@@ -146,13 +146,13 @@ def _without_commands(path: Path, topics: Topics, names: Sequence[str]) -> Recor
     )
 
 
-def _naming(states: list[JointMessage], names: Sequence[str]) -> list[JointMessage]:
+def _select_naming(states: list[JointMessage], names: Sequence[str]) -> list[JointMessage]:
     """Return the messages that name all of these joints."""
     wanted = set(names)
     return [state for state in states if wanted <= set(state.names)]
 
 
-def _usual_names(states: list[JointMessage]) -> tuple[str, ...]:
+def _find_usual_names(states: list[JointMessage]) -> tuple[str, ...]:
     """Return the joints of the most frequent kind of message that carries efforts."""
     votes: dict[tuple[str, ...], int] = {}
     for state in states:
@@ -163,7 +163,7 @@ def _usual_names(states: list[JointMessage]) -> tuple[str, ...]:
     return next(state.names for state in states if tuple(sorted(state.names)) == best)
 
 
-def _clocks(
+def _choose_clock(
     path: Path, topics: Topics, states: list[JointMessage], commands: list[JointMessage]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], list[JointMessage]]:
     """Return the times [ns] of states and commands by one clock, and the commands in their order.
@@ -179,7 +179,7 @@ def _clocks(
     if not commands:
         return own, starts, []
     period = float(np.median(np.diff(own))) if own.size > 1 else 0.0
-    commands, sent = in_force(path, str(topics.commands), commands, starts, period)
+    commands, sent = order_commands(path, str(topics.commands), commands, starts, period)
     return own, sent, commands
 
 
@@ -191,7 +191,7 @@ def _is_stamped(messages: Sequence[JointMessage]) -> bool:
     return unset <= min(1, distinct - 1) and 2 * distinct >= logged
 
 
-def _values(states: list[JointMessage], field: str, names: tuple[str, ...]) -> Array | None:
+def _stack_values(states: list[JointMessage], field: str, names: tuple[str, ...]) -> Array | None:
     values = np.full((len(states), len(names)), np.nan)
     order: dict[tuple[str, ...], list[int]] = {}
     for row, state in enumerate(states):
@@ -257,7 +257,7 @@ def read_commands(
     return [each if each.names else replace(each, names=tuple(joints)) for each in commands]
 
 
-def in_force(
+def order_commands(
     path: Path, topic: str, commands: list[JointMessage], starts: NDArray[np.int64], period: float
 ) -> tuple[list[JointMessage], NDArray[np.int64]]:
     """Return the commands in the order in which they begin to hold, and these times [ns].

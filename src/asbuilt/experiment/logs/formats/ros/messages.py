@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.joint_matching import words_of
+from asbuilt.description.joint_matching import split_words
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import names_command
 from asbuilt.findings import Cure
@@ -66,15 +66,17 @@ class MessageKind:
     commands: Reader | None = None
 
 
-def _joint_state(logged: int, message: Any) -> list[JointMessage]:
-    q, qd, tau = (_array(getattr(message, field)) for field in ("position", "velocity", "effort"))
-    return [JointMessage(logged, _stamp(message), tuple(message.name), q, qd, tau)]
+def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
+    q, qd, tau = (
+        _make_array(getattr(message, field)) for field in ("position", "velocity", "effort")
+    )
+    return [JointMessage(logged, _read_stamp(message), tuple(message.name), q, qd, tau)]
 
 
-def _dynamic_state(logged: int, message: Any) -> list[JointMessage]:
+def _read_dynamic_state(logged: int, message: Any) -> list[JointMessage]:
     """Read the interfaces position, velocity and effort of the joints that have a position."""
     found = {
-        name: dict(zip(each.interface_names, _array(each.values), strict=False))
+        name: dict(zip(each.interface_names, _make_array(each.values), strict=False))
         for name, each in zip(message.joint_names, message.interface_values, strict=False)
     }
     joints = tuple(name for name, values in found.items() if "position" in values)
@@ -84,59 +86,63 @@ def _dynamic_state(logged: int, message: Any) -> list[JointMessage]:
         else _NONE
         for field in ("position", "velocity", "effort")
     )
-    return [JointMessage(logged, _stamp(message), joints, position, velocity, effort)]
+    return [JointMessage(logged, _read_stamp(message), joints, position, velocity, effort)]
 
 
-def _of_controller(logged: int, message: Any, fields: Sequence[str]) -> list[JointMessage]:
+def _read_controller_state(logged: int, message: Any, fields: Sequence[str]) -> list[JointMessage]:
     """Read the first of these points of a controller's state that has positions."""
     names = tuple(message.joint_names)
     points = [getattr(message, field) for field in fields if hasattr(message, field)]
     point = next((each for each in points if len(each.positions) == len(names)), None)
     if point is None:
         return []
-    q, qd, tau = (_array(each) for each in (point.positions, point.velocities, point.effort))
-    return [JointMessage(logged, _stamp(message), names, q, qd, tau)]
+    q, qd, tau = (_make_array(each) for each in (point.positions, point.velocities, point.effort))
+    return [JointMessage(logged, _read_stamp(message), names, q, qd, tau)]
 
 
-def _points(logged: int, message: Any) -> list[JointMessage]:
-    names, stamp = tuple(message.joint_names), _stamp(message)
+def _read_points(logged: int, message: Any) -> list[JointMessage]:
+    names, stamp = tuple(message.joint_names), _read_stamp(message)
     return [
         JointMessage(
-            logged, stamp, names, _array(each.positions), after=_nanoseconds(each.time_from_start)
+            logged,
+            stamp,
+            names,
+            _make_array(each.positions),
+            after=_count_nanoseconds(each.time_from_start),
         )
         for each in message.points
         if len(each.positions) == len(names)
     ]
 
 
-def _numbers_alone(logged: int, message: Any) -> list[JointMessage]:
-    return [JointMessage(logged, 0, (), _array(message.data))]
+def _read_numbers_alone(logged: int, message: Any) -> list[JointMessage]:
+    return [JointMessage(logged, 0, (), _make_array(message.data))]
 
 
 KINDS: Mapping[str, MessageKind] = MappingProxyType(
     {
-        JOINT_STATE: MessageKind(states=_joint_state, commands=_joint_state),
-        DYNAMIC_STATE: MessageKind(states=_dynamic_state),
+        JOINT_STATE: MessageKind(states=_read_joint_state, commands=_read_joint_state),
+        DYNAMIC_STATE: MessageKind(states=_read_dynamic_state),
         CONTROLLER_STATE: MessageKind(
-            states=partial(_of_controller, fields=("feedback", "actual")),
-            commands=partial(_of_controller, fields=("reference", "desired")),
+            states=partial(_read_controller_state, fields=("feedback", "actual")),
+            commands=partial(_read_controller_state, fields=("reference", "desired")),
         ),
-        TRAJECTORY: MessageKind(commands=_points),
-        ARRAY: MessageKind(commands=_numbers_alone),
+        TRAJECTORY: MessageKind(commands=_read_points),
+        ARRAY: MessageKind(commands=_read_numbers_alone),
     }
 )
 """Types of messages that hold joints."""
 
 
-def _array(values: Any) -> Array:
+def _make_array(values: Any) -> Array:
     return np.array([np.nan if each is None else float(each) for each in values])
 
 
-def _stamp(message: Any) -> int:
-    return _nanoseconds(message.header.stamp)
+def _read_stamp(message: Any) -> int:
+    return _count_nanoseconds(message.header.stamp)
 
 
-def _nanoseconds(time: Any) -> int:
+def _count_nanoseconds(time: Any) -> int:
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
@@ -159,7 +165,7 @@ class Topics:
     candidates: tuple[str, ...] = ()
 
 
-def chosen_topics(
+def choose_topics(
     path: Path, topics: Mapping[str, str], topic: str | None, command_topic: str | None
 ) -> Topics:
     """Choose among topics, given the type of the messages of each.
@@ -178,7 +184,7 @@ def chosen_topics(
     of_commands = {each for each, kind in topics.items() if KINDS[kind].commands}
     _refuse_unknown(path, topic, of_states, "joint states")
     _refuse_unknown(path, command_topic, of_commands, "joint states or commands of joints")
-    states = _states(path, topics, of_states, command_topic) if topic is None else topic
+    states = _find_state_topic(path, topics, of_states, command_topic) if topic is None else topic
     candidates = tuple(
         sorted(each for each in of_commands if _holds_commands(each, topics[each], states))
     )
@@ -201,7 +207,7 @@ def _refuse_unknown(path: Path, topic: str | None, known: set[str], what: str) -
     )
 
 
-def _states(
+def _find_state_topic(
     path: Path, topics: Mapping[str, str], of_states: set[str], command_topic: str | None
 ) -> str | None:
     """Return the topic of the states, where none is given."""
@@ -232,4 +238,4 @@ def _holds_commands(topic: str, kind: str, states: str | None) -> bool:
         return True
     if topic == states or not names_command(topic):
         return False
-    return kind == JOINT_STATE or (kind == ARRAY and not _NOT_POSITIONS & set(words_of(topic)))
+    return kind == JOINT_STATE or (kind == ARRAY and not _NOT_POSITIONS & set(split_words(topic)))

@@ -13,14 +13,14 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable, table_of_joints
+from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_joints
 from asbuilt.experiment.logs.formats.ros.messages import FIELDS
 from asbuilt.findings import Cure
 
 
 def is_topic_echo(line: str) -> bool:
     """Return whether a line of a file without header is an echoed joint state."""
-    return _parsed(line) is not None
+    return _parse_line(line) is not None
 
 
 def read_topic_echo(path: Path) -> LogTable:
@@ -34,14 +34,14 @@ def read_topic_echo(path: Path) -> LogTable:
     times: list[int] = []
     rows: list[Array] = []
     joints: tuple[str, ...] = ()
-    for number, line in _lines(path):
-        parsed = _parsed(line)
+    for number, line in _read_lines(path):
+        parsed = _parse_line(line)
         if parsed is None:
-            raise _bad_line(path, number, "is not a joint state")
+            raise _make_line_error(path, number, "is not a joint state")
         stamp, names, values = parsed
         joints = joints or names
         if set(names) != set(joints):
-            raise _bad_line(path, number, f"names the joints {', '.join(names)}")
+            raise _make_line_error(path, number, f"names the joints {', '.join(names)}")
         times.append(stamp)
         rows.append(values[:, [names.index(name) for name in joints]])
     values = np.array(rows)
@@ -57,17 +57,17 @@ def read_topic_echo(path: Path) -> LogTable:
         for which, (field, quantity) in enumerate(FIELDS)
         if not np.all(np.isnan(values[:, which]))
     ]
-    return table_of_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups)
+    return tabulate_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
+def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
             if line.strip() and line.strip() != "---":
                 yield number, line
 
 
-def _parsed(line: str) -> tuple[int, tuple[str, ...], Array] | None:
+def _parse_line(line: str) -> tuple[int, tuple[str, ...], Array] | None:
     """Return nanoseconds, names and values (3, n) of a line; None if it is no joint state."""
     fields = [field.strip() for field in line.strip("\r\n").split(",")]
     if len(fields) < 7 or not (fields[0].isdigit() and fields[1].isdigit()):
@@ -100,7 +100,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _bad_line(path: Path, number: int, what: str) -> RecordingError:
+def _make_line_error(path: Path, number: int, what: str) -> RecordingError:
     return RecordingError(
         f"{path}, line {number}: it {what}",
         cure=Cure("remove the line"),

@@ -36,7 +36,7 @@ class Bam(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the parameter sets and notes."""
-        sets = {joint.name: parameter_set(joint) for joint in drives.plain.joints}
+        sets = {joint.name: choose_bam_parameters(joint) for joint in drives.plain.joints}
         late = {"command_delay": drives.delay} if drives.delay else {}
         negative = sorted(
             {
@@ -46,7 +46,7 @@ class Bam(SimulatorFormat):
                 if isinstance(value, float) and value < 0.0
             }
         )
-        uneven = [joint.name for joint in drives.plain.joints if _uneven(joint)]
+        uneven = [joint.name for joint in drives.plain.joints if _is_uneven(joint)]
         own = {
             "BAM also wants `actuator` (the class of the motor) and the motor's own numbers, `kt`,"
             " `R` and others, which no recording of joint torque holds: add them, then"
@@ -64,7 +64,7 @@ class Bam(SimulatorFormat):
         return text, (*left_out, *(note for note, holds in own.items() if holds))
 
 
-def parameter_set(joint: Joint) -> dict[str, Any]:
+def choose_bam_parameters(joint: Joint) -> dict[str, Any]:
     """Return the BAM parameters of one joint: the smallest model that has its drive terms."""
     drive, terms = joint.drive, joint.drive.terms
     fading = [terms[key] for key in FADING if key in terms]
@@ -82,7 +82,7 @@ def parameter_set(joint: Joint) -> dict[str, Any]:
     if fading:
         found |= {"dtheta_stribeck": fading[0]["velocity"], "alpha": fading[0]["power"]}
     if directional:
-        found |= _by_direction(terms)
+        found |= _split_by_direction(terms)
     elif loaded:
         base = terms.get("load_friction", {}).get("Fl", 0.0)
         rest = terms.get("load_stribeck", {}).get("Fls", 0.0)
@@ -97,7 +97,7 @@ def load_coefficient(friction: float) -> float:
     return float((np.sqrt(1.0 + friction**2) - 1.0) / friction) if friction else 0.0
 
 
-def directional_coefficients(driving: float, driven: float) -> tuple[float, float]:
+def derive_directional_coefficients(driving: float, driven: float) -> tuple[float, float]:
     """Return Km and Ke of the friction per load where the motor drives and where the load does."""
     whole = driving + driven
     if whole == 0.0:
@@ -106,12 +106,14 @@ def directional_coefficients(driving: float, driven: float) -> tuple[float, floa
     return motor, 2.0 * driving * driven / whole - motor
 
 
-def _by_direction(terms: Any) -> dict[str, float]:
+def _split_by_direction(terms: Any) -> dict[str, float]:
     moving = [terms.get(DIRECTIONAL[0], {}).get(each, 0.0) for each in ("Flm", "Fle")]
     slow = [terms.get(DIRECTIONAL[1], {}).get(each, 0.0) for each in ("Flsm", "Flse")]
     both = [terms.get("load_friction", {}).get("Fl", 0.0)] * 2
-    motor, external = directional_coefficients(*(x + y for x, y in zip(moving, both, strict=True)))
-    at_rest = directional_coefficients(
+    motor, external = derive_directional_coefficients(
+        *(x + y for x, y in zip(moving, both, strict=True))
+    )
+    at_rest = derive_directional_coefficients(
         *(x + y + z for x, y, z in zip(moving, both, slow, strict=True))
     )
     found = {
@@ -126,7 +128,7 @@ def _by_direction(terms: Any) -> dict[str, float]:
     return found
 
 
-def _uneven(joint: Joint) -> bool:
+def _is_uneven(joint: Joint) -> bool:
     """Whether the fading terms of a joint have different velocities or powers."""
     fading = [joint.drive.terms[key] for key in FADING if key in joint.drive.terms]
     return len({(each["velocity"], each["power"]) for each in fading}) > 1

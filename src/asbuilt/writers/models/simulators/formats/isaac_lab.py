@@ -75,13 +75,13 @@ class IsaacLab(SimulatorFormat):
                 "N m s/rad or N s/m",
             ),
         }
-        kind, more = _actuator(drives)
+        kind, more = _choose_actuator(drives)
         holder = "effort_limit_sim" if kind == "ImplicitActuatorCfg" else "effort_limit"
         text = HEAD.format(
             origin=drives.origin,
             kind=kind,
             limit=f"            {holder}=EFFORT_LIMIT,\n" if limited else "",
-            tables="".join(_table(name, *each) for name, each in tables.items()),
+            tables="".join(_write_table(name, *each) for name, each in tables.items()),
             delay=drives.delay,
             more=more,
         )
@@ -94,7 +94,7 @@ class IsaacLab(SimulatorFormat):
         return text, (*notes, "masses and inertias of links are in a URDF or a USD overlay")
 
 
-def _actuator(drives: ExportedDrives) -> tuple[str, str]:
+def _choose_actuator(drives: ExportedDrives) -> tuple[str, str]:
     """Return the class of the actuator, and further settings of it.
 
     `DCMotorCfg` has one torque for all joints, which falls to zero at the velocity limit, and no
@@ -110,7 +110,7 @@ def _actuator(drives: ExportedDrives) -> tuple[str, str]:
     return "ImplicitActuatorCfg", ""
 
 
-def _table(name: str, values: dict[str, float], unit: str) -> str:
+def _write_table(name: str, values: dict[str, float], unit: str) -> str:
     """Return a dictionary as Python text; joint names are regular expressions there."""
     rows = "".join(f"    {re.escape(joint)!r}: {each!r},\n" for joint, each in values.items())
     return f"{name} = {{  # {unit}\n{rows}}}\n"

@@ -90,7 +90,7 @@ class Mjlab(SimulatorFormat):
         )
         joints = "".join(
             f"    {re.escape(joint.name)!r}: ({joint.drive.kp or 0.0!r}, {joint.drive.kd or 0.0!r},"
-            f" {_number(joint.limits.torque, unlimited)}, {joint.drive.armature or 0.0!r},"
+            f" {_write_number(joint.limits.torque, unlimited)}, {joint.drive.armature or 0.0!r},"
             f" {joint.drive.coulomb or 0.0!r}, {joint.drive.viscous or 0.0!r}),\n"
             for joint in drives.plain.joints
         )
@@ -99,7 +99,7 @@ class Mjlab(SimulatorFormat):
             kind=kind,
             joints=joints,
             delay=drives.delay,
-            ranges=_ranges(drives),
+            ranges=_write_ranges(drives),
         )
         notes = drives.left_out("mjlab", delay=True)
         if drives.delay:
@@ -107,7 +107,7 @@ class Mjlab(SimulatorFormat):
         return text, (*notes, "ranges of links are in an ensemble, which keeps links possible")
 
 
-def _ranges(drives: ExportedDrives) -> str:
+def _write_ranges(drives: ExportedDrives) -> str:
     """Return the ranges of every field, from draws of the uncertainty, as Python text."""
     ensemble = draw_ensemble(drives.result, DRAWS, rng=SEED)
     low, _, high = ensemble.quantiles
@@ -123,7 +123,7 @@ def _ranges(drives: ExportedDrives) -> str:
     return text
 
 
-def _number(value: float, unlimited: str) -> str:
+def _write_number(value: float, unlimited: str) -> str:
     return repr(float(value)) if np.isfinite(value) else unlimited
 
 

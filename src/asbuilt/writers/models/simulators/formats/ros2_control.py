@@ -13,7 +13,7 @@ from asbuilt.writers.models.simulators.simulator_format import (
     ExportedDrives,
     SimulatorFormat,
 )
-from asbuilt.writers.programs.naming import yaml_string
+from asbuilt.writers.programs.naming import quote_yaml
 
 YAML = (".yaml", ".yml")
 
@@ -33,26 +33,26 @@ class Ros2Control(SimulatorFormat):
                 for joint in drives.plain.joints
             )
             more = ("pid_controller has no place for armature and friction",) if friction else ()
-            return _gains(drives), (*notes, *more)
-        return _tags(drives), (
+            return _write_gains(drives), (*notes, *more)
+        return _write_tags(drives), (
             *drives.left_out("ros2_control", offset=True, delay=True, gains=False),
             "ros2_control hands the parameters to the hardware component, which decides what to do"
             " with them",
         )
 
 
-def _tags(drives: ExportedDrives) -> str:
+def _write_tags(drives: ExportedDrives) -> str:
     root = Element("ros2_control", {"name": f"{drives.model.name}_as_built", "type": "system"})
     root.append(Comment(f" {drives.origin.replace('--', '- -')} "))
     plugin = SubElement(SubElement(root, "hardware"), "plugin")
     plugin.text = "mock_components/GenericSystem"
     for joint in drives.plain.joints:
-        _joint(SubElement(root, "joint", name=joint.name), joint, drives.delay)
+        _add_joint(SubElement(root, "joint", name=joint.name), joint, drives.delay)
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
 
-def _joint(element: Element, joint: Joint, delay: float) -> None:
+def _add_joint(element: Element, joint: Joint, delay: float) -> None:
     limits, drive = joint.limits, joint.drive
     commanded = "position" if drive.kp is not None else "effort"
     lowest, highest = (
@@ -79,9 +79,9 @@ def _joint(element: Element, joint: Joint, delay: float) -> None:
             SubElement(element, "param", name=name).text = repr(float(value))
 
 
-def _gains(drives: ExportedDrives) -> str:
+def _write_gains(drives: ExportedDrives) -> str:
     """Return the parameters of a PID controller from positions to efforts."""
-    names = f"[{', '.join(map(yaml_string, drives.model.joint_names))}]"
+    names = f"[{', '.join(map(quote_yaml, drives.model.joint_names))}]"
     lines = [
         f"# {drives.origin}",
         "pid_controller:",
@@ -93,7 +93,7 @@ def _gains(drives: ExportedDrives) -> str:
     ]
     for joint in drives.plain.joints:
         lines += [
-            f"      {yaml_string(joint.name)}:",
+            f"      {quote_yaml(joint.name)}:",
             f"        p: {joint.drive.kp or 0.0!r}",
             "        i: 0.0",
             f"        d: {joint.drive.kd or 0.0!r}",

@@ -29,7 +29,7 @@ class UsdOverlay(SimulatorFormat):
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the layer and its notes."""
         model = drives.plain
-        root = prim_name(model.name)
+        root = make_prim_name(model.name)
         lines = [
             "#usda 1.0",
             "(",
@@ -45,12 +45,14 @@ class UsdOverlay(SimulatorFormat):
             "{",
         ]
         for link in model.links:
-            lines += _indented(_over(link.name, ("PhysicsMassAPI",), _mass(link.inertia)), 1)
+            lines += _indent_lines(
+                _write_over(link.name, ("PhysicsMassAPI",), _write_mass(link.inertia)), 1
+            )
         lines += ['    over "joints"', "    {"]
         for joint in model.joints:
             axis = "angular" if joint.is_revolute else "linear"
             schemas = tuple(each.format(axis=axis) for each in SCHEMAS)
-            lines += _indented(_over(joint.name, schemas, _drive(joint, axis)), 2)
+            lines += _indent_lines(_write_over(joint.name, schemas, _write_drive(joint, axis)), 2)
         lines += ["    }", "}", ""]
         notes = (
             *drives.left_out("a USD joint"),
@@ -61,7 +63,7 @@ class UsdOverlay(SimulatorFormat):
         return "\n".join(lines), notes
 
 
-def _drive(joint: Joint, axis: str) -> Iterator[str]:
+def _write_drive(joint: Joint, axis: str) -> Iterator[str]:
     """Yield the attributes of a joint, coefficients of angular ones per degree."""
     per = PER_DEGREE if axis == "angular" else 1.0
     drive, limit = joint.drive, joint.limits.torque
@@ -78,7 +80,7 @@ def _drive(joint: Joint, axis: str) -> Iterator[str]:
     yield f"float physxJointAxis:{axis}:viscousFrictionCoefficient = {viscous!r}"
 
 
-def _mass(inertia: LinkInertia) -> Iterator[str]:
+def _write_mass(inertia: LinkInertia) -> Iterator[str]:
     """Yield the attributes of a link."""
     yield f"float physics:mass = {inertia.mass!r}"
     if inertia.mass <= 0.0:
@@ -86,26 +88,26 @@ def _mass(inertia: LinkInertia) -> Iterator[str]:
     moments, axes = np.linalg.eigh(inertia.inertia_about_com)
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
-    yield f"point3f physics:centerOfMass = {_tuple(inertia.com)}"
-    yield f"float3 physics:diagonalInertia = {_tuple(moments)}"
-    yield f"quatf physics:principalAxes = {_tuple(quaternion_from_rotation(axes))}"
+    yield f"point3f physics:centerOfMass = {_write_tuple(inertia.com)}"
+    yield f"float3 physics:diagonalInertia = {_write_tuple(moments)}"
+    yield f"quatf physics:principalAxes = {_write_tuple(quaternion_from_rotation(axes))}"
 
 
-def _over(name: str, schemas: tuple[str, ...], attributes: Iterator[str]) -> list[str]:
+def _write_over(name: str, schemas: tuple[str, ...], attributes: Iterator[str]) -> list[str]:
     listed = ", ".join(f'"{each}"' for each in schemas)
-    head = [f'over "{prim_name(name)}" (', f"    prepend apiSchemas = [{listed}]", ")", "{"]
+    head = [f'over "{make_prim_name(name)}" (', f"    prepend apiSchemas = [{listed}]", ")", "{"]
     return [*head, *(f"    {each}" for each in attributes), "}"]
 
 
-def _indented(lines: list[str], depth: int) -> list[str]:
+def _indent_lines(lines: list[str], depth: int) -> list[str]:
     return [f"{'    ' * depth}{line}" for line in lines]
 
 
-def _tuple(values: object) -> str:
+def _write_tuple(values: object) -> str:
     return f"({', '.join(repr(float(each)) for each in np.ravel(np.asarray(values)))})"
 
 
-def prim_name(name: str) -> str:
+def make_prim_name(name: str) -> str:
     """Return a valid name of a prim: letters, digits and underscores, no digit first."""
     valid = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return f"_{valid}" if not valid or valid[0].isdigit() else valid
