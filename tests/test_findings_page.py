@@ -11,7 +11,7 @@ from parsed_source import SOURCE, nodes_of
 
 HOUSE = Path(__file__).resolve().parents[1]
 PAGE = HOUSE / "docs" / "reference" / "findings.md"
-MAKERS = {"Finding", "link_finding"}
+MAKERS = {"Finding", "make_link_finding"}
 SEVERITIES = {"error", "warning", "info"}
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from asbuilt.cli.demos.arm import Demo, demo_document, describe_demo, run_demo
 from asbuilt.description.load import load_robot
-from asbuilt.writers.tables.tabular import json_text
+from asbuilt.writers.tables.tabular import format_json
 from command_line import documented_fields
 from shown_numbers import missing
 
@@ -60,7 +60,7 @@ def test_it_ends_in_one_screen_and_one_document(story: Demo) -> None:
     folder = str(story.files["report"].parent)
     assert all(len(line) <= 80 or folder in line for line in screen.splitlines())
     assert f"{len(story.files)} in {folder}" in screen
-    document = json.loads(json_text(demo_document(story)))
+    document = json.loads(format_json(demo_document(story)))
     assert set(document) == documented_fields()["demo"][0]
 
 

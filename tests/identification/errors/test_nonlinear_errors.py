@@ -23,7 +23,7 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.block_scatter import ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import estimate_nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
-from asbuilt.identification.identify import carrying, identify_samples
+from asbuilt.identification.identify import identify_samples, set_link_parameters
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.result import IdentificationResult
@@ -110,7 +110,7 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
         moved = drive.with_term(nonlinear.with_nonlinear({name: tuple(parameters.tolist())}))
         return observation_matrix(loading, *state, drive=moved, columns=base.columns)
 
-    loading = carrying(model, base, result.estimates) if drive.needs_load else model
+    loading = set_link_parameters(model, base, result.estimates) if drive.needs_load else model
     at = np.array([nonlinear.at(k).value(name) for k in range(n)])
     weights = np.tile(1.0 / result.sigma, samples.t.size)
     told = [

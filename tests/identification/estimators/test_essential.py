@@ -37,7 +37,7 @@ from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.models.physical import refuse_inconsistent_result
-from asbuilt.writers.tables.tabular import identify_document, json_text, tabulate_identified
+from asbuilt.writers.tables.tabular import format_json, identify_document, tabulate_identified
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 TOOL = LinkInertia.from_com(1.8, [0.03, -0.02, 0.09], np.diag([0.011, 0.009, 0.006]))
@@ -95,7 +95,7 @@ def test_files_say_null_and_not_zero(essential: IdentificationResult) -> None:
     study = Study(essential, essential.findings)
     stored, printed = (
         json.loads(essential.to_json()),
-        json.loads(json_text(identify_document(study))),
+        json.loads(format_json(identify_document(study))),
     )
     rows = list(csv.DictReader(io.StringIO(tabulate_identified(essential).as_csv())))
     for parameter, one, other, row in zip(
@@ -162,7 +162,7 @@ def test_compare_neither_tests_nor_counts_them(essential: IdentificationResult) 
     tested = sum(verdict in ("differs", "agrees") for verdict in verdicts.values())
     assert comparison.n_compared == tested == comparison.chi_square.degrees
     assert "dropped" in comparison.as_text(full=True)
-    json.loads(json_text(comparison.as_document()))
+    json.loads(format_json(comparison.as_document()))
 
 
 def test_a_parameter_dropped_on_one_side_is_no_change(
@@ -180,7 +180,7 @@ def test_a_parameter_dropped_on_one_side_is_no_change(
             f"{results[0].dropped.sum()} parameters that one result or both dropped are not tested"
         )
         assert said in " ".join(drift.as_text(full=True).split())
-        json.loads(json_text(drift.as_document()))
+        json.loads(format_json(drift.as_document()))
 
 
 def test_two_methods_on_one_recording_are_no_change_at_all(

@@ -17,7 +17,7 @@ from asbuilt.errors import ResultError
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.writers.figures.comparison_figures import draw_attribution
-from asbuilt.writers.tables.tabular import json_text
+from asbuilt.writers.tables.tabular import format_json
 
 ARM = "kuka-iiwa7-r800"
 
@@ -188,8 +188,8 @@ def test_another_description_is_attributed_too() -> None:
 def test_evidence_survives_json_and_its_absence_is_said() -> None:
     result = identified(ARM, "pf")
     again = IdentificationResult.from_json(result.to_json())
-    assert json.loads(json_text(attribute(again).as_document())) == json.loads(
-        json_text(attribute(result).as_document())
+    assert json.loads(format_json(attribute(again).as_document())) == json.loads(
+        format_json(attribute(result).as_document())
     )
     with pytest.raises(ResultError, match="identify again"):
         attribute(replace(result, cause_data=None))

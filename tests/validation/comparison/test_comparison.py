@@ -8,7 +8,7 @@ import numpy as np
 
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.prediction import validate_samples
-from asbuilt.writers.tables.tabular import json_text
+from asbuilt.writers.tables.tabular import format_json
 
 
 def test_differences_are_those_of_the_estimates(example: Any) -> None:
@@ -46,7 +46,7 @@ def test_text_csv_and_json_hold_the_same_numbers(example: Any) -> None:
     assert "RMS torque error" in text
     assert all(line == line.rstrip() for line in text.splitlines())
     rows = list(csv.DictReader(io.StringIO(comparison.as_csv())))
-    document = json.loads(json_text(comparison.as_document()))
+    document = json.loads(format_json(comparison.as_document()))
     assert len(rows) == len(document["parameters"]) == example.result.n_base
     for row, entry in zip(rows, document["parameters"], strict=True):
         assert float(row["as built"]) == entry["estimate"]

@@ -11,8 +11,8 @@ from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study
 from asbuilt.writers.tables.tabular import (
     base_document,
+    format_json,
     identify_document,
-    json_text,
     tabulate_identified,
     tabulate_prediction,
     validate_document,
@@ -50,14 +50,14 @@ def test_identify_document_has_the_promised_fields(example: Any, tmp_path: Path)
 def test_json_never_has_nan(example: Any) -> None:
     parameters = tuple(replace(p, cad=np.nan, std_error=np.inf) for p in example.result.parameters)
     result = replace(example.result, parameters=parameters, condition_number=np.inf)
-    text = json_text(identify_document(Study(result, result.findings)))
+    text = format_json(identify_document(Study(result, result.findings)))
     document = json.loads(
         text, parse_constant=lambda constant: (_ for _ in ()).throw(AssertionError(constant))
     )
     assert document["parameters"][0]["cad"] is None
     assert document["condition_number"] is None
     assert json.loads(
-        json_text(
+        format_json(
             {"a": np.array([1.0, np.nan]), "b": np.int64(3), "c": (np.bool_(True), Path("x"))}
         )
     ) == {
@@ -69,7 +69,7 @@ def test_json_never_has_nan(example: Any) -> None:
 
 def test_base_document_has_the_promised_fields(example: Any) -> None:
     base = example.result.base
-    document = json.loads(json_text(base_document(base, example.model)))
+    document = json.loads(format_json(base_document(base, example.model)))
     assert {"robot", "n_standard", "n_base", "parameters", "standard"} <= document.keys()
     assert (
         document["n_standard"]
@@ -102,7 +102,7 @@ def test_parameters_csv_reads_back_to_the_bit(example: Any) -> None:
 
 def test_validation_tables(example: Any) -> None:
     validation = validate_samples(example.result, example.held_out)
-    document = json.loads(json_text(validate_document(example.result, [validation])))
+    document = json.loads(format_json(validate_document(example.result, [validation])))
     assert document["validation"][0]["rms"] == validation.metrics_as_built.rms.tolist()
     predicted = tabulate_prediction(validation)
     assert len(predicted.rows) == len(validation.t)

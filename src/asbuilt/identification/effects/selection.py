@@ -266,9 +266,9 @@ class Selection:
             if (each.effect.kind, each.joint) == (own.effect.kind, own.joint)
             and each.at not in self.impossible
             and (each.effect.key in self.applied) >= (own.effect.key in self.applied)
-            and not (each.term and any(p.fitted for p in each.term.nonlinear))  # at trial values
+            and not _has_trial_values(each)
         ]
-        if len({each.at for each in alike}) < 2:
+        if _has_trial_values(own) or len({each.at for each in alike}) < 2:
             return None
         trials = self._trials_beside([each for each in self.taken if each is not own], alike)
         n, robot = len({each.at for each in self.equations.candidates}), self.equations.robot
@@ -579,6 +579,12 @@ def _look_alike(taken: Trial, other: Trial) -> bool:
     """
     lag = taken.relief - other.relief
     return not _exceeds(lag, 1.0) and other.worth > RULES.alike * taken.worth
+
+
+def _has_trial_values(candidate: Candidate) -> bool:
+    """Return whether an effect has nonlinear parameters whose values are not fitted yet."""
+    term = candidate.term
+    return term is not None and any(each.fitted for each in term.nonlinear)
 
 
 def _is_same(candidate: Candidate, other: Candidate) -> bool:
