@@ -204,10 +204,11 @@ class _Search:
         added = [each.candidate for each in path if each.candidate.effect.key in self.applied]
         turned, _ = self._without([each for each in removed if each.at[0] in self.applied])
         drive, fitted, undetermined = self._fitted(turned, added)
+        right = not any(each.effect.of_log for each in removed)
         found = tuple(
             self._found(trial, selection, of_trial)
             for trial, of_trial in taken
-            if trial.candidate.at not in undetermined and self._matters(trial, of_trial)
+            if trial.candidate.at not in undetermined and self._matters(trial, of_trial, right)
         )
         out = [each for each in selection.taken if each not in added]
         known = {each.at: _select_acting(each, selection) for each in removed}
@@ -233,18 +234,18 @@ class _Search:
             None,
         )
 
-    def _matters(self, trial: Trial, errors: tuple[float, float]) -> bool:
+    def _matters(self, trial: Trial, errors: tuple[float, float], right: bool) -> bool:
         """Return whether an effect is named: in the model, or much of the torque error.
 
-        An effect at a joint of small torques is named if it lowers that joint's error.
+        An effect at a joint of small torques is named if it lowers that joint's error: beside an
+        error of the log, what that leaves would be named, so only if it is one, too.
         """
         before, after = errors
         effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
-        of_joint = trial.candidate.joint is not None and (
-            not trial.relief.size or trial.relief.mean() > RULES.named
-        )
-        return effect.key in self.applied or falls or of_joint
+        lowers = after < before and trial.relief.size and trial.relief.mean() > RULES.named
+        of_joint = trial.candidate.joint is not None and (not trial.relief.size or lowers)
+        return effect.key in self.applied or falls or (of_joint and (right or effect.of_log))
 
     def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the stated effects that are sure and large enough, and the selection beside them.
