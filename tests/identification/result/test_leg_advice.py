@@ -65,7 +65,7 @@ def test_findings_of_legs_name_no_held_robot(shared: Path) -> None:
     assert all(f.cure is None or f.cure.call != "design_motion" for f in check.findings)
     study = identify(model, whole, effects="none", method="wls")
     (finding,) = (each for each in study.findings if each.code == "weak_excitation")
-    assert "20 s of lifting one foot after the other" in finding.message
+    assert "lifting one foot after the other" in finding.message
     assert finding.message.count("halve") == 1
     assert not study.determination.advice
     samples = prepare_samples(replace(whole, contact=0.0 * whole.contact), study.result.chain)

@@ -33,6 +33,12 @@ UNRESOLVED = 0.25
 """Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
 quarter.
 """
+SPREAD = 0.5
+"""How far a low-pass spreads a step to either side, in periods of its cutoff: the half width of its
+impulse response. There a contact counts as closed. Until the response has settled to 1 %, 1.6
+periods, intervals of virtual robots that hop hold more (72 % for 58), but nearly nothing is left of
+the swing of a real Solo12: its other motion is predicted to 3.7 % in place of 3.1.
+"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
 
@@ -344,20 +350,5 @@ def assemble_samples(
         delay=plan.chain.delays,
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
-        contact=recording.closed_contacts(t, _spread(plan)),
+        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf)),
     )
-
-
-def _spread(plan: FilterPlan) -> float:
-    """Return how far [s] the low-pass spreads an impact, where a contact counts as closed.
-
-    That is until its impulse response has settled to 1 %, some 1.5 periods of the cutoff. Within
-    half a period, its half width, accelerations of a foot that strikes are still a tenth of it.
-    """
-    chain = plan.chain
-    if chain.cutoff is None:
-        return 0.0
-    settled = settling_samples(
-        chain.cutoff, plan.rate, order=chain.order, corrected=chain.corrected
-    )
-    return settled / plan.rate
