@@ -296,9 +296,8 @@ def test_parameters_at_the_motor():
         ),
     )
     drive = DriveSet.parse("viscous,spring,balancer,offset")
-    result = identify_samples(
-        turned, recorded(turned, drive, np.tile([1.0, 3.0, 0.4, 0.5, 0.0, 0.0, 0.2], 3)), drive=drive
-    )
+    values = np.tile([1.0, 3.0, 0.4, 0.5, 0.0, 0.0, 0.2], 3)
+    result = identify_samples(turned, recorded(turned, drive, values), drive=drive)
     found = {each.name: each.motor_side / each.joint_side for each in motor_side_parameters(result)}
     assert {name[:2]: np.sign(ratio) for name, ratio in found.items()} == {
         "Fv": 1.0,
