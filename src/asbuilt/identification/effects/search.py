@@ -237,15 +237,18 @@ class _Search:
     def _matters(self, trial: Trial, errors: tuple[float, float], right: bool) -> bool:
         """Return whether an effect is named: in the model, or much of the torque error.
 
-        An effect at a joint of small torques is named if it lowers that joint's error: beside an
-        error of the log, what that leaves would be named, so only if it is one, too.
+        An effect at a joint of small torques is named if it lowers that joint's error, on a `right`
+        log: with an error of the log, what that leaves would be named.
         """
         before, after = errors
         effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
-        lowers = after < before and trial.relief.size and trial.relief.mean() > RULES.named
-        of_joint = trial.candidate.joint is not None and (not trial.relief.size or lowers)
-        return effect.key in self.applied or falls or (of_joint and (right or effect.of_log))
+        asked = trial.candidate.joint is not None and (right or effect.of_log)
+        # What is taken out of robot or log has no relief.
+        lowers = not len(trial.relief) or (
+            after < before and bool(trial.relief.mean() > RULES.named)
+        )
+        return effect.key in self.applied or falls or (asked and lowers)
 
     def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the stated effects that are sure and large enough, and the selection beside them.
