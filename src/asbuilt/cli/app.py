@@ -214,13 +214,14 @@ def _flush_output(status: int) -> int:
     """Write what is buffered; a full disk or a closed pipe is an error that is reported once."""
     if sys.stdout is None or sys.stderr is None:
         return status
-    try:
-        sys.stdout.flush()
-    except OSError as problem:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(problem, BrokenPipeError):
-            _say(FULL_DISK)
-        return status or 1
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError as problem:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            if stream is sys.stdout and not isinstance(problem, BrokenPipeError):
+                _say(FULL_DISK)
+            status = status or 1
     return status
 
 
