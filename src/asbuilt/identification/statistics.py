@@ -1,4 +1,4 @@
-"""Confidence intervals of estimates."""
+"""Confidence intervals of estimates, and means of paired differences."""
 
 from __future__ import annotations
 
@@ -38,3 +38,13 @@ def confidence_intervals(
         )
     width = stdtrit(degrees_of_freedom, 0.5 + 0.5 * level) * std_errors
     return np.column_stack([estimates - width, estimates + width])
+
+
+def estimate_mean_error(values: Array) -> float:
+    """Return the standard error of the mean of independent values (n,), n at least 2."""
+    return float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def exceeds(excess: Array, standard_errors: float) -> bool:
+    """Return whether the mean of paired differences (n,) is beyond so many standard errors."""
+    return bool(excess.mean() > standard_errors * estimate_mean_error(excess))

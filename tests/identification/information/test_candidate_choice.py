@@ -10,7 +10,6 @@ from three_links import DRIVE, recording
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.identification.information.candidate_choice import (
     Candidate,
-    _exceeds,
     choose_candidate,
 )
 from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
@@ -19,6 +18,7 @@ from asbuilt.identification.information.random_motion import (
     measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.statistics import exceeds
 
 
 def test_blocks_of_two_motions_are_told_apart(robot):
@@ -112,6 +112,6 @@ def test_beyond_a_standard_error_of_paired_differences():
     verdicts = []
     for _ in range(200):
         errors, others = rng.normal(0.3, size=8), rng.normal(size=8)
-        verdicts.append(_exceeds(errors - others, 1.0))
+        verdicts.append(exceeds(errors - others, 1.0))
         assert verdicts[-1] == (ttest_rel(errors, others).statistic > 1.0)
     assert 0.1 < np.mean(verdicts) < 0.9

@@ -31,6 +31,7 @@ from asbuilt.identification.information.square_root_information import (
     reduce_rows,
 )
 from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.statistics import estimate_mean_error
 
 Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
@@ -105,7 +106,7 @@ def measure_delay_relief(
             return None
     tiny = np.finfo(np.float64).tiny
     relief = np.log(np.maximum(errors[0], tiny) / np.maximum(errors[1], tiny))
-    return float(relief.mean()), float(relief.std(ddof=1) / np.sqrt(len(relief)))
+    return float(relief.mean()), estimate_mean_error(relief)
 
 
 def _fit_part(model: RobotModel, part: SquareRootInformation, weights: Array) -> Array:

@@ -44,6 +44,16 @@ class Candidate:
         """Key and joint, the same for every trial value of a nonlinear parameter."""
         return self.effect.key, self.joint
 
+    @property
+    def slot(self) -> tuple[str, int | None]:
+        """Kind and joint, of which a model has one effect."""
+        return self.effect.kind, self.joint
+
+    @property
+    def has_trial_values(self) -> bool:
+        """Whether it has nonlinear parameters whose values are not fitted yet."""
+        return self.term is not None and any(each.fitted for each in self.term.nonlinear)
+
 
 @dataclass(frozen=True, eq=False)
 class EffectEquations:

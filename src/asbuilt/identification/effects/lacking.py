@@ -44,11 +44,11 @@ class Lacking:
         `removed` are the values of effects that the equations are without.
         """
         own = list(out)
-        busy = {(each.effect.kind, each.joint) for each in selection.taken}
+        busy = {each.slot for each in selection.taken}
         for trial in sorted(selection.unsure, key=lambda each: -each.gain):
-            place = trial.candidate.effect.kind, trial.candidate.joint
-            if place not in busy and not trial.candidate.replaces.size:
-                busy.add(place)
+            slot = trial.candidate.slot
+            if slot not in busy and not trial.candidate.replaces.size:
+                busy.add(slot)
                 own.append(trial.candidate)
         if not own:
             return None

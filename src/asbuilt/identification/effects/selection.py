@@ -12,6 +12,7 @@ from scipy.special import chdtrc, fdtrc
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
+from asbuilt.identification.statistics import estimate_mean_error, exceeds
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,7 @@ class Trial:
     @property
     def relief_error(self) -> float:
         """Standard error of the mean relief."""
-        return _estimate_mean_error(self.relief)
+        return estimate_mean_error(self.relief)
 
     @property
     def worth(self) -> float:
@@ -218,12 +219,12 @@ class Selection:
         before: list[Trial] = []
         exchanged = False
         while True:
-            busy = {(each.effect.kind, each.joint) for each in self.taken}
+            busy = {each.slot for each in self.taken}
             every = self.equations.candidates
             left = [
                 each
                 for each in every
-                if (each.effect.kind, each.joint) not in busy
+                if each.slot not in busy
                 and each.at not in self.impossible
                 and (not each.effect.of_log or self._is_shown(each))
             ]
@@ -250,37 +251,38 @@ class Selection:
         What was worthiest when it was taken need not be so after what came later (Miller, Subset
         Selection in Regression, 2002, section 3.4). Returns whether any was.
         """
-        before = list(self.taken)
+        changed = False
         for k, old in enumerate(path):
             best = self._best_of_kind(old.candidate)
             if best is not None:
                 self.taken = [best.candidate if e is old.candidate else e for e in self.taken]
                 path[k] = replace(best, alternatives=old.alternatives)
-        return self.taken != before
+                changed = True
+        return changed
 
     def _best_of_kind(self, own: Candidate) -> Trial | None:
         """Return what of an effect's kind predicts other motion best and surely better, or None."""
         alike = [
             each
             for each in self.equations.candidates
-            if (each.effect.kind, each.joint) == (own.effect.kind, own.joint)
+            if each.slot == own.slot
             and each.at not in self.impossible
             and (each.effect.key in self.applied) >= (own.effect.key in self.applied)
-            and not _has_trial_values(each)
+            and not each.has_trial_values
         ]
-        if _has_trial_values(own) or len({each.at for each in alike}) < 2:
+        if own.has_trial_values or len({each.at for each in alike}) < 2:
             return None
         trials = self._trials_beside([each for each in self.taken if each is not own], alike)
         n, robot = len({each.at for each in self.equations.candidates}), self.equations.robot
         now = next((each for each in trials if _is_same(each.candidate, own)), None)
-        better = [
+        taken = [
             each
             for each in trials
-            if each.candidate.at != own.at
-            and each.is_taken(n, robot, self.held)
-            and (now is None or _exceeds(each.relief - now.relief, RULES.certain))
+            if each.candidate.at != own.at and each.is_taken(n, robot, self.held)
         ]
-        return max(better, key=lambda each: float(each.relief.mean()), default=None)
+        if now is None:
+            return max(taken, key=_predicts, default=None)
+        return _find_better(taken, now, RULES.certain)
 
     def refutes_cad(self) -> bool:
         """Return whether bodies are farther from CAD than its prior lets them be.
@@ -561,15 +563,19 @@ def evaluate_worth(gain: float, n_columns: int) -> float:
 
 def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     """Return the trial of the same kind and joint that surely predicts other motion better."""
-    kind, joint = best.candidate.effect.kind, best.candidate.joint
-    better = [best]
-    for each in trials:
-        ahead = each.relief - best.relief
-        if (each.candidate.effect.kind, each.candidate.joint) == (kind, joint) and (
-            _exceeds(ahead, RULES.form)
-        ):
-            better.append(each)
-    return max(better, key=lambda each: float(each.relief.mean()))
+    forms = [each for each in trials if each.candidate.slot == best.candidate.slot]
+    return _find_better(forms, best, RULES.form) or best
+
+
+def _find_better(trials: Iterable[Trial], present: Trial, standard_errors: float) -> Trial | None:
+    """Return the trial that predicts other motion best, by so many standard errors better."""
+    better = [each for each in trials if exceeds(each.relief - present.relief, standard_errors)]
+    return max(better, key=_predicts, default=None)
+
+
+def _predicts(trial: Trial) -> float:
+    """Return how much a trial lowers the logarithm of the squared error on other motion."""
+    return float(trial.relief.mean())
 
 
 def _look_alike(taken: Trial, other: Trial) -> bool:
@@ -578,28 +584,12 @@ def _look_alike(taken: Trial, other: Trial) -> bool:
     As well: within one standard error of the paired differences.
     """
     lag = taken.relief - other.relief
-    return not _exceeds(lag, 1.0) and other.worth > RULES.alike * taken.worth
-
-
-def _has_trial_values(candidate: Candidate) -> bool:
-    """Return whether an effect has nonlinear parameters whose values are not fitted yet."""
-    term = candidate.term
-    return term is not None and any(each.fitted for each in term.nonlinear)
+    return not exceeds(lag, 1.0) and other.worth > RULES.alike * taken.worth
 
 
 def _is_same(candidate: Candidate, other: Candidate) -> bool:
     """Return whether two candidates are one effect in one form."""
     return candidate.at == other.at and np.array_equal(candidate.places, other.places)
-
-
-def _exceeds(excess: Array, standard_errors: float) -> bool:
-    """Return whether the mean of differences is beyond so many standard errors."""
-    return bool(excess.mean() > standard_errors * _estimate_mean_error(excess))
-
-
-def _estimate_mean_error(values: Array) -> float:
-    """Return the standard error of a mean."""
-    return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
 def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:

@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 from asbuilt.arrays import Array
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.statistics import exceeds
 
 SMALLEST_INFORMATION = 1e-11
 """Scaled information, relative to the largest, below which least squares determine nothing."""
@@ -154,19 +155,14 @@ def choose_candidate(
     # Probability by which physically inconsistent values that predict no better are chosen.
     surely = float(stdtrit(max(len(parts) - 1, 1), 1.0 - 0.05))
     for c in range(len(candidates)):
-        if c not in consistent and _exceeds(totals[best] - totals[c], surely):
+        if c not in consistent and exceeds(totals[best] - totals[c], surely):
             best = c
     chosen = next(
         c
         for c in range(len(candidates))
-        if c == best or (c in consistent and not _exceeds(totals[c] - totals[best], 1.0))
+        if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
     )
     return MotionChoice(tuple(candidates), chosen, best, errors, beyond, novelty, reach)
-
-
-def _exceeds(excess: Array, standard_errors: float) -> bool:
-    """Return whether the mean of paired differences is beyond so many standard errors."""
-    return bool(excess.mean() > standard_errors * excess.std(ddof=1) / np.sqrt(len(excess)))
 
 
 def _project_determined(rows: Array, root: Array) -> Array:
