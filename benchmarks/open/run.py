@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -162,27 +163,33 @@ def problems_of(task: Task, data: Path, scratch: Path) -> list[Problem]:
     ]
 
 
-def rows(task: Task, chosen: dict[str, Tool], data: Path) -> Iterator[dict[str, Any]]:
-    """Yield one row for each tool."""
+def rows(
+    task: Task, chosen: dict[str, Tool], data: Path, jobs: int = 1
+) -> Iterator[dict[str, Any]]:
+    """Yield one row for each tool; `jobs` tools run at a time, each on one core."""
     scratch = Path(tempfile.mkdtemp(prefix="asbuilt_open_"))
     try:
         problems = problems_of(task, data, scratch)
-        for tool in chosen.values():
-            head = {"task": task.name, "tool": tool.name}
-            reason = task.skips.get(tool.name)
-            if reason is not None:
-                yield head | {"note": reason}
-                continue
-            answers = [answered(tool, each, scratch) for each in problems]
-            found = scored(task, problems, answers)
-            yield head | {
-                "version": answers[0].get("version"),
-                **{key: found.get(key) for key in ("error", "coverage", "mass_ratio")},
-                **found,
-                "lines": tool.lines,
-            }
+        with ThreadPoolExecutor(jobs) as pool:
+            yield from pool.map(lambda tool: row(task, tool, problems, scratch), chosen.values())
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def row(task: Task, tool: Tool, problems: list[Problem], scratch: Path) -> dict[str, Any]:
+    """Return the row of one tool."""
+    head = {"task": task.name, "tool": tool.name}
+    reason = task.skips.get(tool.name)
+    if reason is not None:
+        return head | {"note": reason}
+    answers = [answered(tool, each, scratch) for each in problems]
+    found = scored(task, problems, answers)
+    return head | {
+        "version": answers[0].get("version"),
+        **{key: found.get(key) for key in ("error", "coverage", "mass_ratio")},
+        **found,
+        "lines": tool.lines,
+    }
 
 
 def store(row: dict[str, Any], path: Path) -> None:
@@ -217,6 +224,7 @@ def main() -> None:
     parser.add_argument("--task", action="append", choices=list(tasks()), default=[])
     parser.add_argument("--tool", action="append", choices=list(tools()), default=[])
     parser.add_argument("--install", action="store_true", help="make the tools' environments")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="tools at a time")
     parser.add_argument("--results", type=Path, default=RESULTS, help="file of results")
     parser.add_argument("--no-page", action="store_true", help="write no page")
     arguments = parser.parse_args()
@@ -236,14 +244,14 @@ def main() -> None:
                 reason = f"the digest of {', '.join(damaged)} differs from that of the task"
             print(json.dumps({"task": name, "tool": None, "note": reason}), flush=True)
             continue
-        for row in rows(task, chosen, data):
-            details = row.pop("details", None)
-            print(json.dumps(_rounded(row)), flush=True)
+        for found in rows(task, chosen, data, arguments.jobs):
+            details = found.pop("details", None)
+            print(json.dumps(_rounded(found)), flush=True)
             if details:
                 ROBOTS.mkdir(exist_ok=True)
                 (ROBOTS / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
-            if row["note"] != ABSENT:
-                store(row, arguments.results)
+            if found["note"] != ABSENT:
+                store(found, arguments.results)
     if not arguments.no_page:
         write_page(arguments.results)
 

@@ -30,6 +30,7 @@ from asbuilt.identification.errors.uncertainty import (
     estimate_block_uncertainty,
     estimate_textbook_uncertainty,
 )
+from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
@@ -223,33 +224,26 @@ def fit_samples(
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
-    def reduced(loading: RobotModel) -> tuple[SquareRootInformation, tuple[Array, ...]]:
+    def reduced(loading: RobotModel | None = None) -> EstimationData:
         seen = accumulate_stream(
-            loading, base, samples, block_seconds=block_seconds, threads=threads
+            loading or model, base, samples, block_seconds=block_seconds, threads=threads
         )
         less = () if expected is None else expected.torques(seen)
-        return (seen.less(less) if less else seen), less
-
-    def estimated(
-        seen: SquareRootInformation, less: tuple[Array, ...], loading: RobotModel | None = None
-    ) -> Estimate:
-        return estimator.estimate(
-            EstimationData(
-                model,
-                seen,
-                samples,
-                design,
-                undetermined,
-                block_seconds,
-                loading=loading,
-                less=less,
-            )
+        return EstimationData(
+            model,
+            seen.less(less) if less else seen,
+            samples,
+            design,
+            undetermined,
+            block_seconds,
+            loading=loading,
+            less=less,
         )
 
-    information, less = reduced(model)
-    estimate = estimated(information, less)
+    data = reduced()
     if base.drive.needs_load:
-        information, estimate = _with_own_load(model, information, estimate, reduced, estimated)
+        data = _settle_own_load(data, reduced)
+    information, estimate = data.information, estimator.estimate(data)
     nonlinear = None
     if fitted_nonlinear:
         nonlinear = estimate_nonlinear_errors(
@@ -307,23 +301,21 @@ def _estimate_uncertainty(
     return replace(uncertainty, basis=replace(uncertainty.basis, held_fixed=tuple(held)))
 
 
-def _with_own_load(
-    model: RobotModel,
-    information: SquareRootInformation,
-    estimate: Estimate,
-    reduced: Callable[[RobotModel], tuple[SquareRootInformation, tuple[Array, ...]]],
-    estimated: Callable[[SquareRootInformation, tuple[Array, ...], RobotModel], Estimate],
-) -> tuple[SquareRootInformation, Estimate]:
-    """Repeat until friction depends on the load of the estimate, not of CAD."""
-    base = information.base
+def _settle_own_load(
+    data: EstimationData, reduced: Callable[[RobotModel], EstimationData]
+) -> EstimationData:
+    """Repeat least squares until friction depends on the load that they find, not on that of CAD.
+
+    The load at the samples of the log is what they measured, whatever the masses behind it: an
+    estimator that chooses among masses has nothing to add.
+    """
+    beta = estimate_wls(data).beta
+    least = data.information.residual_energy(beta)
     for _ in range(LOAD.most):
-        loading = set_link_parameters(model, base, estimate.beta)
-        information, less = reduced(loading)
-        renewed = estimated(information, less, loading)
-        step = information.residual_energy(renewed.beta) / np.maximum(
-            information.residual_energy(estimate.beta), np.finfo(np.float64).tiny
-        )
-        estimate = renewed
-        if np.all(step > 1.0 - LOAD.convergence):
+        data = reduced(set_link_parameters(data.model, data.base, beta))
+        beta = estimate_wls(data).beta
+        energy = data.information.residual_energy(beta)
+        if np.all(energy > (1.0 - LOAD.convergence) * least):
             break
-    return information, estimate
+        least = np.minimum(energy, least)
+    return data
