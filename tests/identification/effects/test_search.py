@@ -17,10 +17,11 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.effects.as_identified import describe_stated
 from asbuilt.identification.effects.effect import EFFECTS, Described
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.effects.wanted import EffectsWanted
-from asbuilt.identification.identify import identify_samples
+from asbuilt.identification.identify import fit_samples, identify_samples
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
@@ -99,6 +100,29 @@ def test_described_springs_stay_while_others_are_found(trial) -> None:
     assert other.joint == alone.joint == case.model.joint_names[4]
     assert other.estimate == pytest.approx(alone.estimate, rel=1e-2)
     assert effects.drive == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
+
+
+def test_a_stated_effect_is_shown_as_one_that_is_found(trial) -> None:
+    """Value, error and torque errors without and with it are those of two roads."""
+    case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    springs = np.zeros(6)
+    springs[3] = 2.0
+    samples = sprung(case, springs)
+    (found,) = find_effects(case.model, DRIVE, [samples]).found
+    stated = DriveSet.parse("spring:joints=4")
+    drive = DRIVE.with_term(stated.terms[0])
+    fit = fit_samples(case.model, [samples], drive=drive, method="consistent")
+    (shown,) = describe_stated(stated, fit, fit.concluded(*fit.metrics([samples])))
+    assert (shown.effect, shown.joint, shown.unit) == (found.effect, found.joint, found.unit)
+    assert shown.in_model
+    assert shown.estimate == pytest.approx(2.0, abs=3.0 * shown.std_error)
+    assert shown.torque == pytest.approx(2.0 * np.sqrt(np.mean(samples.q[:, 3] ** 2)), rel=0.05)
+    # groups of like motion are formed with the column of the spring, and differ
+    assert shown.error_before == pytest.approx(found.error_before, rel=0.25)
+    assert shown.error_after == pytest.approx(found.error_after, rel=0.1)
+    named = find_effects(case.model, drive, [samples])
+    assert all(each.effect != "balancer" for each in named.found), "another form of the same"
+    assert not any(at == ("balancer", 3) for at in named.unseen), "it is not looked for"
 
 
 @pytest.mark.study

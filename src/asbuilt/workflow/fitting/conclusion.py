@@ -15,7 +15,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.drives.drive_choice import DriveChoice
-from asbuilt.identification.effects.as_identified import as_identified
+from asbuilt.identification.effects.as_identified import as_identified, describe_stated
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import report_effects
 from asbuilt.identification.effects.search import Effects
@@ -104,7 +104,11 @@ def conclude_study(
     lacking = fits.effects.lacking
     omitted = None if lacking is None else lacking.bias(fits.final)
     result = conclude(replace(fits.final, omitted=omitted))
-    result = replace(result, effects=tuple(as_identified(each, result) for each in named))
+    effects = (
+        *(as_identified(each, result) for each in named),
+        *describe_stated(options.wanted_effects.drive, fits.final, result),
+    )
+    result = replace(result, effects=effects)
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
     if attribution and options.wanted_effects.named:

@@ -55,13 +55,20 @@ class DriveEffect(Effect):
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the term at trial values of its nonlinear parameter, where it is not described.
 
-        Columns that are zero by a stated parameter, which come last, are left out.
+        Columns that are zero by a stated parameter, which come last, are left out. A joint whose
+        torque over position is described has no second one of another form.
         """
         term = self.term
         if not term.can_be_found or not (term.by_construction or robot.source in term.tried_for):
             return
-        own = next((each for each in robot.drive.terms if each.key == term.key), None)
-        joints = tuple(k for k in range(robot.model.n_joints) if own is None or not own.is_at(k))
+        own = [
+            each
+            for each in robot.drive.terms
+            if each.key == term.key or (each.by_construction and term.by_construction)
+        ]
+        joints = tuple(
+            k for k in range(robot.model.n_joints) if not any(each.is_at(k) for each in own)
+        )
         if not joints:
             return
         for form in self.forms:
