@@ -10,6 +10,7 @@ import numpy as np
 
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification.bodies.drive_prior import with_drive_scale
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
@@ -54,7 +55,7 @@ def describe_stated(
     predicted from the others and CAD.
     """
     information, estimate = fit.information, fit.estimate
-    prior = build_cad_prior(fit.model, fit.base.drive)
+    prior = with_drive_scale(build_cad_prior(fit.model, fit.base.drive), information)
     P = design_effect(information, estimate) * prior_information(information, prior)
     toward = P @ fit.base.regrouping @ prior.parameters
     groups = group_different_motions(information, estimate.weights)
