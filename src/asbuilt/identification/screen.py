@@ -39,7 +39,7 @@ class ScreenRules:
     finding_lines: int = 2
     fewest: int = 1
     joints: int = 12
-    effect_width: int = WIDTH - 18
+    effect_width: int = WIDTH - 16
 
 
 RULES = ScreenRules()
