@@ -216,6 +216,14 @@ def test_what_is_wanted_is_read_from_text() -> None:
     assert str(stated) == "spring:joints=2,tilt"
     with pytest.raises(UsageError, match="did you mean 'spring'"):
         StudyOptions(effects="sprang")
+    for key, why in {
+        "gain": "error of the log.*recording sheet",
+        "payload:joints=2": "part of the bodies",
+        "presliding": "no place in a model",
+        "tilt:joints=2": "whole robot",
+    }.items():
+        with pytest.raises(UsageError, match=why):
+            StudyOptions(effects=key)
     with pytest.raises(UsageError, match="neither auto, find or none"):
         StudyOptions(effects="auto,tilt")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, cast
 
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
 from asbuilt.errors import UsageError
 
 TILT = "tilt"
@@ -59,9 +59,31 @@ class EffectsWanted:
                 " spring:joints=2,tilt",
                 value=text,
             )
+        for part in terms:
+            _refuse_without_place(part.partition(":")[0])
         return cls("list", DriveSet.parse(terms) if terms else DriveSet(), TILT in parts)
 
     def __str__(self) -> str:
         if self.choice != "list":
             return self.choice
         return ",".join((*self.drive.specifications, *([TILT] if self.tilt else [])))
+
+
+def _refuse_without_place(key: str) -> None:
+    """Refuse an effect that no list can put into a model, with where it belongs."""
+    if key in available_terms():
+        return
+    from asbuilt.identification.effects.effect import EFFECTS  # noqa: PLC0415 - light start
+
+    effect = EFFECTS.get(key)
+    if effect is None:
+        return
+    if key == TILT:
+        why = "is one of the whole robot, and takes no joints"
+    elif effect.of_log:
+        why = "is an error of the log, which no model has; correct it in a recording sheet"
+    elif effect.in_model:
+        why = "is part of the bodies, which every model has; it is named where CAD lacks it"
+    else:
+        why = "has no place in a model; it is named where recordings show it"
+    raise UsageError(f"effect {key!r} ({effect.title}) {why}", value=key)
