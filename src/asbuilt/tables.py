@@ -178,6 +178,12 @@ def shorten_text(text: str, width: int) -> str:
     return head[: head.rindex(" ")].rstrip(" +-") + " ..."
 
 
+def preformat(text: str) -> str:
+    """Return text of fixed-width characters as HTML whose lines a notebook does not break."""
+    style = "white-space: pre; overflow-x: auto; font-size: 0.85em; line-height: 1.4"
+    return f'<pre style="{style}">{html.escape(text)}</pre>'
+
+
 def wrap_text(text: str, first: str = "", *, lines: int | None = None) -> str:
     """Break a text at spaces into lines of 80 columns, the later ones indented below the first.
 

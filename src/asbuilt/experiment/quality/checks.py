@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -50,7 +49,7 @@ from asbuilt.experiment.quality.torque.signal_checks import (
 from asbuilt.experiment.quality.torque.torque_checks import check_torques
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, join_names, rank_findings, undesigned
-from asbuilt.tables import WIDTH, wrap_text
+from asbuilt.tables import WIDTH, preformat, wrap_text
 
 TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
@@ -176,7 +175,7 @@ class RecordingCheck:
         return self.as_text()
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(self.as_text())}</pre>"
+        return preformat(self.as_text())
 
     def raise_errors(self, *, but: Collection[str] = ()) -> None:
         """Raise the first error whose code is not among `but`, if there is one.

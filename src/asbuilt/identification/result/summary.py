@@ -27,6 +27,7 @@ from asbuilt.tables import (
     format_estimate,
     format_share,
     number_notes,
+    preformat,
     round_beside,
     round_significant,
     wrap_text,
@@ -83,7 +84,7 @@ class Summary:
 
     def _repr_html_(self) -> str:
         """Return the text of one screen for notebooks; `as_html` has everything."""
-        return f"<pre>{html.escape(self.as_text())}</pre>"
+        return preformat(self.as_text())
 
     def as_text(self, full: bool = False, cure_text: Callable[[Cure], str] = str) -> str:
         """Return the summary in fixed-width characters, lines ending in a newline.
