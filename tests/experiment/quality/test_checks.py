@@ -424,7 +424,7 @@ def test_text_starts_with_the_verdict_and_fits_a_terminal(
     assert check_recording(iiwa, clean).headline.startswith("READY")
     assert max(map(len, check.as_text(full=True).splitlines())) <= 80
     assert "torque_flipped" in repr(check)
-    assert "ERROR torque_flipped" in check._repr_html_().removeprefix("<pre>").replace("  ", " ")
+    assert "ERROR torque_flipped" in check._repr_html_().replace("  ", " ")
 
 
 def test_findings_of_one_code_are_one_paragraph(iiwa: RobotModel, clean: Recording) -> None:
