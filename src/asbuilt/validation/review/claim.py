@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 ClaimVerdict = Literal["supported", "contradicted", "undetermined"]
 
@@ -48,13 +48,6 @@ class Claim:
     false_discovery: float | None = None
     alike: bool = False
     note: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and texts, ready for JSON."""
-        return {
-            name: list(value) if isinstance(value := getattr(self, name), tuple) else value
-            for name in self.__dataclass_fields__
-        }
 
     @property
     def label(self) -> str:

@@ -83,29 +83,15 @@ def review_servo_claims(
     return found
 
 
-def mark_servo_aliases(result: IdentificationResult, claims: Sequence[Claim]) -> list[Claim]:
-    """Return claims that name the unknown gains of servos among what they are aliases of."""
+def list_servo_aliases(result: IdentificationResult, what: str, joint: str) -> tuple[str, ...]:
+    """Return the unknown gains of the servo at a joint that a number is an alias of."""
     errors = result.servo_errors
-    if errors is None:
-        return [*claims]
-    gains = zip(errors.scale, errors.kd_unknown, strict=True)
-    own = dict(zip(result.joint_names, gains, strict=True))
-    return [
-        replace(
-            claim, alias_of=(*_list_correlated_gains(claim, own.get(claim.joint)), *claim.alias_of)
-        )
-        for claim in claims
-    ]
-
-
-def _list_correlated_gains(claim: Claim, servo: tuple[str, bool] | None) -> tuple[str, ...]:
-    if servo is None or claim.what not in SCALED:
+    if errors is None or what not in SCALED or joint not in result.joint_names:
         return ()
-    scale, kd_unknown = servo
-    return (
-        *([f"kp of {claim.joint}"] if scale != "given" else []),
-        *([f"kv of {claim.joint}"] if kd_unknown and claim.what == "damping" else []),
-    )
+    k = result.joint_names.index(joint)
+    stiffness = () if errors.scale[k] == "given" else (f"kp of {joint}",)
+    damping = (f"kv of {joint}",) if errors.kd_unknown[k] and what == "damping" else ()
+    return (*stiffness, *damping)
 
 
 def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:

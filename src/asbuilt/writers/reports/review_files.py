@@ -9,8 +9,9 @@ from typing import Any
 
 import polars as pl
 
-from asbuilt.codec import format_json
+from asbuilt.codec import format_json, make_plain
 from asbuilt.findings import Finding, join_names
+from asbuilt.identification.screen import format_effects
 from asbuilt.tables import (
     Cell,
     Column,
@@ -60,7 +61,8 @@ def review_document(review: Review) -> dict[str, Any]:
             "centre": tolerance.centre,
             "inertia": tolerance.inertia,
         },
-        "claims": [claim.as_dict() for claim in review.claims],
+        "claims": make_plain(review.claims),
+        "effects": make_plain(review.result.effects),
         "warnings": [{"code": each.code, "message": each.text} for each in review.findings],
     }
 
@@ -75,7 +77,9 @@ def review_text(
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
-    return "\n".join([head, *compose_letter(review), *findings, review_table(review).as_text(full)])
+    effects = format_effects(review.result.effects)
+    parts = [head, *compose_letter(review), *findings, *effects, review_table(review).as_text(full)]
+    return "\n".join(parts)
 
 
 def compose_letter(review: Review) -> list[str]:
@@ -202,7 +206,7 @@ def write_review(folder: Path, review: Review) -> dict[str, Path]:
 def tabulate_claims(review: Review) -> pl.DataFrame:
     """Return one row per claim, contradicted ones first, with the fields of `Claim`."""
     return pl.DataFrame(
-        [claim.as_dict() for claim in review.claims],
+        make_plain(review.claims),
         schema_overrides={
             **dict.fromkeys(
                 ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery"),
