@@ -279,7 +279,14 @@ class Selection:
             return None
         trials = self._trials_beside([each for each in self.taken if each is not own], alike)
         n, robot = self.n_asked, self.equations.robot
-        now = next((each for each in trials if _is_same(each.candidate, own)), None)
+        now = next(
+            (
+                each
+                for each in trials
+                if each.candidate.at == own.at and np.array_equal(each.candidate.places, own.places)
+            ),
+            None,
+        )
         taken = [
             each
             for each in trials
@@ -572,13 +579,13 @@ def evaluate_worth(gain: float, n_columns: int) -> float:
 
 def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     """Return the trial of the same kind and joint that surely predicts other motion better."""
-    forms = [each for each in trials if each.candidate.slot == best.candidate.slot]
+    forms = (each for each in trials if each.candidate.slot == best.candidate.slot)
     return _find_better(forms, best, RULES.form) or best
 
 
 def _find_better(trials: Iterable[Trial], present: Trial, standard_errors: float) -> Trial | None:
     """Return the trial that predicts other motion best, by so many standard errors better."""
-    better = [each for each in trials if exceeds(each.relief - present.relief, standard_errors)]
+    better = (each for each in trials if exceeds(each.relief - present.relief, standard_errors))
     return max(better, key=_predicts, default=None)
 
 
@@ -594,11 +601,6 @@ def _look_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> boo
     """
     lag = taken.relief - other.relief
     return not exceeds(lag, standard_errors) and other.worth > RULES.alike * taken.worth
-
-
-def _is_same(candidate: Candidate, other: Candidate) -> bool:
-    """Return whether two candidates are one effect in one form."""
-    return candidate.at == other.at and np.array_equal(candidate.places, other.places)
 
 
 def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:

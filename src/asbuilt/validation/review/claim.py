@@ -39,17 +39,12 @@ class Claim:
     joint: str
     unit: str
     claimed: float
-    estimate: float | None
-    std_error: float | None
-    verdict: ClaimVerdict
+    estimate: float | None = None
+    std_error: float | None = None
+    verdict: ClaimVerdict = "undetermined"
     alias_of: tuple[str, ...] = ()
     torque: float | None = None
     p_value: float | None = None
     false_discovery: float | None = None
     alike: bool = False
     note: str = ""
-
-    @property
-    def label(self) -> str:
-        """Name with the joint, such as "armature of elbow"."""
-        return f"{self.what} of {self.joint}"

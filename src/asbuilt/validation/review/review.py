@@ -172,7 +172,10 @@ def review_result(
     }
     relative = [scale[result.joint_names.index(drives[number.joint])] for number in numbers]
     reach = stretched_length(model)
-    profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
+    # The scale of torques comes last: with other errors it would be pulled toward zero where claims
+    # and recording disagree (Peelle, 1987).
+    scaled = np.nan_to_num(np.nan_to_num(whole) + profile.change) * relative
+    profile = replace(profile, std_error=np.hypot(profile.std_error, scaled))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
         _make_claim(result, numbers, profile, j, freedom, whole[j], reach)
@@ -209,7 +212,7 @@ def _make_claim(
     number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
     known = bool(np.isfinite(change) and np.isfinite(error))
     what = number.what if whole == number.claimed else TOGETHER
-    alike = [numbers[k].label for k in profile.aliases[j] if numbers[k].what != "unknown"]
+    others = [numbers[k] for k in profile.aliases[j] if numbers[k].what != "unknown"]
     claim = Claim(
         what,
         number.joint,
@@ -218,7 +221,10 @@ def _make_claim(
         whole + change if known else None,
         error if known else None,
         "supported" if known and error <= DETERMINED * number.size else "undetermined",
-        (*list_servo_aliases(result, what, number.joint), *alike),
+        (
+            *list_servo_aliases(result, what, number.joint),
+            *(f"{other.what} of {other.joint}" for other in others),
+        ),
     )
     if not known:
         return claim

@@ -71,27 +71,29 @@ def review_text(
     review: Review, *, full: bool = False, finding_text: Callable[[Finding], str] | None = None
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
-    head = wrap_text(review_headline(review))
     findings = [
         wrap_text(finding_text(each))
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
-    effects = format_effects(review.result.effects)
-    parts = [head, *compose_letter(review), *findings, *effects, review_table(review).as_text(full)]
-    return "\n".join(parts)
+    return "\n".join(
+        [
+            wrap_text(review_headline(review)),
+            *compose_letter(review),
+            *findings,
+            *format_effects(review.result.effects),
+            review_table(review).as_text(full),
+        ]
+    )
 
 
 def compose_letter(review: Review) -> list[str]:
     """Return the letter of the description with its rule; nothing if it has no masses."""
-    if review.letter is None:
-        return []
     sentence = (
         f"{review.letter}: the description predicts these recordings to"
-        f" {format_share(review.error)} of"
-        f" the torque ({LETTERS.text})"
+        f" {format_share(review.error)} of the torque ({LETTERS.text})"
     )
-    return [wrap_text(sentence)]
+    return [] if review.letter is None else [wrap_text(sentence)]
 
 
 def review_headline(review: Review) -> str:

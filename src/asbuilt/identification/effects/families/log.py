@@ -339,11 +339,8 @@ class Warming(_OfTorque):
         robot, (rigid, torque) = motion.robot, motion.torques
         changing = torque - rigid
         if variant.trial:
-            names = parameter_names(robot.model, robot.drive)
-            values = dict(zip(names, robot.chi.tolist(), strict=True))
-            changing = motion.qd * [
-                values.get(f"Fv{k + 1}", 0.0) for k in range(motion.qd.shape[1])
-            ]
+            own = dict(zip(parameter_names(robot.model, robot.drive), robot.chi, strict=True))
+            changing = motion.qd * [own.get(f"Fv{k + 1}", 0.0) for k in range(len(rigid[0]))]
         return [motion.elapsed[:, None] * changing]
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
