@@ -512,20 +512,6 @@ def test_another_form_is_an_alternative_unless_it_surely_predicts_worse(rows, jo
     assert found.alternatives == ((other.candidate,) if alike else ())
 
 
-@pytest.mark.parametrize("applied", [("spring",), ("spring", "cable"), ()])
-def test_what_a_model_can_have_gives_way_to_no_form_that_is_only_named(rows, applied) -> None:
-    """The cable surely predicts other motion better, and the spring is worth more."""
-    kind = {"kind": "position"}
-    spring = replace(held([1.0, 0.9, 1.0, 0.9]), candidate=candidate("spring", 0, 4, **kind))
-    cable = held([1.1, 1.01, 1.1, 1.01], worth=40.0)
-    cable = replace(cable, candidate=candidate("cable", 0, 5, **kind))
-    selection = rows.selection(applied=applied)
-    rounds = iter([[spring, cable], []])
-    selection.trials = lambda _: next(rounds)
-    (found,) = selection.run()
-    assert found.candidate is (spring if applied == ("spring",) else cable).candidate
-
-
 @pytest.mark.parametrize("imitators", [(), ("friction",)])
 def test_what_imitates_the_rest_of_an_effect_is_not_asked_for_near_it(imitators) -> None:
     coupling = candidate("coupling", 1, 4, imitators=imitators)

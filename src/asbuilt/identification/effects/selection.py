@@ -336,12 +336,9 @@ class Selection:
         return trials
 
     def _preferred(self, best: Trial, trials: Sequence[Trial]) -> Trial:
-        """Return the best form at its joint, or a look-alike where the model may not have it.
-
-        What the model may have gives way to no form that is only named.
-        """
+        """Return the best form at its joint, or a look-alike where the model may not have it."""
+        best = _best_form(best, trials)
         own = [each for each in trials if each.candidate.effect.key in self.applied]
-        best = _best_form(best, own if best in own else trials)
         alike = [each for each in own if _look_alike(best, each)]
         if best in own or not alike:
             return best
