@@ -31,7 +31,9 @@ DEGREES = re.compile(r"([+-]?[\d.]+)(?: \+- [\d.]+ deg)? about ([xy])")
 def named_effects(study: Study) -> tuple[Effect, ...]:
     """Return what a study names."""
     found = tuple(map(_effect, study.effects)) if APPLIED else ()
-    return tuple(dict.fromkeys((*found, *_from_findings(study))))
+    known = {each.name for each in found}
+    further = (each for each in _from_findings(study) if each.name not in known)
+    return tuple(dict.fromkeys((*found, *further)))
 
 
 def _field(each: Any, name: str, otherwise: Any = None) -> Any:

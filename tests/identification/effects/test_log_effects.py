@@ -242,6 +242,24 @@ def test_a_drifting_sensor_is_measured() -> None:
     assert error.estimate == pytest.approx(8.0, abs=4.0 * error.std_error)
 
 
+@pytest.mark.parametrize(("viscous", "coulomb"), [(0.5, 0.0), (0.3, 0.6)])
+def test_friction_that_falls_is_measured(viscous: float, coulomb: float) -> None:
+    """Viscous friction of 1 N m s/rad alone, or all friction by 30 % of what it is.
+
+    The share is of friction that was estimated without it, which moves by a tenth.
+    """
+
+    def warming(t: Array, q: Array, tau: Array) -> tuple[Array, Array, Array]:
+        speed = np.gradient(q[:, 4], t)
+        lost = viscous * speed + coulomb * np.sign(speed)
+        return t, q, tau - np.outer(lost * t / t[-1], np.eye(q.shape[1])[4])
+
+    (effect,) = found("ur10e", warming)
+    assert (effect.effect, effect.joint) == ("warming", "wrist_2_joint")
+    of_the_middle = -viscous / (1.0 - 0.5 * viscous)
+    assert effect.estimate == pytest.approx(of_the_middle, rel=0.1)
+
+
 @pytest.mark.study
 def test_the_cure_of_a_zero_position_is_a_field_of_a_sheet() -> None:
     said = findings("ur10e", logged(bundled_robot("ur10e"), zero_off(1, 0.035)))

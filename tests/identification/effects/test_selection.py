@@ -39,8 +39,9 @@ class Family(Effect):
 
     farthest = 100.0
 
-    def __init__(self, key, *, kind=None, of_log=False):
+    def __init__(self, key, *, kind=None, of_log=False, imitators=()):
         self.key, self.kind, self.of_log = key, kind or key, of_log
+        self.imitators = imitators
 
     def variants(self, robot):
         raise NotImplementedError
@@ -50,7 +51,7 @@ class Family(Effect):
 
 
 def candidate(key, joint, *places, **more):
-    own = {name: more.pop(name) for name in ("kind", "of_log") if name in more}
+    own = {name: more.pop(name) for name in ("kind", "of_log", "imitators") if name in more}
     return Candidate(Family(key, **own), joint, np.array(places), **more)
 
 
@@ -494,6 +495,32 @@ def test_what_counts_as_a_look_alike(rows, worth, relief, alike) -> None:
         first, second = (other, best) if alike and applied == ("other",) else (best, other)
         assert found.candidate is first.candidate
         assert found.alternatives == ((second.candidate,) if alike else ())
+
+
+@pytest.mark.parametrize(("joint", "alike"), [(0, True), (1, False)])
+def test_another_form_is_an_alternative_unless_it_surely_predicts_worse(rows, joint, alike) -> None:
+    """It predicts other motion worse by 1.2 standard errors of the differences."""
+    kind = {"kind": "position"}
+    name = replace(held([0.5, 0.4, 0.5, 0.4]), candidate=candidate("cable", 0, 4, **kind))
+    other = held([0.4, 0.42, 0.38, 0.42], worth=50.0)
+    other = replace(other, candidate=candidate("balancer", joint, 5, **kind))
+    selection = rows.selection(applied=("balancer",))
+    rounds = iter([[name, other], []])
+    selection.trials = lambda _: next(rounds)
+    (found,) = selection.run()
+    assert found.candidate is name.candidate
+    assert found.alternatives == ((other.candidate,) if alike else ())
+
+
+@pytest.mark.parametrize("imitators", [(), ("friction",)])
+def test_what_imitates_the_rest_of_an_effect_is_not_asked_for_near_it(imitators) -> None:
+    coupling = candidate("coupling", 1, 4, imitators=imitators)
+    friction = candidate("stribeck", 1, 5, kind="friction")
+    path = drawn({4: 2.0, 5: 0.7}).selection((coupling, friction)).run()
+    assert len(path) == 1 + (not imitators)
+    assert path[0].candidate.at == coupling.at
+    near = {("friction", 1), ("friction", 0)} if imitators else set()
+    assert coupling.busy == {("coupling", 1)} | near
 
 
 def test_what_came_later_exchanges_an_effect_for_a_better_one_of_its_kind() -> None:

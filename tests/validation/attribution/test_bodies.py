@@ -84,3 +84,28 @@ def test_a_link_of_another_mass_is_named_beside_links_that_scatter() -> None:
     assert not of("payload", explained(0.02, 20, link=3))
     masses = [each.parameters[9] for each in right]
     assert np.mean(masses) == pytest.approx(0.5 * MODEL.links[3].inertia.mass, rel=0.1)
+
+
+def test_one_payload_is_likelier_than_links_that_are_all_far_off() -> None:
+    """Few parameters of a SCARA show its bodies: 0.8 kg where links are off by 10 %.
+
+    Without a prior on the scatter it was named in 22 draws of 40.
+    """
+    scara = load_robot("scara")
+    base = find_base_parameters(scara, DriveSet.parse("armature,viscous,coulomb,offset"))
+    load = LinkInertia.from_com(0.8, [0.01, -0.01, 0.07], np.diag([0.003, 0.002, 0.001]))
+    rng, payloads, false = np.random.default_rng(3), 0, 0
+    for _ in range(40):
+        links = np.array([scattered(each.inertia, 0.1, rng) for each in scara.links])
+        noise = NOISE * rng.normal(size=base.n_base)
+        for added in (load.parameters, np.zeros(10)):
+            links[scara.tool_link] += added
+            away = np.zeros(base.n_standard)
+            away[: links.size] = links.ravel() - np.array(scara.parameters).ravel()
+            links[scara.tool_link] -= added
+            C = NOISE**2 * np.eye(base.n_base)
+            bodies = explain_bodies(scara, base, base.values(away) + noise, C).bodies
+            payloads += any(each.key == "payload" for each in bodies) and bool(added.any())
+            false += bool(bodies) and not added.any()
+    assert payloads >= 30
+    assert false <= 2

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 from asbuilt import load_robot, review, simulate_recording
+from asbuilt.codec import make_plain
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.writers.files import with_files
 from asbuilt.writers.reports.review_files import review_document, write_review
@@ -26,7 +27,7 @@ def files(found, tmp_path_factory):
 
 def test_tables_have_every_claim_unrounded(found, files):
     frame = pl.read_parquet(files["parquet"])
-    assert frame.to_dicts() == [claim.as_dict() for claim in found.claims]
+    assert frame.to_dicts() == make_plain(found.claims)
     with files["table"].open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["what"] for row in rows] == [claim.what for claim in found.claims]

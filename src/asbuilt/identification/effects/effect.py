@@ -108,6 +108,8 @@ class Effect(ABC):
     """Name in sentences."""
     kind: ClassVar[str] = ""
     """What it is a form of, such as torque over position; a joint has one effect of a kind."""
+    imitators: ClassVar[tuple[str, ...]] = ()
+    """Kinds that imitate, at its joint and the one before, what its columns leave of it."""
     in_model: ClassVar[bool] = False
     """Whether a model can have it; others are named."""
     of_log: ClassVar[bool] = False

@@ -50,6 +50,12 @@ class Candidate:
         return self.effect.kind, self.joint
 
     @property
+    def busy(self) -> set[tuple[str, int | None]]:
+        """Kinds and joints that nothing else is asked for once it is taken."""
+        near = () if self.joint is None else (self.joint, self.joint - 1)
+        return {self.slot, *((kind, k) for kind in self.effect.imitators for k in near)}
+
+    @property
     def has_trial_values(self) -> bool:
         """Whether it has nonlinear parameters whose values are not fitted yet."""
         return self.term is not None and any(each.fitted for each in self.term.nonlinear)

@@ -208,7 +208,8 @@ class _Search:
         found = tuple(
             self._found(trial, selection, of_trial)
             for trial, of_trial in taken
-            if trial.candidate.at not in undetermined and self._matters(trial, of_trial, right)
+            if trial.candidate.at not in undetermined
+            and self._matters(trial, of_trial, selection, right)
         )
         out = [each for each in selection.taken if each not in added]
         known = {each.at: _select_acting(each, selection) for each in removed}
@@ -234,21 +235,24 @@ class _Search:
             None,
         )
 
-    def _matters(self, trial: Trial, errors: tuple[float, float], right: bool) -> bool:
-        """Return whether an effect is named: in the model, or much of the torque error.
+    def _matters(
+        self, trial: Trial, errors: tuple[float, float], selection: Selection, right: bool
+    ) -> bool:
+        """Return whether an effect is named: in the model, or surely much of the torque error.
 
-        An effect at a joint of small torques is named if it lowers that joint's error, on a `right`
-        log: with an error of the log, what that leaves would be named.
+        Surely: by the fall of the cost, too, as no prediction tests what is only named. At a joint
+        any such fall is much, however small its torques are, on a `right` log: with an error of the
+        log, what that leaves would be named.
         """
         before, after = errors
         effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
         asked = trial.candidate.joint is not None and (right or effect.of_log)
         # What is taken out of robot or log has no relief.
-        lowers = not len(trial.relief) or (
-            after < before and bool(trial.relief.mean() > RULES.named)
+        sure = not len(trial.relief) or (
+            after < before and trial.chance * selection.n_asked <= RULES.level
         )
-        return effect.key in self.applied or falls or (asked and lowers)
+        return effect.key in self.applied or (sure and (falls or asked))
 
     def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the stated effects that are sure and large enough, and the selection beside them.

@@ -39,12 +39,12 @@ class SelectionRules:
     not more exact."""
     named: float = 0.06
     """Fall of the logarithm of the squared error on other motion, mean over joints, from which on
-    an effect that the model has not is named: 3 % of the torque error."""
+    an effect of the whole robot that the model has not is named: 3 % of the torque error."""
     imitated: float = 10.0
     """Fall of the cost, in its unit, that bodies nearer to CAD must be worth where the held-out
     error does not fall: they imitated the effect. 4.5 standard errors."""
     alike: float = 0.5
-    """Share of the fall of the cost from which on another effect is a look-alike."""
+    """Share of the worth from which on another effect is a look-alike."""
     shown: float = 1e-3
     """Squared part of a column outside all others below which a log does not show an effect."""
     separate: float = 1e-6
@@ -98,6 +98,11 @@ class Trial:
     def relief_error(self) -> float:
         """Standard error of the mean relief."""
         return estimate_mean_error(self.relief)
+
+    @property
+    def chance(self) -> float:
+        """Probability of such a fall of the cost by chance."""
+        return float(chdtrc(len(self.values), 2.0 * self.gain))
 
     @property
     def worth(self) -> float:
@@ -219,7 +224,7 @@ class Selection:
         before: list[Trial] = []
         exchanged = False
         while True:
-            busy = {each.slot for each in self.taken}
+            busy = {slot for each in self.taken for slot in each.busy}
             every = self.equations.candidates
             left = [
                 each
@@ -273,8 +278,15 @@ class Selection:
         if own.has_trial_values or len({each.at for each in alike}) < 2:
             return None
         trials = self._trials_beside([each for each in self.taken if each is not own], alike)
-        n, robot = len({each.at for each in self.equations.candidates}), self.equations.robot
-        now = next((each for each in trials if _is_same(each.candidate, own)), None)
+        n, robot = self.n_asked, self.equations.robot
+        now = next(
+            (
+                each
+                for each in trials
+                if each.candidate.at == own.at and np.array_equal(each.candidate.places, own.places)
+            ),
+            None,
+        )
         taken = [
             each
             for each in trials
@@ -283,6 +295,11 @@ class Selection:
         if now is None:
             return max(taken, key=_predicts, default=None)
         return _find_better(taken, now, RULES.certain)
+
+    @property
+    def n_asked(self) -> int:
+        """Number of effects and joints that are asked for."""
+        return len({each.at for each in self.equations.candidates})
 
     def refutes_cad(self) -> bool:
         """Return whether bodies are farther from CAD than its prior lets them be.
@@ -306,9 +323,8 @@ class Selection:
         error.
         """
         beside = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
-        n = len({each.at for each in self.equations.candidates})
         trials = self._trials_beside(beside, [candidate])
-        return any(each.is_taken(n, self.equations.robot, self.held) for each in trials)
+        return any(each.is_taken(self.n_asked, self.equations.robot, self.held) for each in trials)
 
     def _trials_beside(
         self, taken: list[Candidate], candidates: Iterable[Candidate]
@@ -563,13 +579,13 @@ def evaluate_worth(gain: float, n_columns: int) -> float:
 
 def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     """Return the trial of the same kind and joint that surely predicts other motion better."""
-    forms = [each for each in trials if each.candidate.slot == best.candidate.slot]
+    forms = (each for each in trials if each.candidate.slot == best.candidate.slot)
     return _find_better(forms, best, RULES.form) or best
 
 
 def _find_better(trials: Iterable[Trial], present: Trial, standard_errors: float) -> Trial | None:
     """Return the trial that predicts other motion best, by so many standard errors better."""
-    better = [each for each in trials if exceeds(each.relief - present.relief, standard_errors)]
+    better = (each for each in trials if exceeds(each.relief - present.relief, standard_errors))
     return max(better, key=_predicts, default=None)
 
 
@@ -578,27 +594,27 @@ def _predicts(trial: Trial) -> float:
     return float(trial.relief.mean())
 
 
-def _look_alike(taken: Trial, other: Trial) -> bool:
-    """Return whether another effect predicts other motion as well, for half the fall of the cost.
+def _look_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> bool:
+    """Return whether another effect predicts other motion as well, for half the worth.
 
-    As well: within one standard error of the paired differences.
+    As well: within so many standard errors of the paired differences.
     """
     lag = taken.relief - other.relief
-    return not exceeds(lag, 1.0) and other.worth > RULES.alike * taken.worth
-
-
-def _is_same(candidate: Candidate, other: Candidate) -> bool:
-    """Return whether two candidates are one effect in one form."""
-    return candidate.at == other.at and np.array_equal(candidate.places, other.places)
+    return not exceeds(lag, standard_errors) and other.worth > RULES.alike * taken.worth
 
 
 def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
-    """Return a trial with the look-alikes among those that were taken `before` and not `after`."""
+    """Return a trial with the look-alikes among those that were taken `before` and not `after`.
+
+    Another form at the same joint is one unless it predicts worse by as much as chooses a form.
+    """
     still = {taken.candidate.at, *(each.candidate.at for each in after)}
     found: dict[At, Candidate] = {}
     for each in before:
-        if each.candidate.at not in still and _look_alike(taken, each):
-            found.setdefault(each.candidate.at, each.candidate)
+        own = each.candidate
+        margin = RULES.form if own.slot == taken.candidate.slot else 1.0
+        if own.at not in still and _look_alike(taken, each, margin):
+            found.setdefault(own.at, own)
     return replace(taken, alternatives=tuple(found.values()))
 
 

@@ -38,6 +38,11 @@ class BodyRules:
 
 BODIES = BodyRules()
 SCATTERS = np.append(0.0, np.geomspace(*BODIES.scatters, BODIES.trials))
+SHARES = np.maximum(SCATTERS, BODIES.scatters[0])
+DOUBT = 2.0 * np.log((1.0 + SHARES**2) / (2.0 * SHARES))
+"""Minus twice the logarithm of the density of scatters, on a logarithmic scale, less that at 1: a
+half-Cauchy prior, as is usual for scales (Gelman, Bayesian Analysis 1, 2006). CAD says how far off
+it may be: links that are all off by their mass are less likely than one body."""
 AMOUNTS = np.geomspace(*BODIES.amounts, BODIES.trials)
 
 
@@ -122,7 +127,8 @@ def explain_bodies(
         found.append(Body(best.key, best.link, fit.mean(best.root), spread, tuple(alike)))
         own = K[:, best.link] @ best.root * fit.amount
         C, left = C + own @ own.T, [each for each in left if each.link != best.link]
-    ratio = alone.deviance[0].min() - alone.least
+    by_data = alone.deviance - DOUBT[:, None]
+    ratio = by_data[0].min() - by_data.min()
     return BodyDifference(tuple(found), float(chdtrc(1, max(ratio, 0.0))) < RULES.level)
 
 
@@ -174,7 +180,7 @@ def _list_candidates(model: RobotModel) -> Iterator[_Candidate]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Hold minus twice the logarithm of the likelihood by scatter and amount (S, A).
+    """Hold minus twice the logarithm of likelihood and prior by scatter and amount (S, A).
 
     `means` (S, m) and `covariances` (S, m, m) describe the coefficients of a body that is there
     for sure, of the largest amount: by a smaller one they are drawn to zero.
@@ -207,10 +213,7 @@ class _Fit:
 
     @property
     def _weights(self) -> Array:
-        """Likelihoods: scatters are equally likely before on a logarithmic scale.
-
-        A scatter that is taken as certain understates errors.
-        """
+        """Probabilities of the scatters: one that is taken as certain understates errors."""
         own = np.exp(-0.5 * (self.deviance.min(axis=1) - self.least))
         return np.asarray(own / own.sum())
 
@@ -246,7 +249,7 @@ class _Scale:
         g = AMOUNTS[:, None] ** 2 * w[:, None] ** 2
         kept = 1.0 / (1.0 + g)
         explained = ((1.0 - kept) @ along[..., None] ** 2)[..., 0]
-        unexplained = (2.0 * np.log(root) + y**2).sum(axis=1, keepdims=True)
+        unexplained = DOUBT[:, None] + (2.0 * np.log(root) + y**2).sum(axis=1, keepdims=True)
         largest, left = AMOUNTS[-1] ** 2, kept[:, -1]
         means = np.einsum("sm,smn->sn", largest * left * w * along, Vt)
         inner = np.eye(columns.shape[1]) + np.einsum("smk,sm,smn->skn", Vt, left - 1.0, Vt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 ClaimVerdict = Literal["supported", "contradicted", "undetermined"]
 
@@ -39,24 +39,12 @@ class Claim:
     joint: str
     unit: str
     claimed: float
-    estimate: float | None
-    std_error: float | None
-    verdict: ClaimVerdict
+    estimate: float | None = None
+    std_error: float | None = None
+    verdict: ClaimVerdict = "undetermined"
     alias_of: tuple[str, ...] = ()
     torque: float | None = None
     p_value: float | None = None
     false_discovery: float | None = None
     alike: bool = False
     note: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and texts, ready for JSON."""
-        return {
-            name: list(value) if isinstance(value := getattr(self, name), tuple) else value
-            for name in self.__dataclass_fields__
-        }
-
-    @property
-    def label(self) -> str:
-        """Name with the joint, such as "armature of elbow"."""
-        return f"{self.what} of {self.joint}"

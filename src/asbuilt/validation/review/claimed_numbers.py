@@ -46,11 +46,6 @@ class ClaimedNumber:
     spread: float
     column: Array
 
-    @property
-    def label(self) -> str:
-        """Name with the joint, such as "armature of elbow"."""
-        return f"{self.what} of {self.joint}"
-
 
 def list_claimed_numbers(
     model: RobotModel, drive: DriveSet, tolerance: CadTolerance

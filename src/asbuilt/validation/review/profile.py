@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,15 +34,6 @@ class Profile:
     std_error: Array
     aliases: tuple[tuple[int, ...], ...]
     misfit: float
-
-    def with_scale(self, claimed: Array, relative: Array) -> Profile:
-        """Return the profile with errors of the scale of torques, relative to each estimate (k,).
-
-        They are added last: beside other errors they would pull the scale toward zero where claims
-        and recording disagree (Peelle, 1987).
-        """
-        scaled = np.nan_to_num(claimed + self.change) * relative
-        return replace(self, std_error=np.hypot(self.std_error, scaled))
 
 
 def profile_numbers(

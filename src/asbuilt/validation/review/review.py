@@ -24,7 +24,7 @@ from asbuilt.validation.review.claimed_numbers import ClaimedNumber, list_claime
 from asbuilt.validation.review.profile import Profile, profile_numbers
 from asbuilt.validation.review.servo_claims import (
     TOGETHER,
-    mark_servo_aliases,
+    list_servo_aliases,
     review_servo_claims,
     scale_errors,
     servo_damping,
@@ -172,7 +172,10 @@ def review_result(
     }
     relative = [scale[result.joint_names.index(drives[number.joint])] for number in numbers]
     reach = stretched_length(model)
-    profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
+    # The scale of torques comes last: with other errors it would be pulled toward zero where claims
+    # and recording disagree (Peelle, 1987).
+    scaled = np.nan_to_num(np.nan_to_num(whole) + profile.change) * relative
+    profile = replace(profile, std_error=np.hypot(profile.std_error, scaled))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
         _make_claim(result, numbers, profile, j, freedom, whole[j], reach)
@@ -180,10 +183,9 @@ def review_result(
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
     claims += review_servo_claims(result, model, claims, peaks, motions)
-    judged = mark_servo_aliases(result, _limit_false_discoveries(claims, level))
     return Review(
         result.robot,
-        tuple(sorted(judged, key=_rank_claim)),
+        tuple(sorted(_limit_false_discoveries(claims, level), key=_rank_claim)),
         tolerance,
         profile.misfit,
         level,
@@ -209,15 +211,20 @@ def _make_claim(
     """
     number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
     known = bool(np.isfinite(change) and np.isfinite(error))
+    what = number.what if whole == number.claimed else TOGETHER
+    others = [numbers[k] for k in profile.aliases[j] if numbers[k].what != "unknown"]
     claim = Claim(
-        number.what if whole == number.claimed else TOGETHER,
+        what,
         number.joint,
         number.unit,
         whole,
         whole + change if known else None,
         error if known else None,
         "supported" if known and error <= DETERMINED * number.size else "undetermined",
-        tuple(numbers[k].label for k in profile.aliases[j] if numbers[k].what != "unknown"),
+        (
+            *list_servo_aliases(result, what, number.joint),
+            *(f"{other.what} of {other.joint}" for other in others),
+        ),
     )
     if not known:
         return claim

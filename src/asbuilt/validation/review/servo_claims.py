@@ -12,7 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 from asbuilt.identification.errors.block_scatter import student_probability
-from asbuilt.validation.review.claim import Claim, ClaimVerdict
+from asbuilt.validation.review.claim import Claim
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
@@ -30,6 +30,7 @@ MOST = 0.2
 """Largest share of samples beyond a torque limit: the fit must not rest on them; own choice."""
 FEWEST = 20
 """Fewest samples that show a torque limit."""
+OF_NO_SERVO = "the torque of this recording is not that of the servo"
 SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
@@ -78,41 +79,27 @@ def review_servo_claims(
         if joint.drive.kd and joint.name not in together:
             found.append(_claim_damping(result, k, joint.name, joint.drive.kd))
         if np.isfinite(joint.limits.torque) and peaks is not None:
-            limit = _claim_torque_limit(joint.name, joint.limits.torque, float(peaks[k]))
-            found.append(_test_torque_limit(limit, k, motions))
+            limit = Claim("forcerange", joint.name, "N m", joint.limits.torque)
+            found.append(_test_torque_limit(limit, k, float(peaks[k]), motions))
     return found
 
 
-def mark_servo_aliases(result: IdentificationResult, claims: Sequence[Claim]) -> list[Claim]:
-    """Return claims that name the unknown gains of servos among what they are aliases of."""
+def list_servo_aliases(result: IdentificationResult, what: str, joint: str) -> tuple[str, ...]:
+    """Return the unknown gains of the servo at a joint that a number is an alias of."""
     errors = result.servo_errors
-    if errors is None:
-        return [*claims]
-    gains = zip(errors.scale, errors.kd_unknown, strict=True)
-    own = dict(zip(result.joint_names, gains, strict=True))
-    return [
-        replace(
-            claim, alias_of=(*_list_correlated_gains(claim, own.get(claim.joint)), *claim.alias_of)
-        )
-        for claim in claims
-    ]
-
-
-def _list_correlated_gains(claim: Claim, servo: tuple[str, bool] | None) -> tuple[str, ...]:
-    if servo is None or claim.what not in SCALED:
+    if errors is None or what not in SCALED or joint not in result.joint_names:
         return ()
-    scale, kd_unknown = servo
-    return (
-        *([f"kp of {claim.joint}"] if scale != "given" else []),
-        *([f"kv of {claim.joint}"] if kd_unknown and claim.what == "damping" else []),
-    )
+    k = result.joint_names.index(joint)
+    stiffness = () if errors.scale[k] == "given" else (f"kp of {joint}",)
+    damping = (f"kv of {joint}",) if errors.kd_unknown[k] and what == "damping" else ()
+    return (*stiffness, *damping)
 
 
 def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
-    claim = Claim("kp", joint, "N m/rad", claimed, None, None, "undetermined")
+    claim = Claim("kp", joint, "N m/rad", claimed)
     errors, servo = result.servo_errors, result.servo
     if errors is None or servo is None:
-        return replace(claim, note="the torque of this recording is not that of the servo")
+        return replace(claim, note=OF_NO_SERVO)
     if errors.scale[k] == "given":
         return replace(claim, note=f"given as {servo.kp[k]:.6g}, not judged")
     estimate, error = servo.kp[k], errors.kp[k]
@@ -134,54 +121,41 @@ def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: 
 
 
 def _claim_damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
-    claim = Claim("kv", joint, "N m s/rad", claimed, None, None, "undetermined")
-    errors = result.servo_errors
-    if errors is None:
-        return replace(claim, note="the torque of this recording is not that of the servo")
-    if not errors.kd_unknown[k]:
-        return replace(claim, note="given, not judged")
-    return replace(claim, alias_of=(f"damping of {joint}",))
+    claim, errors = Claim("kv", joint, "N m s/rad", claimed), result.servo_errors
+    if errors is not None and errors.kd_unknown[k]:
+        return replace(claim, alias_of=(f"damping of {joint}",))
+    return replace(claim, note=OF_NO_SERVO if errors is None else "given, not judged")
 
 
-def _claim_torque_limit(joint: str, claimed: float, peak: float) -> Claim:
-    reached = "beyond the claim" if peak > claimed else "below it"
-    return Claim(
-        "forcerange",
-        joint,
-        "N m",
-        claimed,
-        None,
-        None,
-        "undetermined",
-        note=f"largest torque that the command asks for: {peak:.3g} N m, {reached}",
-    )
-
-
-def _test_torque_limit(claim: Claim, k: int, motions: Sequence[Validation]) -> Claim:
+def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Validation]) -> Claim:
     """Return the claim of a torque limit, judged where the command asks for more than it.
 
     The estimate is the mean torque of the motion there, its error that of single samples within the
     limit. A motion that has the torque asked for contradicts the limit, one that has the torque of
-    the limit supports it.
+    the limit supports it. `peak` is the largest torque that the command asks for.
     """
-    if not motions:
-        return claim
-    asked = np.concatenate([each.measured[:, k] for each in motions])
-    moved = np.concatenate([each.predicted[:, k] for each in motions])
+    asked = np.concatenate([np.zeros(0), *(each.measured[:, k] for each in motions)])
+    moved = np.concatenate([np.zeros(0), *(each.predicted[:, k] for each in motions)])
     beyond = np.abs(asked) > (1.0 + BEYOND) * claim.claimed
     within = np.abs(asked) <= claim.claimed
     if np.count_nonzero(beyond) < FEWEST or np.mean(~within) > MOST:
-        return claim
+        reached = "beyond the claim" if peak > claim.claimed else "below it"
+        note = f"largest torque that the command asks for: {peak:.3g} N m, {reached}"
+        return replace(claim, note=note)
     error = float(np.sqrt(np.mean((asked - moved)[within] ** 2)))
-    reached = float(np.mean((moved * np.sign(asked))[beyond]))
+    moves = float(np.mean((moved * np.sign(asked))[beyond]))
     wanted = float(np.mean(np.abs(asked[beyond])))
-    more, clear = reached - claim.claimed, 2.0 * error
-    follows = abs(wanted - reached) < FOLLOWED * (wanted - claim.claimed)
-    if follows and more > max(BEYOND * claim.claimed, clear):
-        verdict: ClaimVerdict = "contradicted"
-    elif abs(more) <= max(BEYOND * claim.claimed, error) and wanted - claim.claimed > clear:
-        verdict = "supported"
-    else:
-        verdict = "undetermined"
-    said = f"the motion has {reached:.3g} N m where the command asks for {wanted:.3g} N m"
-    return replace(claim, estimate=reached, std_error=error, verdict=verdict, note=said)
+    more, clear, little = moves - claim.claimed, 2.0 * error, BEYOND * claim.claimed
+    follows = abs(wanted - moves) < FOLLOWED * (wanted - claim.claimed)
+    held = abs(more) <= max(little, error) and wanted - claim.claimed > clear
+    return replace(
+        claim,
+        estimate=moves,
+        std_error=error,
+        verdict="contradicted"
+        if follows and more > max(little, clear)
+        else "supported"
+        if held
+        else "undetermined",
+        note=f"the motion has {moves:.3g} N m where the command asks for {wanted:.3g} N m",
+    )

@@ -9,8 +9,9 @@ from typing import Any
 
 import polars as pl
 
-from asbuilt.codec import format_json
+from asbuilt.codec import format_json, make_plain
 from asbuilt.findings import Finding, join_names
+from asbuilt.identification.screen import format_effects
 from asbuilt.tables import (
     Cell,
     Column,
@@ -60,7 +61,8 @@ def review_document(review: Review) -> dict[str, Any]:
             "centre": tolerance.centre,
             "inertia": tolerance.inertia,
         },
-        "claims": [claim.as_dict() for claim in review.claims],
+        "claims": make_plain(review.claims),
+        "effects": make_plain(review.result.effects),
         "warnings": [{"code": each.code, "message": each.text} for each in review.findings],
     }
 
@@ -69,25 +71,29 @@ def review_text(
     review: Review, *, full: bool = False, finding_text: Callable[[Finding], str] | None = None
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
-    head = wrap_text(review_headline(review))
     findings = [
         wrap_text(finding_text(each))
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
-    return "\n".join([head, *compose_letter(review), *findings, review_table(review).as_text(full)])
+    return "\n".join(
+        [
+            wrap_text(review_headline(review)),
+            *compose_letter(review),
+            *findings,
+            *format_effects(review.result.effects),
+            review_table(review).as_text(full),
+        ]
+    )
 
 
 def compose_letter(review: Review) -> list[str]:
     """Return the letter of the description with its rule; nothing if it has no masses."""
-    if review.letter is None:
-        return []
     sentence = (
         f"{review.letter}: the description predicts these recordings to"
-        f" {format_share(review.error)} of"
-        f" the torque ({LETTERS.text})"
+        f" {format_share(review.error)} of the torque ({LETTERS.text})"
     )
-    return [wrap_text(sentence)]
+    return [] if review.letter is None else [wrap_text(sentence)]
 
 
 def review_headline(review: Review) -> str:
@@ -202,7 +208,7 @@ def write_review(folder: Path, review: Review) -> dict[str, Path]:
 def tabulate_claims(review: Review) -> pl.DataFrame:
     """Return one row per claim, contradicted ones first, with the fields of `Claim`."""
     return pl.DataFrame(
-        [claim.as_dict() for claim in review.claims],
+        make_plain(review.claims),
         schema_overrides={
             **dict.fromkeys(
                 ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery"),

@@ -20,6 +20,8 @@ class Coupling(Effect):
     """
 
     key, title = "coupling", "coupled motor"
+    imitators = ("friction",)
+    """Coulomb friction changes its sign with the motor's speed, which is no joint's."""
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of the armature across both joints."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
 from asbuilt.identification.effects.found_effect import FoundEffect
@@ -318,25 +319,38 @@ class Drift(_OfTorque):
 
 @effect
 class Warming(_OfTorque):
-    """Let the drive's torque change by a share over the recording."""
+    """Let friction of a joint, or its viscous part alone, change by a share over the recording.
+
+    Warm lubricant takes viscous friction away and leaves Coulomb friction nearly as it is
+    (Bittencourt and Gunnarsson, J. Dyn. Sys. Meas. Control 134, 2012).
+    """
 
     key, title, least = "warming", "drift of friction", 0.05
     of_log = False
     of_shares = True
 
+    def variants(self, robot: Described) -> Iterator[Variant]:
+        """Yield all friction, and as a trial its viscous part, at every joint."""
+        for plain in super().variants(robot):
+            yield from (plain, replace(plain, trial=1.0))
+
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
-        """Return the torque of the drive times the share of the recording that has passed."""
-        rigid, torque = motion.torques
-        return [motion.elapsed[:, None] * (torque - rigid)]
+        """Return the torque of the drive, or of its viscous friction, times the time passed."""
+        robot, (rigid, torque) = motion.robot, motion.torques
+        changing = torque - rigid
+        if variant.trial:
+            own = dict(zip(parameter_names(robot.model, robot.drive), robot.chi, strict=True))
+            changing = motion.qd * [own.get(f"Fv{k + 1}", 0.0) for k in range(len(rigid[0]))]
+        return [motion.elapsed[:, None] * changing]
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return by how much friction changes."""
+        pace = "rises" if found.estimate > 0.0 else "falls"
         return Finding(
             "friction_drifts",
             "warning",
-            f"Friction of {found.joint} {'rises' if found.estimate > 0.0 else 'falls'} by"
-            f" {_format_percent(found)} over the recording, as that of a drive whose temperature"
-            " changes"
+            f"Friction of {found.joint}, or its viscous part, {pace} by {_format_percent(found)}"
+            " over the recording, as that of a drive whose temperature changes"
             f"{_word_worth(found)}; its parameters are those of the middle",
             Cure("record cold and warm robots separately"),
             joint=found.joint,
