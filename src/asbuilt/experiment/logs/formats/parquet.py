@@ -13,7 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.experiment.logs.formats.isolated import FileKind, isolate, read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 else:
     pl = lazy_loader.load("polars")
 
+PARQUET = FileKind("Parquet")
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
 
@@ -41,13 +42,8 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, 
     RecordingError
         If the file is no Parquet file or has no numeric column.
     """
-    try:
-        frame = pl.scan_parquet(path)
-        schema = frame.collect_schema()
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise RecordingError(
-            f"{path} is not a recording: it cannot be read as Parquet ({error})", file=str(path)
-        ) from error
+    frame = pl.scan_parquet(path)
+    schema = frame.collect_schema()
     numeric = tuple(
         name
         for name, kind in schema.items()
@@ -137,7 +133,7 @@ def _read_declared(path: Path) -> tuple[int, LogTable]:
 
 @lru_cache(maxsize=64)
 def _read_declared_once(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
-    header = read_isolated(read_parquet_header, path)
+    header = read_isolated(read_parquet_header, path, PARQUET)
     return int(header.notes[0]), replace(header, notes=())
 
 
@@ -154,7 +150,7 @@ FORMATS.register(
     "parquet",
     LogFormat(
         suffixes=(".parquet",),
-        read=lambda path, sheet: read_isolated(read_parquet, path),
+        read=isolate(read_parquet, PARQUET),
         stream=LogStream(
             header=lambda path, sheet: _read_declared(path)[1],
             chunks=lambda path, sheet, columns, size: _chunks(path, columns, size),
