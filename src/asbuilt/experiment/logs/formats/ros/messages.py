@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from asbuilt.description.joint_matching import split_words
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import names_command
 from asbuilt.findings import Cure
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.logs.sheet import RecordingSheet
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
@@ -67,9 +70,7 @@ class MessageKind:
 
 
 def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
-    q, qd, tau = (
-        _make_array(getattr(message, field)) for field in ("position", "velocity", "effort")
-    )
+    q, qd, tau = (_make_array(getattr(message, field, ())) for field, _ in FIELDS)
     return [JointMessage(logged, _read_stamp(message), tuple(message.name), q, qd, tau)]
 
 
@@ -79,14 +80,11 @@ def _read_dynamic_state(logged: int, message: Any) -> list[JointMessage]:
         name: dict(zip(each.interface_names, _make_array(each.values), strict=False))
         for name, each in zip(message.joint_names, message.interface_values, strict=False)
     }
-    joints = tuple(name for name, values in found.items() if "position" in values)
-    position, velocity, effort = (
-        np.array([found[name][field] for name in joints])
-        if all(field in found[name] for name in joints)
-        else _NONE
-        for field in ("position", "velocity", "effort")
+    found = {name: values for name, values in found.items() if "position" in values}
+    q, qd, tau = (
+        np.array([each[field] for each in found.values() if field in each]) for field, _ in FIELDS
     )
-    return [JointMessage(logged, _read_stamp(message), joints, position, velocity, effort)]
+    return [JointMessage(logged, _read_stamp(message), tuple(found), q, qd, tau)]
 
 
 def _read_controller_state(logged: int, message: Any, fields: Sequence[str]) -> list[JointMessage]:
@@ -139,10 +137,15 @@ def _make_array(values: Any) -> Array:
 
 
 def _read_stamp(message: Any) -> int:
-    return _count_nanoseconds(message.header.stamp)
+    """Return the time of a message [ns], 0 without one."""
+    header = getattr(message, "header", message)
+    return _count_nanoseconds(getattr(header, "stamp", getattr(header, "timestamp", 0)))
 
 
 def _count_nanoseconds(time: Any) -> int:
+    """Return a time [ns] of seconds and nanoseconds, or of seconds alone as JSON may have them."""
+    if isinstance(time, int | float):
+        return round(time * 1e9)
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
@@ -153,21 +156,53 @@ _NOT_POSITIONS = {
 """Words in the name of a topic whose numbers are no positions."""
 
 
-@dataclass(frozen=True, slots=True)
-class Topics:
-    """Hold the topics of states and of commands, None where there is none.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicChoices:
+    """Choose topics of a bag.
 
-    `candidates` are all that may hold commands.
+    Parameters
+    ----------
+    topic, command_topic
+        Topics of states and of commands; None: found by their types and names.
+    command_joints
+        Joints of commands that are numbers alone, in their order.
+    required
+        Whether commands that cannot be used are an error even if there are efforts.
     """
 
+    topic: str | None = None
+    command_topic: str | None = None
+    command_joints: Sequence[str] | None = None
+    required: bool = False
+
+
+def read_topic_choices(sheet: RecordingSheet) -> dict[str, TopicChoices]:
+    """Return what a sheet says of the topics, as an argument of the readers of bags."""
+    stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
+    names = ("topic", "command_topic", "command_joints")
+    return {
+        "choices": TopicChoices(
+            **{name: getattr(sheet, name) for name in names},
+            required=sheet.torque_source == "command" or any(each is not None for each in stated),
+        )
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """Hold the topics of states and of commands of a file, None where there is none.
+
+    `types` are the types of all topics, `candidates` all that may hold commands.
+    """
+
+    path: Path
+    types: Mapping[str, str]
     states: str | None
     commands: str | None
     candidates: tuple[str, ...] = ()
 
 
-def choose_topics(
-    path: Path, topics: Mapping[str, str], topic: str | None, command_topic: str | None
-) -> Topics:
+def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -> Topics:
     """Choose among topics, given the type of the messages of each.
 
     States are `topic`; else `/joint_states`, the only topic of joint states whose name does not say
@@ -180,31 +215,28 @@ def choose_topics(
     RecordingError
         If it is not clear which topic holds the states, or one does not exist.
     """
-    of_states = {each for each, kind in topics.items() if KINDS[kind].states}
-    of_commands = {each for each, kind in topics.items() if KINDS[kind].commands}
-    _refuse_unknown(path, topic, of_states, "joint states")
-    _refuse_unknown(path, command_topic, of_commands, "joint states or commands of joints")
-    states = _find_state_topic(path, topics, of_states, command_topic) if topic is None else topic
+    of_states = {each for each, kind in types.items() if KINDS[kind].states}
+    of_commands = {each for each, kind in types.items() if KINDS[kind].commands}
+    for topic, known, what in (
+        (choices.topic, of_states, "joint states"),
+        (choices.command_topic, of_commands, "joint states or commands of joints"),
+    ):
+        if topic is not None and topic not in known:
+            raise RecordingError(
+                f"{path} has no {what} on topic {topic!r}; it has them on"
+                f" {', '.join(sorted(known)) or 'no topic'}",
+                file=str(path),
+                value=topic,
+                available=sorted(known),
+            )
+    states = choices.topic or _find_state_topic(path, types, of_states, choices.command_topic)
     candidates = tuple(
-        sorted(each for each in of_commands if _holds_commands(each, topics[each], states))
+        sorted(each for each in of_commands if _holds_commands(each, types[each], states))
     )
-    if command_topic is None:
-        controllers = [each for each in candidates if topics[each] == CONTROLLER_STATE]
-        best = controllers if len(controllers) == 1 else candidates
-        command_topic = best[0] if len(best) == 1 else None
-    return Topics(states, command_topic, candidates)
-
-
-def _refuse_unknown(path: Path, topic: str | None, known: set[str], what: str) -> None:
-    if topic is None or topic in known:
-        return
-    raise RecordingError(
-        f"{path} has no {what} on topic {topic!r}; it has them on"
-        f" {', '.join(sorted(known)) or 'no topic'}",
-        file=str(path),
-        value=topic,
-        available=sorted(known),
-    )
+    controllers = [each for each in candidates if types[each] == CONTROLLER_STATE]
+    best = controllers if len(controllers) == 1 else candidates
+    commands = choices.command_topic or (best[0] if len(best) == 1 else None)
+    return Topics(path, types, states, commands, candidates)
 
 
 def _find_state_topic(
