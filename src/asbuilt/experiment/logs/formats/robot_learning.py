@@ -84,7 +84,7 @@ def is_lerobot(path: Path) -> bool:
 
 
 def _read_info(path: Path) -> Mapping[str, Any]:
-    info = parse_json(path.read_bytes())
+    info: dict[str, Any] = parse_json(path.read_bytes())
     features = info.get("features") if isinstance(info, dict) else None
     if not isinstance(features, dict) or not all(isinstance(x, dict) for x in features.values()):
         raise RecordingError(

@@ -78,7 +78,7 @@ def tabulate_joint_states(
         for field, quantity in FIELDS
         if (values := _stack_values(kept, field, names)) is not None
     ]
-    commanded = [name for name in names if commands and name in commands[0].names]
+    commanded = tuple(name for name in names if commands and name in commands[0].names)
     values = _stack_values(commands, "position", commanded) if commands else None
     if values is not None:
         last = np.searchsorted(sent, stamps, side="right") - 1

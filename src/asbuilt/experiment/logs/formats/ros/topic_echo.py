@@ -67,4 +67,5 @@ def _parse_line(line: str) -> JointMessage | None:
     if rest or not names or len(set(names)) < len(names):
         return None
     stamp = int(fields[0]) * 10**9 + int(fields[1])
-    return JointMessage(stamp, stamp, names, *(np.array(each, dtype=float) for each in values))
+    q, qd, tau = (np.array(each, dtype=np.float64) for each in values)
+    return JointMessage(stamp, stamp, names, q, qd, tau)
