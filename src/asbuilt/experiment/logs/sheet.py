@@ -286,11 +286,12 @@ class RecordingSheet(_Part):
     date: datetime | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
-        """Return which times (N,) [s] of a recording that began at `start` lie in a window."""
-        inside = np.zeros(t.size, dtype=np.bool_)
-        for window in self.windows:
-            inside |= (t >= start + window.start) & (t < start + window.stop)
-        return inside
+        """Return which times (N,) [s] of a recording that began at `start` lie in a window.
+
+        All do where there are no windows.
+        """
+        inside = [(t >= start + each.start) & (t < start + each.stop) for each in self.windows]
+        return np.any(inside, axis=0) if inside else np.ones(t.size, dtype=np.bool_)
 
     @model_validator(mode="after")
     def _signs(self) -> RecordingSheet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,14 +17,6 @@ from asbuilt.findings import Cure
 
 _OF_POSITION = ("position", "command")
 _OF_RATE = ("velocity", "acceleration")
-
-
-@dataclass(frozen=True, slots=True)
-class Conversion:
-    """Turn a number of the log into SI: `factor * number + offset`."""
-
-    factor: float
-    offset: float = 0.0
 
 
 def with_open_grippers(table: LogTable) -> LogTable:
@@ -67,22 +59,22 @@ def with_joint_units(
         if joint not in units:
             _refuse_open(table, layout, k, held)
             continue
-        conversion = _make_conversion(units[joint])
-        for quantity, columns in layout.quantities.items():
-            if quantity in _OF_POSITION:
-                scales[columns[k]] = conversion.factor
-                offsets[columns[k]] = conversion.offset
-            elif quantity in _OF_RATE:
-                scales[columns[k]] = conversion.factor
+        factor, offset = _find_conversion(units[joint])
+        for quantity in (*_OF_POSITION, *_OF_RATE):
+            if quantity in layout.quantities:
+                column = layout.quantities[quantity][k]
+                scales[column] = factor
+                offsets[column] = offset if quantity in _OF_POSITION else 0.0
     return replace(layout, scales=scales, offsets=offsets)
 
 
-def _make_conversion(unit: str | SheetRange) -> Conversion:
+def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
+    """Return factor and offset that turn a number of the log into SI."""
     if isinstance(unit, str):
-        return Conversion(parse_unit_scale(unit) or 1.0)
+        return parse_unit_scale(unit) or 1.0, 0.0
     (first, last), (lower, upper) = unit.logged, unit.position
     factor = (upper - lower) / (last - first)
-    return Conversion(factor, lower - factor * first)
+    return factor, lower - factor * first
 
 
 def _refuse_open(table: LogTable, layout: Layout, k: int, held: Mapping[str, float | None]) -> None:
