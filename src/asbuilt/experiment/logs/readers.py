@@ -20,8 +20,8 @@ from asbuilt.experiment.logs.assembly import (
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
+    GOALS,
     match_commanded_role,
-    match_goal_role,
     parse_file_quantity,
     recognise,
 )
@@ -256,7 +256,7 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
 def _is_whole(table: LogTable) -> bool:
     """Return whether columns give positions, and torques or commands."""
     roles = [
-        recognise(name) or match_commanded_role(name) or match_goal_role(name)
+        recognise(name) or match_commanded_role(name) or match_commanded_role(name, GOALS)
         for name in table.columns
     ]
     found = {role.quantity for role in roles if role is not None}

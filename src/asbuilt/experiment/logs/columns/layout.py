@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from asbuilt.description.joint_matching import (
     find_unlabelled_joints,
@@ -15,10 +16,10 @@ from asbuilt.description.joint_matching import (
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.columns.roles import (
+    GOALS,
     Role,
     find_nanoseconds,
     match_commanded_role,
-    match_goal_role,
     parse_unit_scale,
     recognise,
     recognise_by_unit,
@@ -256,7 +257,7 @@ def _group_columns(
         )
     )
     _use_two_encoders(groups)
-    by_unit, goals = group(recognise_by_unit), group(match_goal_role)
+    by_unit, goals = group(recognise_by_unit), group(partial(match_commanded_role, alone=GOALS))
     named = {quantity for quantity, _ in groups} | (
         {"time"} if len(by_unit.get(("time", ""), ())) > 1 else set()
     )
