@@ -9,7 +9,7 @@ from typing import Any
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, refuse
-from asbuilt.experiment.free_base.columns import add_base_coordinates, select_base_columns
+from asbuilt.experiment.free_base.columns import add_base_coordinates
 from asbuilt.experiment.logs.assembly import (
     apply_sheet,
     build_recording,
@@ -17,6 +17,7 @@ from asbuilt.experiment.logs.assembly import (
     keep_windows,
     merge_role_files,
 )
+from asbuilt.experiment.logs.columns.base_columns import with_base_columns
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
@@ -78,8 +79,8 @@ def read_recording(
         sheet, notes = _read_given_sheet(chosen.sheet)
         table = tabulate_columns(source)
     else:
-        alone = isinstance(source, str | Path)
-        paths = [Path(path) for path in ([source] if alone else source)]
+        given: Any = [source] if isinstance(source, str | Path) else source
+        paths = [Path(path) for path in given]
         if not paths:
             raise RecordingError("no recording is given; give at least one file")
         for path in paths:
@@ -94,9 +95,9 @@ def read_recording(
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
-    recording = replace(recording, extra=select_base_columns(table.columns))
+    recording, sensor = with_base_columns(recording, table, sheet, model)
     recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
-    return add_base_coordinates(recording, model)
+    return add_base_coordinates(recording, model, sensor)
 
 
 def read_recordings(

@@ -120,10 +120,24 @@ class _Part(BaseModel):
         return self
 
 
+BASE_VECTORS = {
+    "base_position": ("base_", "xyz"),
+    "base_quaternion": ("base_q", "xyzw"),
+    "base_velocity": ("base_v", "xyz"),
+    "base_angular_velocity": ("base_w", "xyz"),
+    "imu_acceleration": ("imu_a", "xyz"),
+    "imu_angular_velocity": ("imu_w", "xyz"),
+    "imu_quaternion": ("imu_q", "xyzw"),
+}
+"""Beginnings and ends of the usual names of columns of a floating base, by field of a sheet."""
+
+
 class SheetColumns(_Part):
     """Columns by name, or by number from 1.
 
-    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between.
+    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between. Those of a floating base
+    and of its inertial sensor are in the order x y z, or x y z w, and in SI; `contact` has the flag
+    of each contact.
     """
 
     time: ColumnName | None = None
@@ -134,7 +148,35 @@ class SheetColumns(_Part):
     command: ColumnList | None = None
     motor_position: ColumnList | None = None
     link_position: ColumnList | None = None
+    base_position: ColumnList | None = None
+    base_quaternion: ColumnList | None = None
+    base_velocity: ColumnList | None = None
+    base_angular_velocity: ColumnList | None = None
+    imu_acceleration: ColumnList | None = None
+    imu_angular_velocity: ColumnList | None = None
+    imu_quaternion: ColumnList | None = None
+    contact: dict[str, ColumnName] = Field(default_factory=dict)
     extra: dict[str, ColumnList] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _whole_vectors(self) -> Self:
+        for name, (_, axes) in BASE_VECTORS.items():
+            listed = getattr(self, name)
+            if listed is not None and len(listed) != len(axes):
+                raise ValueError(
+                    f"columns.{name} lists {len(listed)} columns; list {len(axes)}, in the order"
+                    f" {' '.join(axes)}"
+                )
+        return self
+
+    @property
+    def by_base(self) -> dict[str, ColumnName]:
+        """The columns of a floating base and its contacts that are listed, by their usual names."""
+        found = {f"contact_{frame}": column for frame, column in self.contact.items()}
+        for name, (start, axes) in BASE_VECTORS.items():
+            usual = [f"{start}{axis}" for axis in axes]
+            found |= zip(usual, getattr(self, name) or (), strict=False)
+        return found
 
     @property
     def numbered(self) -> bool:
@@ -242,7 +284,9 @@ class RecordingSheet(_Part):
     the acceleration and the speed of its goal also "none". `joint_units` are for single
     joints, in place of `units`: a unit, or the positions at two numbers of the log. `topic` and
     `command_topic` hold the joint states and the commanded ones in a bag, and
-    `command_joints` the joints of commands that are numbers alone, in their order. `date` is when
+    `command_joints` the joints of commands that are numbers alone, in their order; `base_topic` and
+    `imu_topic` the pose of a floating base and its inertial sensor, whose links or frames in the
+    description are `base_frame` and `imu_frame`. `date` is when
     the recording began, in UTC unless it names a time zone.
 
     Examples
@@ -282,6 +326,10 @@ class RecordingSheet(_Part):
     ] = Field(default_factory=dict)
     topic: str | None = None
     command_topic: str | None = None
+    base_topic: str | None = None
+    imu_topic: str | None = None
+    base_frame: str | None = None
+    imu_frame: str | None = None
     command_joints: list[str] | None = None
     date: datetime | None = None
 

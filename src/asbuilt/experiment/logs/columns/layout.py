@@ -106,7 +106,11 @@ def find_layout(
         same place, or they do not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
-    own = _find_own_columns(names, model, sheet) | dict(known or {})
+    of_base = {
+        find_column(source, names, order, what, column): ("", "")
+        for what, column in sheet.columns.by_base.items()
+    }
+    own = _find_own_columns(names, model, sheet) | dict(known or {}) | of_base
     groups = _group_columns(names, own, sheet)
     for (quantity, kind), listed in sheet.columns.by_group.items():
         groups[quantity, kind] = _group_listed_columns(
@@ -238,6 +242,7 @@ def _group_columns(
     setpoint names where each joint with a position has one.
     """
     renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
+    names = [name for name in names if known.get(name) != ("", "")]
 
     def group(recognise_one: Callable[[str], Role | None]) -> dict[tuple[str, str], _Group]:
         groups: dict[tuple[str, str], _Group] = {}
@@ -302,7 +307,7 @@ def _locate_joints(group: _Group) -> list[tuple[str, int]]:
     return [(role.joint, -1 if role.joint else role.index or 0) for role in group]
 
 
-def _find_column(
+def find_column(
     source: str, names: Sequence[str], order: Sequence[str], what: str, column: ColumnName
 ) -> str:
     """Return the column that a sheet gives by its name, or by its number in `order`."""
@@ -346,7 +351,7 @@ def _group_listed_columns(
     sheet: RecordingSheet,
 ) -> _Group:
     """Return the columns that a sheet lists for a quantity."""
-    found = [_find_column(source, names, order, what, column) for column in columns]
+    found = [find_column(source, names, order, what, column) for column in columns]
     repeated = next((name for name in found if found.count(name) > 1), None)
     labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
     refuse(
@@ -566,7 +571,7 @@ def _find_time_column(
 ) -> Role | None:
     """Return the column of the time, if there is one."""
     if sheet.columns.time is not None:
-        name = _find_column(source, names, order, "time", sheet.columns.time)
+        name = find_column(source, names, order, "time", sheet.columns.time)
         return Role("time", column=name)
     picks = [role for role in groups.get(("time", ""), ()) if not role.joint]
     whole = [role for role in picks if find_nanoseconds(role.column, names)]

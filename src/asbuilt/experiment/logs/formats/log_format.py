@@ -39,7 +39,8 @@ class LogTable:
     text_columns
         Names of the columns that do not hold numbers.
     known
-        Quantity and joint of columns whose format gives them, such as a ROS message.
+        Quantity and joint of columns whose format gives them, such as a ROS message; both "" of
+        columns of a floating base, which are no joint's.
     notes
         What was assumed or left out, in sentences.
     order
@@ -48,6 +49,10 @@ class LogTable:
     shares
         Columns of positions and commands that may be shares of a range, so that the sheet has to
         give their unit.
+    frames
+        Frames of the "base", of its sensor ("imu") and of the "world", as far as a format says.
+    unread
+        Why the "base", "imu" or a contact of a floating base has no columns, and what to do.
     """
 
     source: str
@@ -58,6 +63,8 @@ class LogTable:
     notes: tuple[str, ...] = ()
     order: tuple[str, ...] = ()
     shares: tuple[str, ...] = ()
+    frames: Mapping[str, str] = field(default_factory=dict)
+    unread: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def n_samples(self) -> int:

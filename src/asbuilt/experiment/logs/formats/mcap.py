@@ -24,6 +24,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     tabulate_variables,
 )
 from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag
+from asbuilt.experiment.logs.formats.ros.base_messages import IMU, ODOMETRY, POSE, WRENCH
 from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
@@ -51,6 +52,10 @@ SHAPES = MappingProxyType(
         CONTROLLER_STATE: {"joint_names", "error"},
         TRAJECTORY: {"joint_names", "points"},
         ARRAY: {"layout", "data"},
+        ODOMETRY: {"pose", "twist", "child_frame_id"},
+        IMU: {"angular_velocity", "linear_acceleration"},
+        WRENCH: {"header", "wrench"},
+        POSE: {"header", "pose"},
     }
 )
 """Fields by which messages in JSON are recognised."""
@@ -200,7 +205,7 @@ def _read_as_ros(logged: int, message: Any) -> tuple[str, Any]:
     names = next((fields[key] for key in NAMES if key in fields), None)
     fields |= {"name": names, "effort": fields.get("effort", fields.get("torque", ()))}
     kind = next((kind for kind, known in SHAPES.items() if known <= fields.keys()), "")
-    read = kind and (KINDS[kind].commands or KINDS[kind].states)
+    read = kind and (KINDS[kind].commands or KINDS[kind].states or KINDS[kind].base)
     with suppress(AttributeError, TypeError, ValueError, KeyError, OverflowError):
         for each in read(logged, SimpleNamespace(**fields)) if read else ():
             named = kind == ARRAY or each.position.size == len(each.names) > 0

@@ -59,9 +59,8 @@ def read_ros_bag(path: Path, choices: TopicChoices) -> LogTable:
                 file=str(path),
             )
         topics = choose_topics(path, types, choices)
-        wanted = [
-            each for each in bag.connections if each.topic in (topics.states, topics.commands)
-        ]
+        used = {topics.states, topics.commands, *topics.base}
+        wanted = [each for each in bag.connections if each.topic in used]
         for connection in wanted:
             _define(path, store, connection)
             messages.setdefault(connection.topic, [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,16 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_joints
+from asbuilt.experiment.logs.formats.ros.base_table import add_base_states
 from asbuilt.experiment.logs.formats.ros.messages import (
     FIELDS,
     KINDS,
+    SPARSE,
     JointMessage,
     TopicChoices,
     Topics,
+    is_stamped,
+    read_times,
 )
 from asbuilt.findings import Cure
 
@@ -28,8 +33,12 @@ Messages = Mapping[str, Sequence[tuple[int, Any]]]
 
 def tabulate_joint_messages(topics: Topics, messages: Messages, choices: TopicChoices) -> LogTable:
     """Return the messages of the chosen topics as `tabulate_joint_states` does."""
-    states, commands = (_read_topic(topics, messages, role) for role in ("states", "commands"))
-    return tabulate_joint_states(topics, states, commands, choices)
+    states, commands = (
+        _read_topic(topics, messages, getattr(topics, role), role)
+        for role in ("states", "commands")
+    )
+    base = {each: _read_topic(topics, messages, each, "base") for each in topics.base}
+    return tabulate_joint_states(topics, states, commands, choices, base)
 
 
 def tabulate_joint_states(
@@ -37,6 +46,7 @@ def tabulate_joint_states(
     states: Sequence[JointMessage],
     commands: list[JointMessage],
     choices: TopicChoices,
+    base: Mapping[str, list[JointMessage]] = MappingProxyType({}),
 ) -> LogTable:
     """Return states and commands as a table with one row for each joint state.
 
@@ -60,13 +70,13 @@ def tabulate_joint_states(
         )
     names = _find_usual_names(states)
     kept = _select_naming(states, names)
-    stamped, notes = _is_stamped(kept), list[str]()
-    stamps = _read_times(kept, stamped)
+    stamped, notes = is_stamped(kept), list[str]()
+    stamps = read_times(kept, stamped)
     try:
         commands = _select_commands(topics, commands, names, choices)
-        both = stamped and (not commands or _is_stamped(commands))
-        own = _read_times(kept, both)
-        sent, commands = order_commands(topics, commands, _read_times(commands, both), own)
+        both = stamped and (not commands or is_stamped(commands))
+        own = read_times(kept, both)
+        sent, commands = order_commands(topics, commands, read_times(commands, both), own)
         stamps = own
     except RecordingError as problem:
         if choices.required or not any(each.effort.size for each in kept):
@@ -98,14 +108,19 @@ def tabulate_joint_states(
     if dropped := len(states) - len(kept):
         notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
     t = (stamps - stamps[0]).astype(np.float64) * 1e-9
-    return tabulate_joints(str(topics.path), t, groups, notes)
+    table = tabulate_joints(str(topics.path), t, groups, notes)
+    logged = {topic: found for topic, found in base.items() if found}
+    return add_base_states(table, topics, logged, kept) if logged or topics.unread else table
 
 
-def _read_topic(topics: Topics, messages: Messages, role: str) -> list[JointMessage]:
-    """Return the joints of the topic of states or of commands."""
-    topic = getattr(topics, role)
-    read = None if topic is None else getattr(KINDS[topics.types[topic]], role)
-    return [each for at, message in messages[topic] for each in read(at, message)] if read else []
+def _read_topic(
+    topics: Topics, messages: Messages, topic: str | None, role: str
+) -> list[JointMessage]:
+    """Return the joints of a topic of states or of commands, or the states of the base."""
+    if topic is None:
+        return []
+    read = getattr(KINDS[topics.types[topic]], role)
+    return [each for at, message in messages[topic] for each in read(at, message)]
 
 
 def _select_commands(
@@ -182,19 +197,6 @@ def _find_usual_names(states: list[JointMessage]) -> tuple[str, ...]:
     return next(state.names for state in states if tuple(sorted(state.names)) == best)
 
 
-def _read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.int64]:
-    """Return the times of messages [ns], by their headers' clock or by that of the recorder."""
-    return np.array([each.stamp if stamped else each.logged for each in messages], dtype=np.int64)
-
-
-def _is_stamped(messages: Sequence[JointMessage]) -> bool:
-    """Return whether the headers of messages have times, which differ as logging times do."""
-    stamps = _read_times(messages, stamped=True)
-    distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
-    unset = int(np.count_nonzero(stamps == 0))
-    return unset <= min(1, distinct - 1) and 2 * distinct >= logged
-
-
 def _stack_values(states: list[JointMessage], field: str, names: Sequence[str]) -> Array | None:
     """Return the values of joints (N, n), NaN where a message has none; None if none has any."""
     values = np.full((len(states), len(names)), np.nan)
@@ -206,11 +208,6 @@ def _stack_values(states: list[JointMessage], field: str, names: Sequence[str]) 
                 orders[state.names] = [state.names.index(name) for name in names]
             values[row] = logged[orders[state.names]]
     return None if np.all(np.isnan(values)) else values
-
-
-SPARSE = 5.0
-"""Periods of the states between points of a trajectory beyond which the way between them matters:
-a point that is held is late by half its distance."""
 
 
 def order_commands(

@@ -10,11 +10,24 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import split_words
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import names_command
+from asbuilt.experiment.logs.formats.ros.base_messages import (
+    ESTIMATED_POSE,
+    IMU,
+    ODOMETRY,
+    POSE,
+    WRENCH,
+    read_frames,
+    read_imu,
+    read_odometry,
+    read_pose,
+    read_wrench,
+)
 from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
@@ -46,6 +59,8 @@ class JointMessage:
         Values (n,), empty where the message has none.
     after
         Time after the message at which they hold [ns], of points of a trajectory.
+    frames
+        Frames of a state of the base (`read_frames`), whose values are a position of its names.
     """
 
     logged: int
@@ -55,6 +70,7 @@ class JointMessage:
     velocity: Array = field(default_factory=lambda: _NONE)
     effort: Array = field(default_factory=lambda: _NONE)
     after: int = 0
+    frames: Mapping[str, str] = field(default_factory=dict)
 
 
 Reader = Callable[[int, Any], list[JointMessage]]
@@ -63,10 +79,11 @@ Reader = Callable[[int, Any], list[JointMessage]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MessageKind:
-    """Say how messages of a type are read: as measured joints, as commanded ones, or as both."""
+    """Say how messages of a type are read: as measured joints, commanded ones, or the base."""
 
     states: Reader | None = None
     commands: Reader | None = None
+    base: Reader | None = None
 
 
 def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
@@ -113,6 +130,14 @@ def _read_points(logged: int, message: Any) -> list[JointMessage]:
     ]
 
 
+def _read_base(
+    logged: int, message: Any, read: Callable[[Any], dict[str, float]]
+) -> list[JointMessage]:
+    values, stamp = read(message), _read_stamp(message)
+    position = np.array([*values.values()])
+    return [JointMessage(logged, stamp, tuple(values), position, frames=read_frames(message))]
+
+
 def _read_numbers_alone(logged: int, message: Any) -> list[JointMessage]:
     return [JointMessage(logged, 0, (), _make_array(message.data))]
 
@@ -127,9 +152,18 @@ KINDS: Mapping[str, MessageKind] = MappingProxyType(
         ),
         TRAJECTORY: MessageKind(commands=_read_points),
         ARRAY: MessageKind(commands=_read_numbers_alone),
+        ODOMETRY: MessageKind(base=partial(_read_base, read=read_odometry)),
+        ESTIMATED_POSE: MessageKind(base=partial(_read_base, read=read_pose)),
+        POSE: MessageKind(base=partial(_read_base, read=read_pose)),
+        IMU: MessageKind(base=partial(_read_base, read=read_imu)),
+        WRENCH: MessageKind(base=partial(_read_base, read=read_wrench)),
     }
 )
-"""Types of messages that hold joints."""
+"""Types of messages that hold joints, or a floating base; of its poses the best first."""
+_BASES = {"base": (ODOMETRY, ESTIMATED_POSE, POSE), "imu": (IMU,)}
+SPARSE = 5.0
+"""Periods of the states between other messages, or points of a trajectory, beyond which the way
+between them matters: a point that is held is late by half its distance."""
 
 
 def _make_array(values: Any) -> Array:
@@ -162,8 +196,9 @@ class TopicChoices:
 
     Parameters
     ----------
-    topic, command_topic
-        Topics of states and of commands; None: found by their types and names.
+    topic, command_topic, base_topic, imu_topic
+        Topics of states, of commands, of the pose of a floating base and of its inertial sensor;
+        None: found by their types and names.
     command_joints
         Joints of commands that are numbers alone, in their order.
     required
@@ -172,6 +207,8 @@ class TopicChoices:
 
     topic: str | None = None
     command_topic: str | None = None
+    base_topic: str | None = None
+    imu_topic: str | None = None
     command_joints: Sequence[str] | None = None
     required: bool = False
 
@@ -179,7 +216,7 @@ class TopicChoices:
 def read_topic_choices(sheet: RecordingSheet) -> dict[str, TopicChoices]:
     """Return what a sheet says of the topics, as an argument of the readers of bags."""
     stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
-    names = ("topic", "command_topic", "command_joints")
+    names = ("topic", "command_topic", "base_topic", "imu_topic", "command_joints")
     return {
         "choices": TopicChoices(
             **{name: getattr(sheet, name) for name in names},
@@ -192,7 +229,8 @@ def read_topic_choices(sheet: RecordingSheet) -> dict[str, TopicChoices]:
 class Topics:
     """Hold the topics of states and of commands of a file, None where there is none.
 
-    `types` are the types of all topics, `candidates` all that may hold commands.
+    `types` are the types of all topics, `candidates` all that may hold commands, `base` the topics
+    of a floating base. `unread` says why its pose or its sensor has none, and what to do.
     """
 
     path: Path
@@ -200,6 +238,8 @@ class Topics:
     states: str | None
     commands: str | None
     candidates: tuple[str, ...] = ()
+    base: tuple[str, ...] = ()
+    unread: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -> Topics:
@@ -208,7 +248,9 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     States are `topic`; else `/joint_states`, the only topic of joint states whose name does not say
     command, desired, target or the like, or the only one of a controller's states. Commands are
     `command_topic`; else the reference of the only controller's state; else the only topic of joint
-    states, of trajectories, or of numbers, whose type or name says that it holds commands.
+    states, of trajectories, or of numbers, whose type or name says that it holds commands. The pose
+    of a floating base is `base_topic`, or the only odometry, else the only pose; every topic of
+    forces may be that of a contact.
 
     Raises
     ------
@@ -217,9 +259,15 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     """
     of_states = {each for each, kind in types.items() if KINDS[kind].states}
     of_commands = {each for each, kind in types.items() if KINDS[kind].commands}
+    of_base = {
+        group: {each for each, kind in types.items() if kind in kinds}
+        for group, kinds in _BASES.items()
+    }
     for topic, known, what in (
         (choices.topic, of_states, "joint states"),
         (choices.command_topic, of_commands, "joint states or commands of joints"),
+        (choices.base_topic, of_base["base"], "pose of a base"),
+        (choices.imu_topic, of_base["imu"], "inertial sensor"),
     ):
         if topic is not None and topic not in known:
             raise RecordingError(
@@ -236,7 +284,35 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     controllers = [each for each in candidates if types[each] == CONTROLLER_STATE]
     best = controllers if len(controllers) == 1 else candidates
     commands = choices.command_topic or (best[0] if len(best) == 1 else None)
-    return Topics(path, types, states, commands, candidates)
+    base = [each for each, kind in types.items() if kind == WRENCH]
+    unread: dict[str, tuple[str, str]] = {}
+    for group, kinds in _BASES.items():
+        measured = sorted(each for each in of_base[group] if not names_command(each))
+        by_kind = [[each for each in measured if types[each] == kind] for kind in kinds]
+        stated = getattr(choices, f"{group}_topic")
+        found = [stated] if stated else next((each for each in by_kind if each), [])
+        if len(found) > 1:
+            unread[group] = (
+                f"{path} has messages {types[found[0]]} on {len(found)} topics"
+                f" ({', '.join(found)})",
+                f'choose one in a recording sheet: {group}_topic = "..."',
+            )
+        else:
+            base += found
+    return Topics(path, types, states, commands, candidates, tuple(base), unread)
+
+
+def read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.int64]:
+    """Return the times of messages [ns], by their headers' clock or by that of the recorder."""
+    return np.array([each.stamp if stamped else each.logged for each in messages], dtype=np.int64)
+
+
+def is_stamped(messages: Sequence[JointMessage]) -> bool:
+    """Return whether the headers of messages have times, which differ as logging times do."""
+    stamps = read_times(messages, stamped=True)
+    distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
+    unset = int(np.count_nonzero(stamps == 0))
+    return unset <= min(1, distinct - 1) and 2 * distinct >= logged
 
 
 def _find_state_topic(
