@@ -17,7 +17,6 @@ from asbuilt.experiment.logs.assembly import (
     keep_windows,
     merge_role_files,
 )
-from asbuilt.experiment.logs.columns.base_columns import with_base_columns
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
@@ -95,6 +94,10 @@ def read_recording(
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
+    from asbuilt.experiment.logs.columns.base_columns import (  # noqa: PLC0415 - light start
+        with_base_columns,
+    )
+
     recording, sensor = with_base_columns(recording, table, sheet, model)
     recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
     return add_base_coordinates(recording, model, sensor)
