@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +23,7 @@ from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.recording import Recording
 
+from .logs.test_mcap import channel, record, written
 from .logs.test_ros_logs import START, STATE, Bag
 from .test_free_base import URDF, biped, log  # noqa: F401 - fixtures
 from .test_inertial_sensor import PLACEMENT, pose, sensed  # noqa: F401 - fixtures
@@ -367,3 +370,41 @@ def test_a_sheet_names_columns_of_base_and_contacts(
     sheet = {"columns": {"base_position": ["a", "b", "c"]}}
     with pytest.raises(RecordingError, match="gives column 'a' for base_x, which the log does not"):
         read_recording(columns, model=biped, sheet=sheet)
+
+
+def test_odometry_and_sensors_in_json_and_where_messages_are_missing(
+    tmp_path: Path, model: RobotModel, walker: Walker
+) -> None:
+    names = ["l_a", "l_b", "l_c", "r_a", "r_b", "r_c"]
+    body = channel(1, "/joint_states") + channel(2, "/odom") + channel(3, "/imu")
+
+    def add(number: int, t: float, **fields: Any) -> bytes:
+        head = struct.pack("<HIQQ", number, 0, clock(t), clock(t))
+        stamp = {"sec": clock(t) // 10**9, "nsec": clock(t) % 10**9}
+        header = {"stamp": stamp, "frame_id": "odom"}
+        return record(5, head + json.dumps({"header": header, **fields}).encode())
+
+    def part(values: Any, axes: str = "xyz") -> dict[str, float]:
+        return dict(zip(axes, map(float, values), strict=True))
+
+    for t in ROWS:
+        joints = configuration(t)[7:].tolist()
+        body += add(1, t, name=names, position=joints, velocity=[0.0] * 6, effort=[1.0] * 6)
+    for t in np.arange(0.5, 5.5, 0.008):
+        if 2.0 < t < 2.5:
+            continue
+        place, twist = walker.frame(t, "trunk")
+        turn = part(Rotation.from_matrix(place.rotation).as_quat(), "xyzw")
+        posed = {"position": part(place.translation), "orientation": turn}
+        speeds = {"linear": part(twist.linear), "angular": part(twist.angular)}
+        body += add(2, t, child_frame_id="trunk", pose={"pose": posed}, twist={"twist": speeds})
+        zero = part(np.zeros(3))
+        body += add(3, t, angular_velocity=zero, linear_acceleration=zero, orientation=turn)
+    found = read_recording(written(tmp_path / "log.mcap", body), model=model)
+    t = found.t + ROWS[0]
+    missing = np.isnan(found.q[:, 0])
+    np.testing.assert_array_equal(missing, (t > 1.997) & (t < 2.499))
+    known = np.flatnonzero(~missing)[::40]
+    for k in known[(np.abs(t[known] - 2.25) > 0.5)]:
+        place, _ = walker.frame(t[k], "trunk")
+        assert np.abs(found.q[k, :3] - place.translation).max() < 1e-6

@@ -40,7 +40,8 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
 """Fields of a joint state, and their quantities."""
-_NONE = np.empty(0)
+_NONE: Array = np.empty(0)
+_NO_FRAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +71,7 @@ class JointMessage:
     velocity: Array = field(default_factory=lambda: _NONE)
     effort: Array = field(default_factory=lambda: _NONE)
     after: int = 0
-    frames: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, str] = field(default_factory=lambda: _NO_FRAMES)
 
 
 Reader = Callable[[int, Any], list[JointMessage]]
