@@ -205,7 +205,7 @@ def find_table_layout(
                 f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
             )
         raise
-    if not (sheet.joint_units or table.shares):
+    if not (sheet.joint_units or table.open_units):
         return layout
     held = options.lock if isinstance(options.lock, Mapping) else {}
     return with_joint_units(table, layout, sheet, sheet.lock | dict(held))

@@ -46,9 +46,8 @@ class LogTable:
     order
         Names of all columns in the order of the file, text columns too, by which a sheet numbers
         them; by default the numeric ones.
-    shares
-        Columns of positions and commands that may be shares of a range, so that the sheet has to
-        give their unit.
+    open_units
+        Columns of positions and commands of an unknown unit, which the sheet has to give.
     frames
         Frames of the "base", of its sensor ("imu") and of the "world", as far as a format says.
     unread
@@ -62,7 +61,7 @@ class LogTable:
     known: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     order: tuple[str, ...] = ()
-    shares: tuple[str, ...] = ()
+    open_units: tuple[str, ...] = ()
     frames: Mapping[str, str] = field(default_factory=dict)
     unread: Mapping[str, Sequence[str]] = field(default_factory=dict)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +14,14 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
-from asbuilt.experiment.logs.formats.isolated import FileKind, read_isolated
+from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
     tabulate_joints,
 )
-from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
+from asbuilt.experiment.logs.sheet import RATES
 from asbuilt.findings import Cure
 from asbuilt.untrusted import parse_json, shorten_line
 
@@ -75,7 +75,8 @@ def read_lerobot(path: Path) -> LogTable:
     ]
     if left_out:
         notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
-    return tabulate_joints(str(path), _join_times(path, frame, info), groups, notes)
+    table = tabulate_joints(str(path), _join_times(path, frame, info), groups, notes)
+    return replace(table, open_units=tuple(table.known))
 
 
 def is_lerobot(path: Path) -> bool:
@@ -147,46 +148,11 @@ def _make_feature_error(path: Path, field: str, what: str) -> RecordingError:
     return RecordingError(f"{path}: {field} holds {what}", cure=cure, file=str(path))
 
 
-def _with_unit(table: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
-    """Return the table if its sheet says the units; raises `RecordingError` otherwise.
-
-    The unit of grippers, which is another one, is left to the joints that the robot has.
-    """
-    renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
-    positions = {
-        joint: table.columns[column]
-        for column, (quantity, joint) in table.known.items()
-        if quantity == "position" and not names_gripper(joint)
-    }
-    unsaid = [
-        joint
-        for joint in positions
-        if not {joint, renamed.get(joint, joint)} & set(sheet.joint_units)
-    ]
-    if sheet.units.position is None and unsaid:
-        largest = max(float(np.nanmax(np.abs(positions[joint]))) for joint in unsaid)
-        raise RecordingError(
-            f"the unit of the positions of {path} is not known: LeRobot logs degrees or -100 to"
-            f" 100 of the calibrated range (the largest of {', '.join(unsaid)} is {largest:.3g})",
-            cure=Cure(
-                'write [units] position = "deg" in a recording sheet; or, for -100 to 100, the'
-                f" positions [rad] at both ends for each joint: [joint_units] {unsaid[0]} ="
-                " { logged = [-100, 100], position = [LOWER, UPPER] }"
-            ),
-            file=str(path),
-            value=largest,
-        )
-    return with_open_grippers(table)
-
-
-LEROBOT = FileKind("a LeRobot dataset", cure="export the dataset again")
 FORMATS.register(
     "lerobot",
     LogFormat(
         suffixes=(),
-        read=lambda path, sheet: _with_unit(
-            read_isolated(read_lerobot, path, LEROBOT), path, sheet
-        ),
+        read=isolate(read_lerobot, FileKind("a LeRobot dataset", cure="export the dataset again")),
         folders=True,
         recognises=is_lerobot,
     ),
@@ -220,7 +186,9 @@ def read_sage(path: Path) -> LogTable:
     groups["command"] = commands["positions"][np.maximum(last, 0)]
     listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
     notes = (f"{before} states before the first command count as commanded like it",)
-    return tabulate_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+    table = tabulate_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+    grippers = [column for column, (_, joint) in table.known.items() if names_gripper(joint)]
+    return replace(table, open_units=tuple(grippers))
 
 
 def is_sage(path: Path) -> bool:
@@ -242,12 +210,11 @@ def _read_list_cells(
     return frame["timestamp"].cast(pl.Float64).to_numpy(), values
 
 
-SAGE = FileKind("a motion of SAGE", cure="export the motion again")
 FORMATS.register(
     "sage",
     LogFormat(
         suffixes=(),
-        read=lambda path, sheet: with_open_grippers(read_isolated(read_sage, path, SAGE)),
+        read=isolate(read_sage, FileKind("a motion of SAGE", cure="export the motion again")),
         folders=True,
         recognises=is_sage,
     ),
