@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -378,49 +379,37 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 def find_sheet_beside(log: Path) -> Path | None:
     """Return the sheet next to a log: `run.csv.toml` or `run.toml`; None if there is none."""
-    if not log.name:
-        return None
-    for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
-        if candidate == log or not candidate.is_file():
-            continue
-        try:
-            fields = set(parse_toml(read_text(candidate, "recording sheet", RecordingError)))
-        except ValueError:
-            return candidate
-        if fields & ROBOT_FIELDS:
-            continue
-        return candidate
+    beside = (log.with_name(log.name + ".toml"), log.with_suffix(".toml")) if log.name else ()
+    for candidate in beside:
+        fields: set[str] = set()
+        if candidate != log and candidate.is_file():
+            with suppress(ValueError):  # what is no TOML is refused where it is read
+                fields = set(parse_toml(read_text(candidate, "recording sheet", RecordingError)))
+            if not fields & ROBOT_FIELDS:
+                return candidate
     return None
 
 
 def _explain(path: Path, error: ValidationError) -> str:
     problems = []
-    unknown: dict[tuple[int | str, ...], list[str]] = {}
     for item in error.errors():
+        *place, last = item["loc"] or ("",)
         field = ".".join(
             str(part)
             for part in item["loc"]
             if not (isinstance(part, str) and ("[" in part or part in {"int", "str", "float"}))
         )
-        if item["type"] == "extra_forbidden":
-            unknown.setdefault(item["loc"][:-1], []).append(field)
-        elif item["type"] == "value_error":
-            problems.append(item["msg"].removeprefix("Value error, "))
-        else:
-            problems.append(
-                f"field {field!r} is {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}"
+        problem = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden" and not place and last in ROBOT_FIELDS:
+            return (
+                f"{path} is a robot description, not a recording and no recording sheet; the robot"
+                " comes first, then the logs"
             )
-    if ROBOT_FIELDS & set(unknown.get((), ())):
-        return (
-            f"{path} is a robot description, not a recording and no recording sheet; the robot"
-            " comes first, then the logs"
-        )
-    for place, fields in unknown.items():
-        are = "fields {} are" if len(fields) > 1 else "field {} is"
-        known = list_known_fields(RecordingSheet.model_json_schema(), place)
-        near = suggest_name(fields[0].rpartition(".")[2], known)
-        problems.append(
-            f"{are.format(', '.join(map(repr, fields)))} not known here; {near}known are"
-            f" {', '.join(known)}"
-        )
+        if item["type"] == "extra_forbidden":
+            known = list_known_fields(RecordingSheet.model_json_schema(), place)
+            near = suggest_name(str(last), known)
+            problem = f"field {field!r} is not known here; {near}known are {', '.join(known)}"
+        elif item["type"] != "value_error":
+            problem = f"field {field!r} is {item['input']!r}: {problem[0].lower()}{problem[1:]}"
+        problems.append(problem)
     return f"recording sheet {path}: {'; '.join(dict.fromkeys(problems))}"

@@ -10,7 +10,6 @@ from functools import partial
 from asbuilt.description.joint_matching import (
     find_unlabelled_joints,
     match_joints,
-    read_label_numbers,
     split_words,
 )
 from asbuilt.description.model import ROOT, RobotModel
@@ -478,14 +477,10 @@ def _align_columns(
         )
     if not all(role.joint for role in group):
         return tuple(columns)
-    if set(own) == set(labels):
-        return tuple(columns[own.index(label)] for label in labels)
-    numbers = read_label_numbers(own)
-    if all(label.startswith("joint_") for label in labels) and numbers is not None:
-        return tuple(name for _, name in sorted(zip(numbers, columns, strict=True)))
+    counted = all(label.startswith("joint_") for label in labels)
     with suppress(RecordingError):
         order, assumed = match_joints(own, labels, source=source, robot=source)
-        if not assumed:
+        if not assumed or counted:
             return tuple(columns[k] for k in order)
     raise RecordingError(
         f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not the joints of the"
