@@ -239,8 +239,13 @@ def test_what_is_wrong_with_odometry_is_one_message(
         read_recording(folder, model=model, sheet={"base_topic": "/other"})
 
 
-def bag_of(columns: dict[str, Array], model: RobotModel, folder: Path, *frames: str) -> Path:
-    """Write the columns of a log as topics: joint states, base or sensor, flags by force."""
+def bag_of(
+    columns: dict[str, Array], model: RobotModel, folder: Path, *frames: str, flags: bool = False
+) -> Path:
+    """Write the columns of a log as topics: joint states, base or sensor, forces or flags.
+
+    Flags are sent when they change.
+    """
     t, names = columns["t"], list(model.joint_names[6:])
     unset = np.array([-1.0, *np.zeros(8)])
     with BaseBag(folder) as bag:
@@ -249,7 +254,12 @@ def bag_of(columns: dict[str, Array], model: RobotModel, folder: Path, *frames: 
             q, tau, qd = ([now[f"{each}_{name}"] for name in names] for each in ("q", "tau", "qd"))
             bag.joints(at, names, q, tau, qd)
             for each in model.contacts:
-                bag.wrench(at, each.frame, [0.0, 0.0, 30.0 * now[f"contact_{each.frame}"]])
+                closed = columns[f"contact_{each.frame}"]
+                if not flags:
+                    bag.wrench(at, each.frame, [0.0, 0.0, 30.0 * closed[row]])
+                elif row == 0 or closed[row] != closed[row - 1]:
+                    topic = f"/contacts/{each.frame}"
+                    bag.write(topic, "std_msgs/msg/Bool", at, data=bool(closed[row]))
             parts = {
                 each: [now.get(f"{each}{axis}", 0.0) for axis in "xyzw"]
                 for each in ("base_", "base_q", "base_v", "base_w", "imu_w", "imu_a", "imu_q")
@@ -330,12 +340,14 @@ def test_checks_of_the_base_hold_for_topics(
     spoil: Callable[[dict[str, Array]], dict[str, Array]],
 ) -> None:
     columns = spoil(log)
-    folder = bag_of(columns, biped, tmp_path / "bag", "map")
+    folder = bag_of(columns, biped, tmp_path / "bag", "map", flags=True)
     of_topics, of_columns = (
         {each.code for each in check_free_base(biped, read_recording(source, model=biped))}
         for source in (folder, columns)
     )
-    assert of_topics - {"force_axes"} == of_columns  # here forces, not flags, show contacts
+    assert of_topics == of_columns
+    contact = [read_recording(source, model=biped).contact for source in (folder, columns)]
+    np.testing.assert_array_equal(*contact)
     assert code in (of_topics or {""})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -10,6 +11,7 @@ POSE = "geometry_msgs/msg/PoseStamped"
 ESTIMATED_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 IMU = "sensor_msgs/msg/Imu"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
+FLAG = "std_msgs/msg/Bool"
 
 
 def read_odometry(message: Any) -> dict[str, float]:
@@ -49,6 +51,22 @@ def read_wrench(message: Any) -> dict[str, float]:
     start = f"contact_{message.header.frame_id.rpartition('/')[2]}_"
     parts = message.wrench
     return _read_vector(f"{start}f", parts.force) | _read_vector(f"{start}m", parts.torque)
+
+
+def read_flag(message: Any) -> dict[str, float]:
+    """Return whether a contact is closed; its topic names it (`name_contact`)."""
+    return {"contact": float(bool(message.data))}
+
+
+def name_contact(topic: str) -> str:
+    """Return the contact of a topic, "" if its name does not say contact.
+
+    >>> [name_contact(each) for each in ("/contact/FL_foot", "/FL_foot/contact", "/FL_foot/on")]
+    ['FL_foot', 'FL_foot', '']
+    """
+    parts = [re.sub(r"(?i)_?contacts?_?", "", part) for part in topic.split("/")]
+    named = [part for part in parts if part]
+    return named[-1] if named and "contact" in topic.lower() else ""
 
 
 def read_frames(message: Any) -> dict[str, str]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.ros.base_messages import FLAG, name_contact
 from asbuilt.experiment.logs.formats.ros.messages import (
     SPARSE,
     JointMessage,
@@ -31,8 +32,8 @@ def add_base_states(
     """Return the table with columns of the base at the times of the joint states.
 
     Values between two messages are those of a cubic spline; before the first, after the last, and
-    where messages are missing they are NaN. A topic that is much slower than the joint states is
-    left out, and the table says why in `unread`.
+    where messages are missing they are NaN. Flags hold until the next one. A topic that is much
+    slower than the joint states is left out, and the table says why in `unread`.
 
     Parameters
     ----------
@@ -57,6 +58,10 @@ def add_base_states(
         complete = np.array([found[k].names == names for k in first])
         values = np.array([found[k].position for k in first[complete]])
         frames |= found[0].frames
+        if topics.types[topic] == FLAG:
+            last = np.maximum(np.searchsorted(times, rows, side="right") - 1, 0)
+            columns[f"contact_{name_contact(topic)}"] = values[last, 0]
+            continue
         group = "_".join(names[0].split("_")[:-1])
         period, own = (_measure_period(each) for each in (times[complete], rows))
         rates = f"{topic} has {1e9 / period:.3g} Hz and the joint states {1e9 / own:.3g} Hz"

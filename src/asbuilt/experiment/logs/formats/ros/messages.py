@@ -18,10 +18,13 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import names_command
 from asbuilt.experiment.logs.formats.ros.base_messages import (
     ESTIMATED_POSE,
+    FLAG,
     IMU,
     ODOMETRY,
     POSE,
     WRENCH,
+    name_contact,
+    read_flag,
     read_frames,
     read_imu,
     read_odometry,
@@ -158,6 +161,7 @@ KINDS: Mapping[str, MessageKind] = MappingProxyType(
         POSE: MessageKind(base=partial(_read_base, read=read_pose)),
         IMU: MessageKind(base=partial(_read_base, read=read_imu)),
         WRENCH: MessageKind(base=partial(_read_base, read=read_wrench)),
+        FLAG: MessageKind(base=partial(_read_base, read=read_flag)),
     }
 )
 """Types of messages that hold joints, or a floating base; of its poses the best first."""
@@ -251,7 +255,7 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     `command_topic`; else the reference of the only controller's state; else the only topic of joint
     states, of trajectories, or of numbers, whose type or name says that it holds commands. The pose
     of a floating base is `base_topic`, or the only odometry, else the only pose; every topic of
-    forces may be that of a contact.
+    forces, or of flags whose name says contact, may be that of a contact.
 
     Raises
     ------
@@ -285,7 +289,11 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     controllers = [each for each in candidates if types[each] == CONTROLLER_STATE]
     best = controllers if len(controllers) == 1 else candidates
     commands = choices.command_topic or (best[0] if len(best) == 1 else None)
-    base = [each for each, kind in types.items() if kind == WRENCH]
+    base = [
+        each
+        for each, kind in types.items()
+        if kind == WRENCH or (kind == FLAG and name_contact(each))
+    ]
     unread: dict[str, tuple[str, str]] = {}
     for group, kinds in _BASES.items():
         measured = sorted(each for each in of_base[group] if not names_command(each))
