@@ -123,4 +123,5 @@ def resample(
         length = np.interp(at, t, np.linalg.norm(values[:, turn], axis=1))
         found = out[np.ix_(inside, turn)]
         out[np.ix_(inside, turn)] = found * (length / np.linalg.norm(found, axis=1))[:, None]
+    out[exact] = values[after[exact]]  # to the last digit
     return out
