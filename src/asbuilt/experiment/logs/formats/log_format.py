@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -185,6 +186,14 @@ def tabulate_joints(
     return LogTable(source=source, columns=columns, known=known, notes=tuple(notes))
 
 
+def hold_last(times: Array, sent: Array, values: Array) -> tuple[Array, list[str]]:
+    """Return the commands (N, n) that held at times, each since it was sent, and notes."""
+    last = np.searchsorted(sent, times, side="right") - 1
+    before = int(np.count_nonzero(last < 0))
+    note = f"{before} states before the first command count as commanded like it"
+    return values[np.maximum(last, 0)], [note] if before else []
+
+
 def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
 
@@ -208,10 +217,7 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
             f" {', '.join(variables) or 'nothing'})",
             file=source,
         )
-    votes: dict[int, int] = {}
-    for array in arrays.values():
-        for size in set(array.shape):
-            votes[size] = votes.get(size, 0) + 1
+    votes = Counter(size for array in arrays.values() for size in {*array.shape})
     length = max(votes, key=lambda size: (votes[size], size))
     columns: dict[str, Array] = {}
     left_out = []
@@ -221,12 +227,10 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
             left_out.append(f"{name} {array.shape}{complex_}")
             continue
         values = array.astype(np.float64)
-        if values.ndim == 1:
-            columns[name] = values
-            continue
-        matrix = values if values.shape[0] == length else values.T
-        for k in range(matrix.shape[1]):
-            columns[f"{name}_{k + 1}"] = np.ascontiguousarray(matrix[:, k])
+        rows = values.T if values.shape[0] == length else values
+        vectors = [rows] if values.ndim == 1 else [np.ascontiguousarray(row) for row in rows]
+        names = [name] if values.ndim == 1 else [f"{name}_{k + 1}" for k in range(len(rows))]
+        columns |= zip(names, vectors, strict=True)
     listed = ", ".join(left_out)
     notes = (f"variables without the common length {length} were left out: {listed}",)
     return LogTable(source=source, columns=columns, notes=notes if left_out else ())

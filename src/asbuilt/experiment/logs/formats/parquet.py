@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -34,41 +34,33 @@ LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
 
 
-def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
-    """Open a Parquet file lazily, with the names of its numeric columns and of all.
+def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
+    """Open a Parquet file lazily, with the table of its numeric columns without their rows.
 
     Raises
     ------
     RecordingError
-        If the file is no Parquet file or has no numeric column.
+        If the file has no numeric column.
     """
     frame = pl.scan_parquet(path)
     schema = frame.collect_schema()
-    numeric = tuple(
-        name
-        for name, kind in schema.items()
-        if kind.is_numeric() or kind in (pl.Datetime, pl.Duration)
-    )
+    timed = (pl.Datetime, pl.Duration)
+    numeric = [name for name, kind in schema.items() if kind.is_numeric() or kind in timed]
     if not numeric:
         raise RecordingError(
             f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)})",
             cure=Cure("write numbers, a column for each joint"),
             file=str(path),
         )
-    return frame, numeric, tuple(schema)
+    columns = {name: np.empty(0) for name in numeric}
+    text = tuple(name for name in schema if name not in columns)
+    return frame, LogTable(str(path), columns, text_columns=text, order=tuple(schema))
 
 
 def read_parquet(path: Path) -> LogTable:
-    """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds.
-
-    Raises
-    ------
-    RecordingError
-        If the file is no Parquet file of numbers.
-    """
-    scanned, numeric, order = scan_parquet(path)
-    frame = scanned.select(numeric).collect()
-    return _make_table(path, columns_of(frame), order)
+    """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds."""
+    frame, header = scan_parquet(path)
+    return replace(header, columns=columns_of(frame.select([*header.columns]).collect()))
 
 
 def _chunks(
@@ -104,24 +96,16 @@ def read_parquet_header(path: Path) -> LogTable:
     Raises
     ------
     RecordingError
-        If the file is no Parquet file of numbers, or declares more than its size can hold.
+        If the file declares more than its size can hold.
     """
-    scanned, numeric, order = scan_parquet(path)
-    rows = int(scanned.select(pl.len()).collect().item())
-    if rows * len(numeric) * 8 > 1e9 + 1000 * path.stat().st_size:
+    frame, header = scan_parquet(path)
+    rows, count = int(frame.select(pl.len()).collect().item()), len(header.columns)
+    if rows * count * 8 > 1e9 + 1000 * path.stat().st_size:
         raise RecordingError(
-            f"{path} declares {rows:.3g} rows of {len(numeric)} columns, too many for a file of"
-            " its size",
+            f"{path} declares {rows:.3g} rows of {count} columns, too many for a file of its size",
             file=str(path),
         )
-    return _make_table(path, {name: np.empty(0) for name in numeric}, order, notes=(str(rows),))
-
-
-def _make_table(
-    path: Path, columns: Mapping[str, Array], order: tuple[str, ...], notes: tuple[str, ...] = ()
-) -> LogTable:
-    text = tuple(name for name in order if name not in columns)
-    return LogTable(source=str(path), columns=columns, text_columns=text, order=order, notes=notes)
+    return replace(header, notes=(str(rows),))
 
 
 def _read_declared(path: Path) -> tuple[int, LogTable]:

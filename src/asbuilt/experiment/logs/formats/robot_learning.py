@@ -19,6 +19,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
+    hold_last,
     tabulate_joints,
 )
 from asbuilt.experiment.logs.sheet import RATES
@@ -180,13 +181,10 @@ def read_sage(path: Path) -> LogTable:
         raise RecordingError(f"{path / NAMES} names no joint", file=str(path))
     t, states = _read_list_cells(path / STATES, tuple(QUANTITIES), len(names))
     sent, commands = _read_list_cells(path / COMMANDS, ("positions",), len(names))
-    last = np.searchsorted(sent, t, side="right") - 1
-    before = int(np.count_nonzero(last < 0))
     groups = {QUANTITIES[field]: values for field, values in states.items()}
-    groups["command"] = commands["positions"][np.maximum(last, 0)]
+    groups["command"], notes = hold_last(t, sent, commands["positions"])
     listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
-    notes = (f"{before} states before the first command count as commanded like it",)
-    table = tabulate_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+    table = tabulate_joints(str(path), t * MICROSECOND, listed, notes)
     grippers = [column for column, (_, joint) in table.known.items() if names_gripper(joint)]
     return replace(table, open_units=tuple(grippers))
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last
 from asbuilt.experiment.logs.formats.ros.base_messages import FLAG, name_contact
 from asbuilt.experiment.logs.formats.ros.messages import (
     SPARSE,
@@ -59,8 +59,7 @@ def add_base_states(
         values = np.array([found[k].position for k in first[complete]])
         frames |= found[0].frames
         if topics.types[topic] == FLAG:
-            last = np.maximum(np.searchsorted(times, rows, side="right") - 1, 0)
-            columns[f"contact_{name_contact(topic)}"] = values[last, 0]
+            columns[f"contact_{name_contact(topic)}"] = hold_last(rows, times, values[:, 0])[0]
             continue
         group = "_".join(names[0].split("_")[:-1])
         period, own = (_measure_period(each) for each in (times[complete], rows))

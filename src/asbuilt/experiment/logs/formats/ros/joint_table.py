@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, refuse
-from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_joints
+from asbuilt.experiment.logs.formats.log_format import (
+    LogTable,
+    hold_last,
+    tabulate_joints,
+)
 from asbuilt.experiment.logs.formats.ros.base_table import add_base_states
 from asbuilt.experiment.logs.formats.ros.messages import (
     FIELDS,
@@ -91,10 +95,9 @@ def tabulate_joint_states(
     commanded = tuple(name for name in names if commands and name in commands[0].names)
     values = _stack_values(commands, "position", commanded) if commands else None
     if values is not None:
-        last = np.searchsorted(sent, stamps, side="right") - 1
-        if before := int(np.count_nonzero(last < 0)):
-            notes.append(f"{before} states before the first command count as commanded like it")
-        groups.append(("command", "command", commanded, values[np.maximum(last, 0)]))
+        held, more = hold_last(stamps, sent, values)
+        notes += more
+        groups.append(("command", "command", commanded, held))
     if not any(quantity in ("torque", "command") for _, quantity, _, _ in groups):
         several = topics.candidates if topics.commands is None else ()
         lack = f"{', '.join(several)} may each hold" if several else "no topic holds"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -286,7 +286,7 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     candidates = tuple(
         sorted(each for each in of_commands if _holds_commands(each, types[each], states))
     )
-    controllers = [each for each in candidates if types[each] == CONTROLLER_STATE]
+    controllers = _list_best(candidates, types, [CONTROLLER_STATE])
     best = controllers if len(controllers) == 1 else candidates
     commands = choices.command_topic or (best[0] if len(best) == 1 else None)
     base = [
@@ -296,10 +296,9 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     ]
     unread: dict[str, tuple[str, str]] = {}
     for group, kinds in _BASES.items():
-        measured = sorted(each for each in of_base[group] if not names_command(each))
-        by_kind = [[each for each in measured if types[each] == kind] for kind in kinds]
+        measured = {each for each in of_base[group] if not names_command(each)}
         stated = getattr(choices, f"{group}_topic")
-        found = [stated] if stated else next((each for each in by_kind if each), [])
+        found = [stated] if stated else _list_best(measured, types, kinds)
         if len(found) > 1:
             unread[group] = (
                 f"{path} has messages {types[found[0]]} on {len(found)} topics"
@@ -309,6 +308,12 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
         else:
             base += found
     return Topics(path, types, states, commands, candidates, tuple(base), unread)
+
+
+def _list_best(topics: Iterable[str], types: Mapping[str, str], kinds: Iterable[str]) -> list[str]:
+    """Return the topics of the first of these types that any of them has."""
+    by_kind = (sorted(each for each in topics if types[each] == kind) for kind in kinds)
+    return next((each for each in by_kind if each), [])
 
 
 def read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.int64]:
@@ -335,10 +340,7 @@ def _find_state_topic(
         for each in of_states
         if topics[each] == CONTROLLER_STATE or (each != command_topic and not names_command(each))
     }
-    by_kind: dict[str, list[str]] = {}
-    for each in sorted(measured or of_states):
-        by_kind.setdefault(topics[each], []).append(each)
-    best = next((by_kind[kind] for kind in KINDS if kind in by_kind), [])
+    best = _list_best(measured or of_states, topics, KINDS)
     if len(best) > 1:
         raise RecordingError(
             f"{path} has joint states on {len(best)} topics ({', '.join(best)})",
