@@ -214,6 +214,7 @@ def test_joint_states_before_and_after_those_of_the_base_are_left_out(
     [
         ({"topics": ("/a", "/b")}, r"Odometry on 2 topics \(/a, /b\)", {"base_topic": "/a"}),
         ({"rate": 20.0}, "/odom has 20 Hz and the joint states 250 Hz", None),
+        ({"span": (7.5, 9.5)}, "/odom has no value at the time of any joint state", None),
         ({"frames": ("odom", "body")}, "'body' is not fixed to the base", {"base_frame": "mast"}),
         ({"frames": ("odom", "l3")}, "'l3' is not fixed to the base", {"base_frame": "mast"}),
         ({"frames": ("trunk", "mast")}, "in axes of 'trunk', a part of", None),
@@ -277,9 +278,11 @@ def bag_of(
                     orientation=bag.vector(parts["imu_q"], "Quaternion"),
                     orientation_covariance=unset if "imu_qx" not in columns else np.zeros(9),
                     angular_velocity=bag.vector(parts["imu_w"]),
-                    angular_velocity_covariance=np.zeros(9),
+                    angular_velocity_covariance=unset if "imu_wx" not in columns else np.zeros(9),
                     linear_acceleration=bag.vector(parts["imu_a"]),
-                    linear_acceleration_covariance=np.zeros(9),
+                    linear_acceleration_covariance=unset
+                    if "imu_ax" not in columns
+                    else np.zeros(9),
                 )
     return folder
 
@@ -420,3 +423,21 @@ def test_odometry_and_sensors_in_json_and_where_messages_are_missing(
     for k in known[(np.abs(t[known] - 2.25) > 0.5)]:
         place, _ = walker.frame(t[k], "trunk")
         assert np.abs(found.q[k, :3] - place.translation).max() < 1e-6
+
+
+@pytest.mark.parametrize("parts", ["", "wa"])
+def test_a_sensor_that_measures_nothing_is_none(
+    tmp_path: Path,
+    parts: str,
+    biped: RobotModel,  # noqa: F811
+    log: dict[str, Array],  # noqa: F811
+) -> None:
+    kept = {name: x for name, x in log.items() if not name.startswith("base_")}
+    unset = {
+        f"imu_{part}{axis}": np.full(log["t"].size, np.nan) for part in parts for axis in "xyz"
+    }
+    folder = bag_of(kept | unset, biped, tmp_path / "bag", "imu_link")
+    with pytest.raises(
+        RecordingError, match="/imu/data has no value at the time of any joint state"
+    ):
+        read_recording(folder, model=biped)

@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, refuse
@@ -186,7 +187,7 @@ def tabulate_joints(
     return LogTable(source=source, columns=columns, known=known, notes=tuple(notes))
 
 
-def hold_last(times: Array, sent: Array, values: Array) -> tuple[Array, list[str]]:
+def hold_last(times: NDArray[Any], sent: NDArray[Any], values: Array) -> tuple[Array, list[str]]:
     """Return the commands (N, n) that held at times, each since it was sent, and notes."""
     last = np.searchsorted(sent, times, side="right") - 1
     before = int(np.count_nonzero(last < 0))

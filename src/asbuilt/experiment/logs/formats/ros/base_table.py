@@ -61,19 +61,25 @@ def add_base_states(
         if topics.types[topic] == FLAG:
             columns[f"contact_{name_contact(topic)}"] = hold_last(rows, times, values[:, 0])[0]
             continue
-        group = "_".join(names[0].split("_")[:-1])
+        group = "_".join(names[0].split("_")[:-1]) if names else "imu"
         period, own = (_measure_period(each) for each in (times[complete], rows))
         rates = f"{topic} has {1e9 / period:.3g} Hz and the joint states {1e9 / own:.3g} Hz"
-        if len(values) < 4 or period > SPARSE * own:
+        sampled = resample(rows, times[complete], values, names, period)
+        if not np.isfinite(sampled).any():
+            unread[group] = (
+                f"{topics.path}: {topic} has no value at the time of any joint state",
+                "record both by one clock, and what the sensor measures",
+            )
+        elif period > SPARSE * own:
             unread[group] = (
                 f"{topics.path}: {rates}, so that how the base moves between its messages is not"
                 " in the log",
                 f"record it at {1e9 / (SPARSE * own):.3g} Hz or faster, or another source",
             )
-            continue
-        if period > SLOWER * own:
-            notes.append(f"{rates}: motion above {0.5e9 / period:.3g} Hz is not in it")
-        columns |= zip(names, resample(rows, times[complete], values, names, period).T, strict=True)
+        else:
+            columns |= zip(names, sampled.T, strict=True)
+            if period > SLOWER * own:
+                notes.append(f"{rates}: motion above {0.5e9 / period:.3g} Hz is not in it")
     known = {name: table.known.get(name, ("", "")) for name in columns if name != "time"}
     return replace(
         table, columns=columns, known=known, unread=unread, notes=tuple(notes), frames=frames
@@ -81,8 +87,8 @@ def add_base_states(
 
 
 def _measure_period(times: NDArray[np.int64]) -> float:
-    """Return the median time between messages [ns]; infinite for fewer than two."""
-    return float(np.median(np.diff(times))) if times.size > 1 else np.inf
+    """Return the median time between messages [ns], at least one; infinite for fewer than two."""
+    return max(float(np.median(np.diff(times))), 1.0) if times.size > 1 else np.inf
 
 
 def resample(
@@ -108,7 +114,7 @@ def resample(
         flips = np.sum(values[1:, turn] * values[:-1, turn], axis=1) < 0.0
         values[1:, turn] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
     out = np.full((rows.size, len(names)), np.nan)
-    if len(values) < 4:
+    if len(values) < 4 or not names:
         return out
     after = np.searchsorted(times, rows)
     bounded = np.clip(after, 1, times.size - 1)
