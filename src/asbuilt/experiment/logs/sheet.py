@@ -379,8 +379,8 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 def find_sheet_beside(log: Path) -> Path | None:
     """Return the sheet next to a log: `run.csv.toml` or `run.toml`; None if there is none."""
-    beside = (log.with_name(log.name + ".toml"), log.with_suffix(".toml")) if log.name else ()
-    for candidate in beside:
+    candidates = (log.with_name(log.name + ".toml"), log.with_suffix(".toml")) if log.name else ()
+    for candidate in candidates:
         fields: set[str] = set()
         if candidate != log and candidate.is_file():
             with suppress(ValueError):  # what is no TOML is refused where it is read

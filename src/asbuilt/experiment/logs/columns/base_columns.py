@@ -1,4 +1,4 @@
-"""Columns of a floating base: those of a log and of its sheet, turned into axes of the base."""
+"""Columns of a floating base from a log and its sheet, in axes of the base."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def with_base_columns(
 ) -> tuple[Recording, str]:
     """Return the recording with columns of the base as its `extra`, and the frame of its sensor.
 
-    Pose and twist of another frame that is fixed to the base become those of the base. Samples
-    before the first and after the last state of the base are left out.
+    Pose and twist of another frame that is fixed to the base are moved to the base. Samples before
+    the first and after the last state of the base are left out.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def with_base_columns(
         if of_contact or not (posed or sensed):
             raise RecordingError(problem, cure=Cure(cure), file=table.source)
         if group == "base" and not posed:
-            note = f"{problem}; the base is that of its inertial sensor"
+            note = f"{problem}; its inertial sensor gives the base"
             recording = replace(recording, notes=(*recording.notes, note))
     world = table.frames.get("world", "").rpartition("/")[2]
     if posed and world in {*model.link_names, *(frame.name for frame in model.frames)}:
@@ -106,7 +106,7 @@ def _place_on_base(table: LogTable, model: RobotModel, frame: str, field: str) -
 
 
 def move_to_base(columns: Mapping[str, Array], placement: Array) -> dict[str, Array]:
-    """Return pose and twist of a base from those of a frame at `placement` (4, 4) on it.
+    """Return pose and twist of a base, given of a frame at `placement` (4, 4) on it.
 
     With R, p of the frame on the base: `R_base = R_frame R^T`, `x_base = x_frame - R_base p`, and
     in axes of the base `w_base = R w_frame`, `v_base = R v_frame - w_base x p`, as are their rates.

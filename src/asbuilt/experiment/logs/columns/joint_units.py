@@ -70,7 +70,7 @@ def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
 
 
 def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet) -> None:
-    """Raise unless the sheet gives the unit of positions, which is not that of grippers."""
+    """Raise unless the sheet gives the unit of positions, in which grippers are not."""
     gripper = names_gripper(table.known[column][1])
     if sheet.units.position is not None and not gripper:
         return

@@ -113,7 +113,8 @@ def find_dialect(
         skip, data = body[1], rest[0]
         words = [not any(map(is_number, row)) for row in rest]
         if words == [True, False] and len(data) == len(names):
-            names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, data)]  # noqa: B905 - as many
+            pairs = zip(names, data, strict=True)
+            names = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
             skip, data = body[2], rest[1]
     else:
         commented = _split_fields(lines[skip - 1].lstrip(" #%"), separator) if skip > 0 else []

@@ -31,7 +31,7 @@ def add_base_states(
 ) -> LogTable:
     """Return the table with columns of the base at the times of the joint states.
 
-    Values between two messages are those of a cubic spline; before the first, after the last, and
+    Between two messages values follow a cubic spline; before the first, after the last, and
     where messages are missing they are NaN. Flags hold until the next one. A topic that is much
     slower than the joint states is left out, and the table says why in `unread`.
 

@@ -255,7 +255,7 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     `command_topic`; else the reference of the only controller's state; else the only topic of joint
     states, of trajectories, or of numbers, whose type or name says that it holds commands. The pose
     of a floating base is `base_topic`, or the only odometry, else the only pose; every topic of
-    forces, or of flags whose name says contact, may be that of a contact.
+    forces, or of flags whose name says contact, may concern a contact.
 
     Raises
     ------
@@ -317,7 +317,7 @@ def _list_best(topics: Iterable[str], types: Mapping[str, str], kinds: Iterable[
 
 
 def read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.int64]:
-    """Return the times of messages [ns], by their headers' clock or by that of the recorder."""
+    """Return the times of messages [ns], by the clock of their headers or of the recorder."""
     return np.array([each.stamp if stamped else each.logged for each in messages], dtype=np.int64)
 
 
