@@ -24,6 +24,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
 from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.experiment.logs.formats.isolated import read_guarded
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
@@ -123,9 +124,9 @@ def kinds() -> dict[str, Kind]:
             {"format": "asbuilt fleet ledger", "format_version": 1}),
             lambda path: open_ledger(str(path.parent))),
         "lerobot": Kind("meta/info.json", json.dumps(info),
-                        lambda path: read_lerobot(path.parent.parent),
+                        lambda path: read_guarded(read_lerobot, path.parent.parent),
                         {"data/x.parquet": dataset()}),
-        "sage": Kind("state_motor.csv", STATES, lambda path: read_sage(path.parent),
+        "sage": Kind("state_motor.csv", STATES, lambda path: read_guarded(read_sage, path.parent),
                      {"joint_list.txt": "One\nTwo\n",
                       "control.csv": STATES.replace("STATE_MOTOR", "CONTROL")}),
     }  # fmt: skip

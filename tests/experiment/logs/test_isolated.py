@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.errors import RecordingError
+from asbuilt.errors import MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats import isolated
-from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.experiment.logs.formats.isolated import FileKind, read_isolated
 from asbuilt.experiment.logs.formats.log_format import LogTable
 
 READERS = '''
@@ -44,6 +44,9 @@ def is_killed_before(path):
         os.kill(os.getpid(), signal.SIGKILL)
     return process(path)
 
+def lacks(path):
+    import no_such_library
+
 def text(path):
     size = float(path.stat().st_size)
     return LogTable(source=str(path), columns={"size": np.array([size])}, notes=(str(os.getpid()),))
@@ -63,7 +66,7 @@ def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
     monkeypatch.syspath_prepend(tmp_path)
     module = __import__(name)
     monkeypatch.setattr(isolated, "_idle", [])
-    yield lambda what, path=log: read_isolated(getattr(module, what), path)
+    yield lambda what, path=log, **kind: read_isolated(getattr(module, what), path, **kind)
     isolated._end_idle()
     sys.modules.pop(name)
 
@@ -112,6 +115,16 @@ def test_a_process_that_met_an_error_is_not_used_again(
     assert said in str(caught.value)
     assert not is_running(first)
     assert process_of(read("process")) != first
+
+
+def test_a_library_that_is_not_installed_is_named_with_its_extra(
+    read: Callable[..., LogTable], tmp_path: Path
+) -> None:
+    with pytest.raises(MissingExtraError, match="needs the package no_such_library") as caught:
+        read("lacks", kind=FileKind("HDF5", extra="hdf5"))
+    assert caught.value.extra == "hdf5"
+    with pytest.raises(RecordingError, match=r"cannot be read as HDF5 \(ModuleNotFoundError: "):
+        read("lacks", kind=FileKind("HDF5"))
 
 
 def test_a_file_that_takes_too_long_ends_its_process(

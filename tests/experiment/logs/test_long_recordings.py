@@ -13,7 +13,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.formats import delimited
-from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
+from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long, stream_recording
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import as_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -108,3 +108,14 @@ def test_text_that_is_read_in_parts_is_the_whole_text(tmp_path, monkeypatch) -> 
         for name, values in whole.items():
             parts = np.concatenate([chunk[name] for _, chunk in chunks])
             np.testing.assert_array_equal(parts, values)
+
+
+def test_windows_of_chunks_count_from_the_first_sample_of_a_corrected_clock(tmp_path) -> None:
+    t = np.arange(5.0, 9.0, 0.01)
+    log = tmp_path / "log.csv"
+    pl.DataFrame({"t": t, "q_1": np.sin(t), "tau_1": np.cos(t)}).write_csv(log)
+    sheet = {"time_factor": 2.0, "windows": [{"start": 0.99, "stop": 3.01}]}
+    whole = read_recording(log, sheet=sheet)
+    chunks = list(stream_recording(log, sheet=sheet, chunk_samples=64))
+    np.testing.assert_array_equal(np.concatenate([chunk.t for chunk in chunks]), whole.t)
+    assert whole.t[0] == pytest.approx(11.0)

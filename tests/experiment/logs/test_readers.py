@@ -308,7 +308,7 @@ BAD = {
         "0,1,2\n0.1,1,2\n",
         "has 3 columns without a header row; name them in a recording sheet bare.toml",
     ),
-    "fake.npz": ("PK nonsense", "NumPy cannot read it as an .npz archive"),
+    "fake.npz": ("PK nonsense", "it cannot be read as an .npz archive of NumPy"),
     "fake.mat": ("nonsense", "cannot be read as a MATLAB file"),
     "fake.parquet": ("nonsense", "cannot be read as Parquet"),
     "fake.h5": ("nonsense", "cannot be read as HDF5"),

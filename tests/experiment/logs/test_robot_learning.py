@@ -155,7 +155,10 @@ def lerobot(folder):
 
 def test_a_lerobot_dataset_is_read_once_its_unit_is_said(tmp_path):
     folder = lerobot(tmp_path / "set")
-    with pytest.raises(RecordingError, match="the unit of the positions"):
+    with pytest.raises(
+        RecordingError,
+        match=r"unit of elbow, which runs from 90 to 99, .* -100 to 100",
+    ):
         read_recording(folder)
     recording = read_recording(folder, sheet={"units": {"position": "deg", "command": "deg"}})
     assert recording.joint_names == ("elbow", "wrist")
@@ -229,7 +232,7 @@ def test_the_unit_of_a_gripper_is_asked_for(tmp_path, third):
 
 def test_shares_of_a_range_are_converted_joint_by_joint(tmp_path):
     folder, ends = with_gripper(tmp_path / "set"), {"logged": [-100, 100], "position": [-2, 2]}
-    with pytest.raises(RecordingError, match="largest of elbow is 90"):
+    with pytest.raises(RecordingError, match="unit of elbow, which runs from 71 to 90"):
         read_recording(folder, sheet={"joint_units": {"gripper": "deg"}})
     sheet = {"joint_units": {"gripper": "deg", "elbow": ends}}
     recording = read_recording(folder, sheet=sheet)

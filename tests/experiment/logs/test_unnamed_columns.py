@@ -289,3 +289,17 @@ def test_time_is_found_wherever_it_is(
     sheet = _draft(tmp_path / "log.csv")
     assert sheet["columns"]["time"] == (13 if where == "last" else 1)
     assert "rate" not in sheet
+
+
+def test_a_stream_without_a_header_row_has_the_draft_of_a_sheet_too(
+    tmp_path: Path, values: dict[str, np.ndarray]
+) -> None:
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([values[each] for each in NAMES]), delimiter=",")
+    with pytest.raises(RecordingError, match="18 columns without a header row") as caught:
+        next(stream_recording(path, model=MODEL, rate=50.0))
+    sheet = tomllib.loads(_draft_text(caught.value))
+    assert sheet["columns"] == {"position": "1-6", "velocity": "7-12", "torque": "13-18"}
+    path.write_text("0,1,2,3,4\n")
+    with pytest.raises(RecordingError, match="5 columns without a header row"):
+        read_recording(path, model=MODEL)

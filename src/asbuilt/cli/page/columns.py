@@ -18,6 +18,7 @@ from asbuilt.cli.answers import answer, describe_cure
 from asbuilt.cli.arguments.options import AsJson, Full, Robot, load_described_robot
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 from asbuilt.experiment.logs.readers import find_sheet
+from asbuilt.experiment.logs.sheet import BASE_VECTORS
 from asbuilt.writing import atomic_write
 
 if TYPE_CHECKING:
@@ -300,8 +301,9 @@ def write_sheet(
             unit = _choose_unit(quantity, [factors.get(name) for name in names])
             if unit:
                 units.setdefault(quantity, unit)
-    extra = content.get("columns", {}).get("extra")
-    content["columns"] = columns | ({"extra": extra} if extra else {})
+    others = ("extra", "contact", *BASE_VECTORS)
+    stated = content.get("columns", {})
+    content["columns"] = columns | {name: stated[name] for name in others if name in stated}
     content["joints"] = joints
     if units:
         content["units"] = units

@@ -45,10 +45,11 @@ def select_base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     }
 
 
-def add_base_coordinates(recording: Recording, model: RobotModel) -> Recording:
+def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = "") -> Recording:
     """Return a recording of the joints with the coordinates of the base before them.
 
-    The columns of the base are among its `extra`.
+    The columns of the base are among its `extra`. `sensor` is the link or frame of its inertial
+    sensor; "": `imu`, `imu_link` or the base.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def add_base_coordinates(recording: Recording, model: RobotModel) -> Recording:
             with_inertial_base,
         )
 
-        recording = with_inertial_base(recording, model)
+        recording = with_inertial_base(recording, model, sensor)
     contact = _find_closed_contacts(recording, model) if model.contacts else None
     q, notes = _read_pose(recording, model)
     qd, qdd = _read_rates(recording, model, q)

@@ -12,6 +12,7 @@ State estimation for legged robots, RSS 2012, by a filter in place of our zero-p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,10 +44,11 @@ QUATERNION = ("imu_qx", "imu_qy", "imu_qz", "imu_qw")
 PLACES = ("imu", "imu_link")
 
 
-def with_inertial_base(recording: Recording, model: RobotModel) -> Recording:
+def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = "") -> Recording:
     """Return a recording with columns of the base from those of an inertial sensor.
 
-    Nothing changes where the log has a pose of the base, or no sensor.
+    The link or frame `sensor` has it; "": `imu`, `imu_link` or the base. Nothing changes where the
+    log has a pose of the base, or no sensor.
 
     Raises
     ------
@@ -74,7 +76,7 @@ def with_inertial_base(recording: Recording, model: RobotModel) -> Recording:
         )
     g = float(np.linalg.norm(model.gravity))
     refuse_units(recording, f, g)
-    placement, where = _placement(recording, model)
+    placement, where = _placement(recording, model, (sensor,) if sensor else PLACES)
     w, f = w @ placement[:3, :3].T, f @ placement[:3, :3].T
     feet = Feet.of(recording, model)
     refuse_force(recording, feet, f)
@@ -148,10 +150,10 @@ def _logged(recording: Recording) -> Array:
     )
 
 
-def _placement(recording: Recording, model: RobotModel) -> tuple[Array, str]:
+def _placement(recording: Recording, model: RobotModel, places: Sequence[str]) -> tuple[Array, str]:
     """Return the placement (4, 4) of the sensor in the base, and its name."""
     base = model.n_floating - 1
-    for name in PLACES:
+    for name in places:
         if name in model.link_names or name in {frame.name for frame in model.frames}:
             link, placement = model.placed(name)
             if link != base:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.command.magnitude import sign_by_command
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.columns.layout import Layout
@@ -51,9 +52,9 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
     RecordingError
         If the files have different clocks, or lengths without a clock.
     """
-    columns: dict[str, NDArray[np.float64]] = {}
+    columns: dict[str, Array] = {}
     known: dict[str, tuple[str, str]] = {}
-    parts = {}
+    parts: dict[str, LogTable] = {}
     for key, table in tables.items():
         quantity = key if key in _QUANTITIES else parse_file_quantity(Path(key).stem)[0]
         if quantity is None:
@@ -63,76 +64,69 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
                 file=key,
             )
         parts[quantity] = table
-    clocks = {quantity: _find_clock_column(table) for quantity, table in parts.items()}
+    clocks = {
+        quantity: next((name for name in table.columns if _is_shared(name, "time")), "")
+        for quantity, table in parts.items()
+    }
     rows, notes = _match_rows(parts, clocks)
     for quantity, table in parts.items():
         for name, values in table.columns.items():
             if name == clocks[quantity]:
                 columns.setdefault("time", values[rows[quantity]])
-                continue
-            role = recognise(name)
-            if role is not None and role.quantity == quantity and not role.joint:
+            elif _is_shared(name, quantity):
                 columns[name] = values[rows[quantity]]
-                continue
-            key = f"{quantity}/{name}"
-            columns[key] = values[rows[quantity]]
-            known[key] = (
-                quantity,
-                name if role is None or role.quantity == "time" else role.joint or name,
-            )
-    source = ", ".join(table.source for table in parts.values())
+            else:
+                role = recognise(name)
+                joint = name if role is None or role.quantity == "time" else role.joint or name
+                columns[f"{quantity}/{name}"] = values[rows[quantity]]
+                known[f"{quantity}/{name}"] = (quantity, joint)
     return LogTable(
-        source=source,
+        source=", ".join(table.source for table in parts.values()),
         columns=columns,
         known=known,
         notes=(*(note for table in parts.values() for note in table.notes), *notes),
     )
 
 
-def _find_clock_column(table: LogTable) -> str | None:
-    for name in table.columns:
-        role = recognise(name)
-        if role is not None and role.quantity == "time" and not role.joint:
-            return name
-    return None
+def _is_shared(name: str, quantity: str) -> bool:
+    """Return whether the name of a column gives a quantity, and no joint."""
+    role = recognise(name)
+    return role is not None and role.quantity == quantity and not role.joint
 
 
 def _match_rows(
-    parts: Mapping[str, LogTable], clocks: Mapping[str, str | None]
+    parts: Mapping[str, LogTable], clocks: Mapping[str, str]
 ) -> tuple[dict[str, NDArray[np.intp] | slice], tuple[str, ...]]:
+    """Return the rows of each file that are of the same times, and notes."""
     lengths = {table.source: table.n_samples for table in parts.values()}
-    times = [
-        parts[quantity].columns[clock] for quantity, clock in clocks.items() if clock is not None
-    ]
-    same = len(set(lengths.values())) == 1
-    if same and all(np.array_equal(t, times[0], equal_nan=True) for t in times):
+    times = {name: parts[name].columns[clock] for name, clock in clocks.items() if clock}
+    first = next(iter(times.values()), np.zeros(0))
+    alike = all(np.array_equal(t, first, equal_nan=True) for t in times.values())
+    if alike and len(set(lengths.values())) == 1:
         return dict.fromkeys(parts, slice(None)), ()
-    if len(times) < len(parts):
-        listing = ", ".join(f"{name}: {length}" for name, length in lengths.items())
-        raise RecordingError(
+    common, shortest = reduce(np.intersect1d, times.values(), first), min(lengths.values())
+    listing = ", ".join(f"{name}: {length}" for name, length in lengths.items())
+    refuse(
+        RecordingError,
+        (
+            len(times) < len(parts),
             "files of one recording have different lengths and not all have time stamps to join"
-            f" them by ({listing})"
-        )
-    common = times[0]
-    for t in times[1:]:
-        common = np.intersect1d(common, t)
-    shortest = min(lengths.values())
-    if common.size < 0.5 * shortest:
-        raise RecordingError(
+            f" them by ({listing})",
+        ),
+        (
+            common.size < 0.5 * shortest,
             f"files of one recording do not share a clock: {common.size} of {shortest} time stamps"
             f" are equal ({', '.join(lengths)})",
-            cure=Cure("resample them to one clock, or log all quantities together"),
-        )
-    rows: dict[str, NDArray[np.intp] | slice] = {}
-    for quantity, clock in clocks.items():
-        assert clock is not None
-        _, index, _ = np.intersect1d(parts[quantity].columns[clock], common, return_indices=True)
-        rows[quantity] = index.astype(np.intp)
-    return rows, (
-        (
-            f"{common.size} of {max(lengths.values())} samples have the same time stamp in all"
-            " files and were kept"
+            {"cure": Cure("resample them to one clock, or log all quantities together")},
         ),
+    )
+    rows = {
+        name: np.intersect1d(t, common, return_indices=True)[1].astype(np.intp)
+        for name, t in times.items()
+    }
+    return {**rows}, (
+        f"{common.size} of {max(lengths.values())} samples have the same time stamp in all files"
+        " and were kept",
     )
 
 
@@ -156,8 +150,12 @@ def build_recording(
     """
     notes, start = list(layout.notes), 0.0
     if layout.time is not None:
-        t, start = read_logged_times(table, layout, origin)
-        if start != 0:
+        t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
+        start = find_clock_origin(t) if origin is None else origin
+        t = t - start if start else t
+        if layout.nanoseconds is not None:
+            t = t + 1e-9 * table.columns[layout.nanoseconds]
+        if start:
             notes.append(f"times count from {start:.6f} s")
         if rate is not None:
             notes.append(
@@ -195,121 +193,115 @@ def build_recording(
 
 
 def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:
-    """Apply torque source, clock, joint conventions, torque signs, gains and time windows.
+    """Apply torque source, clock, joint conventions, torque signs and gains.
 
     Gain and torque source of the options replace the sheet's; `flip_torque` changes the sign that
     results.
     """
-    source = options.torque_source or sheet.torque_source
-    if source is not None:
-        recording = replace(recording, torque_source=source)
+    recording = replace(
+        recording,
+        torque_source=options.torque_source or sheet.torque_source or recording.torque_source,
+    )
     if sheet.time_factor is not None:
         note = f"times were multiplied by {sheet.time_factor:g}"
         recording = replace(
             recording, t=recording.t * sheet.time_factor, notes=(*recording.notes, note)
         )
-    if sheet.position_sign is not None:
-        recording = _apply_signs(
-            recording, _read_joint_numbers(recording, sheet.position_sign, "position signs")
-        )
-    if sheet.zero is not None:
-        recording = _from_zero(recording, sheet)
+    if sheet.position_sign is not None or sheet.zero is not None:
+        recording = _apply_conventions(recording, sheet)
     if sheet.sign == "command":
         recording = sign_by_command(recording, {*sheet.lock, *(options.lock or ())})
     elif sheet.sign is not None:
-        signs = _read_joint_numbers(recording, sheet.sign, "signs")
+        signs = spread_over_joints(recording, sheet.sign, "signs")
         if np.all(signs < 0):
             recording = recording.flipped()
         elif np.any(signs < 0):
             recording = replace(recording.scaled(signs), gains=recording.gains)
     gain = options.gain if options.gain is not None else sheet.gains
-    if gain is not None:
-        recording = recording.scaled(gain)
-    if options.flip_torque:
-        recording = recording.flipped()
+    recording = recording if gain is None else recording.scaled(gain)
+    recording = recording.flipped() if options.flip_torque else recording
+    servo = None
     if recording.torque_source == "command" and recording.command is not None:
         servo = build_stated_servo(recording, sheet, options)
-        if servo is not None:
-            recording = drive_by_command(recording, servo)
-    if recording.servo is None:
-        _refuse_idle_servo(recording, options)
-    if sheet.windows:
-        inside = sheet.in_windows(recording.t, float(recording.t[0]))
-        kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
-        note = (
-            f"{kept.n_samples} of {recording.n_samples} samples lie in the time windows of the"
-            " sheet"
-        )
-        recording = replace(kept, notes=(*kept.notes, note))
+    if servo is not None:
+        return drive_by_command(recording, servo)
+    _refuse_idle_servo(recording, options)
     return recording
+
+
+def keep_windows(recording: Recording, sheet: RecordingSheet) -> Recording:
+    """Return the samples in the time windows of the sheet, which count from the first sample."""
+    if not sheet.windows:
+        return recording
+    inside = sheet.in_windows(recording.t, float(recording.t[0]))
+    kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
+    note = f"{kept.n_samples} of {inside.size} samples lie in the time windows of the sheet"
+    return replace(kept, notes=(*kept.notes, note))
 
 
 def _refuse_idle_servo(recording: Recording, options: ReadingOptions) -> None:
     """Raise if options describe the servo of a recording that has none."""
     given = [name for name in PER_JOINT if getattr(options, name) is not None]
-    if not given:
-        return
+    problem = f"has torques in addition to its commands (source: {recording.torque_source})"
+    cure = Cure("use its commands in their place", settings={"torque_source": "command"})
     if recording.command is None:
         problem = "has no commanded positions"
         cure = Cure('name their columns in a recording sheet: [columns] command = ["..."]')
-    else:
-        problem = f"has torques in addition to its commands (source: {recording.torque_source})"
-        cure = Cure("use its commands in their place", settings={"torque_source": "command"})
-    raise RecordingError(
-        f"{recording.source} {problem}, so that {', '.join(given)} of a servo would have no effect",
-        cure=cure,
-        file=recording.source,
-        value=given,
-    )
+    if given:
+        raise RecordingError(
+            f"{recording.source} {problem}, so that {', '.join(given)} of a servo would have no"
+            " effect",
+            cure=cure,
+            file=recording.source,
+            value=given,
+        )
 
 
 ABSENT = {"torque_limit": np.inf, "no_load_speed": np.inf, "goal_speed": np.inf, "lead": 0.0}
 """What a servo is taken to lack unless it is stated, as the number that says so."""
+WORDS = {None: np.nan, "auto": np.nan, "none": np.inf}
 
 
-def _read_joint_numbers(recording: Recording, given: float | list[float], what: str) -> Array:
-    """Return the numbers of a sheet, one or (n,); raise where there are not as many as joints."""
-    numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
+def spread_over_joints(recording: Recording, given: Any, what: str) -> Array:
+    """Return numbers that are given once or per joint as (n,); "auto" and None are NaN."""
+    listed = given if isinstance(given, list | tuple) else [given]
+    numbers = np.array([WORDS[each] if each in WORDS else float(each) for each in listed])
     if numbers.size not in (1, recording.n_joints):
         raise RecordingError(
-            f"{recording.source}: the sheet gives {numbers.size} {what} for {recording.n_joints}"
-            " joints",
+            f"{recording.source}: {numbers.size} {what} for {recording.n_joints} joints"
+            f" ({', '.join(recording.joint_names)})",
             cure=Cure("give one, or one per joint"),
             file=recording.source,
             value=numbers.tolist(),
             expected=recording.n_joints,
         )
-    return numbers
+    return np.broadcast_to(numbers, recording.n_joints)
 
 
-def _apply_signs(recording: Recording, signs: Array) -> Recording:
-    """Return a recording whose motion is multiplied by these signs, one or (n,)."""
-
-    def times(values: Array | None) -> Array | None:
-        return None if values is None else values * signs
-
-    listed = ", ".join(f"{value:g}" for value in signs)
-    return replace(
-        recording,
-        q=recording.q * signs,
-        qd=times(recording.qd),
-        qdd=times(recording.qdd),
-        command=times(recording.command),
-        notes=(*recording.notes, f"positions were multiplied by {listed}"),
+def _apply_conventions(recording: Recording, sheet: RecordingSheet) -> Recording:
+    """Return the recording with positions in the direction and from the zero of the description."""
+    one, none = sheet.position_sign is None, sheet.zero is None
+    signs = spread_over_joints(recording, 1.0 if one else sheet.position_sign, "position signs")
+    zeros = spread_over_joints(recording, 0.0 if none else sheet.zero, "zero positions")
+    notes = tuple(
+        f"positions {what} {', '.join(f'{value:g}' for value in np.atleast_1d(given))}"
+        for what, given in (
+            ("were multiplied by", sheet.position_sign),
+            ("count from", sheet.zero),
+        )
+        if given is not None
     )
 
+    def convert(values: Array | None, zero: Array | float = 0.0) -> Array | None:
+        return None if values is None else values * signs - zero
 
-def _from_zero(recording: Recording, sheet: RecordingSheet) -> Recording:
-    """Return a recording whose positions count from those that the log gives at zero."""
-    assert sheet.zero is not None
-    zeros = _read_joint_numbers(recording, sheet.zero, "zero positions")
-    listed = ", ".join(f"{value:g}" for value in zeros)
-    signs = np.asarray(1.0 if sheet.position_sign is None else sheet.position_sign)
     return replace(
         recording,
-        q=recording.q - signs * zeros,
-        command=None if recording.command is None else recording.command - signs * zeros,
-        notes=(*recording.notes, f"positions count from {listed}"),
+        q=recording.q * signs - signs * zeros,
+        qd=convert(recording.qd),
+        qdd=convert(recording.qdd),
+        command=convert(recording.command, signs * zeros),
+        notes=(*recording.notes, *notes),
     )
 
 
@@ -324,50 +316,14 @@ def build_stated_servo(
         name: getattr(sheet if getattr(options, name) is None else options, name)
         for name in PER_JOINT
     }
-    commanded = sheet.columns.command is not None or any(
-        each is not None for each in given.values()
-    )
-    if sheet.columns.torque is not None and not commanded:
+    stated = sheet.columns.command is not None or any(x is not None for x in given.values())
+    if sheet.columns.torque is not None and not stated:
         return None
-    numbers: dict[str, Any] = {
-        name: _spread_over_joints(recording, name, each, ABSENT.get(name, np.nan))
-        for name, each in given.items()
-    }
+    numbers: dict[str, Any] = {}
+    for name, each in given.items():
+        values = spread_over_joints(recording, each, f"values of {name}")
+        numbers[name] = tuple(np.where(np.isnan(values), ABSENT.get(name, np.nan), values).tolist())
     return PositionServo(**numbers)
-
-
-def _spread_over_joints(
-    recording: Recording, name: str, given: Any, unknown: float
-) -> tuple[float, ...]:
-    """Return one number per joint; "auto", NaN and None are `unknown`, "none" is infinite."""
-    listed = given if isinstance(given, list | tuple) else [given]
-    named = {None: np.nan, "auto": np.nan, "none": np.inf}
-    numbers = [named[each] if each in named else float(each) for each in listed]
-    values = [unknown if np.isnan(each) else each for each in numbers]
-    if len(values) not in (1, recording.n_joints):
-        raise RecordingError(
-            f"{recording.source}: {len(values)} values of {name} for {recording.n_joints} joints"
-            f" ({', '.join(recording.joint_names)})",
-            cure=Cure("give one value, or one per joint"),
-            file=recording.source,
-            value=len(values),
-            expected=recording.n_joints,
-        )
-    return tuple(values * recording.n_joints if len(values) == 1 else values)
-
-
-def read_logged_times(
-    table: LogTable, layout: Layout, origin: float | None = None
-) -> tuple[Array, float]:
-    """Return the times [s] of a table with a time column, less the origin, and the origin."""
-    assert layout.time is not None
-    t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
-    start = origin if origin is not None else find_clock_origin(t)
-    t = t - start if start != 0 else t
-    return (
-        t if layout.nanoseconds is None else t + 1e-9 * table.columns[layout.nanoseconds],
-        start,
-    )
 
 
 def find_clock_origin(t: Array) -> float:
@@ -381,13 +337,8 @@ def _stack_columns(table: LogTable, names: tuple[str, ...], layout: Layout) -> A
     """Return columns in SI units (N, n), NaN for joints that have none."""
     out = np.full((table.n_samples, len(names)), np.nan)
     for k, name in enumerate(names):
-        factor = layout.scales.get(name, 1.0)
-        if not name:
-            continue
-        if factor == 1.0:
-            out[:, k] = table.columns[name]
-        else:
-            np.multiply(table.columns[name], factor, out=out[:, k])
+        if name:
+            np.multiply(table.columns[name], layout.scales.get(name, 1.0), out=out[:, k])
         if layout.offsets.get(name):
             out[:, k] += layout.offsets[name]
     out.setflags(write=False)  # a recording copies what others could change

@@ -16,8 +16,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, read_logged_times
-from asbuilt.experiment.logs.formats.log_format import LogStream, LogTable, choose_log_format
+from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
+from asbuilt.experiment.logs.formats.log_format import choose_log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
@@ -25,7 +25,6 @@ from asbuilt.experiment.logs.readers import (
     find_table_layout,
     read_recording,
 )
-from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -81,38 +80,26 @@ def stream_recording(
     try:
         layout = find_table_layout(header, sheet, model, chosen)
     except RecordingError:
-        layout = find_table_layout(
-            _read_first_rows(stream, header, path, sheet), sheet, model, chosen
+        # By the first rows of all numeric columns an error drafts a sheet.
+        first_rows = next(
+            (each for _, each in stream.chunks(path, sheet, [*header.columns], 2000)), {}
         )
+        table = replace(header, columns=first_rows or header.columns)
+        layout = find_table_layout(table, sheet, model, chosen)
     quantities = {name: layout.quantities[name] for name in _STREAMED if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
-    windowless = sheet.model_copy(update={"windows": []})
     origin: float | None = None
-    start = 0.0
+    start: float | None = None
     for first, columns in stream.chunks(path, sheet, layout.columns, chunk_samples):
         table = replace(header, columns=columns)
-        if origin is None and layout.time is not None:
-            t, origin = read_logged_times(table, layout)
-            start = float(t[0])
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
-        chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), windowless, chosen)
-        if sheet.windows:
-            inside = sheet.in_windows(chunk.t, start)
-            if not inside.any():
-                continue
-            chunk = chunk.taken(inside)
-        yield chunk
-
-
-def _read_first_rows(
-    stream: LogStream, header: LogTable, path: Path, sheet: RecordingSheet
-) -> LogTable:
-    """Return the first rows of all numeric columns, by which an error drafts a sheet."""
-    # Samples by which the draft of a sheet is made.
-    for _, columns in stream.chunks(path, sheet, tuple(header.columns), 2000):
-        return replace(header, columns=columns)
-    return header
+        chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), sheet, chosen)
+        origin = chunk.started
+        start = float(chunk.t[0]) if start is None else start
+        inside = sheet.in_windows(chunk.t, start)
+        if inside.any():
+            yield chunk if inside.all() else chunk.taken(inside)
 
 
 LONG = 200e6

@@ -8,19 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.columns import add_base_coordinates, select_base_columns
+from asbuilt.errors import RecordingError, refuse
+from asbuilt.experiment.free_base.columns import add_base_coordinates
 from asbuilt.experiment.logs.assembly import (
     apply_sheet,
     build_recording,
     group_by_role,
+    keep_windows,
     merge_role_files,
 )
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
+    GOALS,
     match_commanded_role,
-    match_goal_role,
     parse_file_quantity,
     recognise,
 )
@@ -75,17 +76,31 @@ def read_recording(
     chosen = merge_reading_options(options, settings)
     if is_columns(source):
         sheet, notes = _read_given_sheet(chosen.sheet)
-        return _assemble_recording(tabulate_columns(source), sheet, notes, model, chosen)
-    listed = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
-    if not listed:
-        raise RecordingError("no recording is given; give at least one file")
-    for path in listed:
-        check_readable(path)
-    sheet, notes = find_sheet(listed[0], chosen.sheet)
-    table = read_table(listed, sheet)
-    if len(listed) == 1 and not table.known:
-        _refuse_lone_role_file(listed[0], table)
-    return _assemble_recording(table, sheet, notes, model, chosen)
+        table = tabulate_columns(source)
+    else:
+        given: Any = [source] if isinstance(source, str | Path) else source
+        paths = [Path(path) for path in given]
+        if not paths:
+            raise RecordingError("no recording is given; give at least one file")
+        for path in paths:
+            check_readable(path)
+        sheet, notes = find_sheet(paths[0], chosen.sheet)
+        table = read_table(paths, sheet)
+        if len(paths) == 1 and not table.known:
+            _refuse_lone_role_file(paths[0], table)
+    layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
+    rate = chosen.rate if chosen.rate is not None else sheet.rate
+    recording = build_recording(table, layout, rate=rate)
+    recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
+    if model is None or not model.n_floating:
+        return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
+    from asbuilt.experiment.logs.columns.base_columns import (  # noqa: PLC0415 - light start
+        with_base_columns,
+    )
+
+    recording, sensor = with_base_columns(recording, table, sheet, model)
+    recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
+    return add_base_coordinates(recording, model, sensor)
 
 
 def read_recordings(
@@ -137,27 +152,11 @@ def group_files(paths: list[Path]) -> list[list[Path]]:
     groups: list[list[Path]] = []
     for group in group_by_role(paths):
         whole = len(group) > 1 and any(
-            path.is_file() and _is_whole(_read_table(path, RecordingSheet())) for path in group
+            path.is_file() and _is_whole(choose_log_format(path).read(path, RecordingSheet()))
+            for path in group
         )
         groups.extend([[path] for path in group] if whole else [group])
     return groups
-
-
-def _assemble_recording(
-    table: LogTable,
-    sheet: RecordingSheet,
-    notes: tuple[str, ...],
-    model: RobotModel | None,
-    options: ReadingOptions,
-) -> Recording:
-    layout = find_table_layout(table, sheet, None if model is None else model.standing, options)
-    rate = options.rate if options.rate is not None else sheet.rate
-    recording = build_recording(table, layout, rate=rate)
-    recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
-    if model is None or not model.n_floating:
-        return apply_sheet(recording, sheet, options)
-    recording = replace(recording, extra=select_base_columns(table.columns))
-    return add_base_coordinates(apply_sheet(recording, sheet, options), model)
 
 
 def find_table_layout(
@@ -172,7 +171,18 @@ def find_table_layout(
         describes.
     """
     if not table.named and sheet.columns.position is None:
-        raise _make_unnamed_error(table, model, options.rate)
+        count = len(table.order or table.columns)
+        raise RecordingError(
+            f"{table.source} has {count} columns without a header row",
+            cure=Cure(
+                f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from"
+                " the values it may read as follows (column numbers from 1; check it, and add"
+                " gains = [...] and torque_source if the torques are currents):\n\n"
+                f"{propose_sheet(table, model, options.rate)}\n"
+            ),
+            file=table.source,
+            value=count,
+        )
     try:
         layout = find_layout(
             table.source,
@@ -187,10 +197,15 @@ def find_table_layout(
         text = ", ".join(table.text_columns)
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
+        draft = DRAFT
         if "absent" in problem.fields and table.n_samples:
-            problem.cure = Cure(f"{problem.cure}{_draft_sheet(table, model, options.rate)}")
+            draft = propose_sheet(table, model, options.rate)
+        if DRAFT not in draft:
+            problem.cure = Cure(
+                f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
+            )
         raise
-    if not (sheet.joint_units or table.shares):
+    if not (sheet.joint_units or table.open_units):
         return layout
     held = options.lock if isinstance(options.lock, Mapping) else {}
     return with_joint_units(table, layout, sheet, sheet.lock | dict(held))
@@ -211,10 +226,6 @@ def _read_given_sheet(
     return found, (f"recording sheet {path.name} was used",)
 
 
-def _read_table(path: Path, sheet: RecordingSheet) -> LogTable:
-    return choose_log_format(path).read(path, sheet)
-
-
 def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
     """Return the columns of a log, of the files of one quantity each, or of the sheet's files.
 
@@ -222,28 +233,34 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
     """
     listed = sheet.files.model_dump().items()
     files = {quantity: Path(name) for quantity, name in listed if name is not None}
-    if files:
-        missing = [str(path) for path in files.values() if not path.exists()]
-        if missing:
-            raise RecordingError(
-                f"the recording sheet names {missing[0]}, which does not exist", file=missing[0]
-            )
-        return merge_role_files({what: _read_table(path, sheet) for what, path in files.items()})
-    groups = group_files(paths)
-    if len(groups) > 1:
-        listing = "; ".join(", ".join(path.name for path in group) for group in groups)
-        raise RecordingError(
+    missing = [str(path) for path in files.values() if not path.exists()]
+    groups = [] if files else group_files(paths)
+    listing = "; ".join(", ".join(path.name for path in group) for group in groups)
+    refuse(
+        RecordingError,
+        (
+            missing,
+            f"the recording sheet names {(*missing, '')[0]}, which does not exist",
+            {"file": (*missing, "")[0]},
+        ),
+        (
+            len(groups) > 1,
             f"{len(paths)} files are {len(groups)} recordings, not one: {listing}",
-            cure=Cure("read them one by one, or together", call="read_recordings"),
-        )
-    if len(paths) == 1:
-        return _read_table(paths[0], sheet)
-    return merge_role_files({path.name: _read_table(path, sheet) for path in paths})
+            {"cure": Cure("read them one by one, or together", call="read_recordings")},
+        ),
+    )
+    if len(groups) == 1 and len(paths) == 1:
+        return choose_log_format(paths[0]).read(paths[0], sheet)
+    files = files or {path.name: path for path in paths}
+    return merge_role_files(
+        {what: choose_log_format(path).read(path, sheet) for what, path in files.items()}
+    )
 
 
 def _is_whole(table: LogTable) -> bool:
+    """Return whether columns give positions, and torques or commands."""
     roles = [
-        recognise(name) or match_commanded_role(name) or match_goal_role(name)
+        recognise(name) or match_commanded_role(name) or match_commanded_role(name, GOALS)
         for name in table.columns
     ]
     found = {role.quantity for role in roles if role is not None}
@@ -270,33 +287,8 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
     )
 
 
-def _draft_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
-    """Return the draft of a sheet for columns whose names are of no use, empty if none fits."""
-    sheet = propose_sheet(table, model, rate)
-    if DRAFT in sheet:
-        return ""
-    return f". From the values it may read (check it):\n\n{sheet}\n"
-
-
 def propose_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
     """Return the draft of a sheet by the values of the columns."""
     order = table.order or tuple(table.columns)
     numbers = [order.index(name) + 1 for name in table.columns]
     return suggest_sheet(table.columns, model, named=table.named, rate=rate, numbers=numbers)
-
-
-def _make_unnamed_error(
-    table: LogTable, model: RobotModel | None, rate: float | None
-) -> RecordingError:
-    count = len(table.order or table.columns)
-    return RecordingError(
-        f"{table.source} has {count} columns without a header row",
-        cure=Cure(
-            f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from the"
-            " values it may read as follows (column numbers from 1; check it, and add gains = [...]"
-            " and torque_source if the torques are currents):\n\n"
-            f"{propose_sheet(table, model, rate)}\n"
-        ),
-        file=table.source,
-        value=count,
-    )

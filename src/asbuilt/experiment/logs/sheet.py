@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -120,10 +121,24 @@ class _Part(BaseModel):
         return self
 
 
+BASE_VECTORS = {
+    "base_position": ("base_", "xyz"),
+    "base_quaternion": ("base_q", "xyzw"),
+    "base_velocity": ("base_v", "xyz"),
+    "base_angular_velocity": ("base_w", "xyz"),
+    "imu_acceleration": ("imu_a", "xyz"),
+    "imu_angular_velocity": ("imu_w", "xyz"),
+    "imu_quaternion": ("imu_q", "xyzw"),
+}
+"""Beginnings and ends of the usual names of columns of a floating base, by field of a sheet."""
+
+
 class SheetColumns(_Part):
     """Columns by name, or by number from 1.
 
-    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between.
+    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between. Those of a floating base
+    and of its inertial sensor are in the order x y z, or x y z w, and in SI; `contact` has the flag
+    of each contact.
     """
 
     time: ColumnName | None = None
@@ -134,7 +149,35 @@ class SheetColumns(_Part):
     command: ColumnList | None = None
     motor_position: ColumnList | None = None
     link_position: ColumnList | None = None
+    base_position: ColumnList | None = None
+    base_quaternion: ColumnList | None = None
+    base_velocity: ColumnList | None = None
+    base_angular_velocity: ColumnList | None = None
+    imu_acceleration: ColumnList | None = None
+    imu_angular_velocity: ColumnList | None = None
+    imu_quaternion: ColumnList | None = None
+    contact: dict[str, ColumnName] = Field(default_factory=dict)
     extra: dict[str, ColumnList] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _whole_vectors(self) -> Self:
+        for name, (_, axes) in BASE_VECTORS.items():
+            listed = getattr(self, name)
+            if listed is not None and len(listed) != len(axes):
+                raise ValueError(
+                    f"columns.{name} lists {len(listed)} columns; list {len(axes)}, in the order"
+                    f" {' '.join(axes)}"
+                )
+        return self
+
+    @property
+    def by_base(self) -> dict[str, ColumnName]:
+        """The columns of a floating base and its contacts that are listed, by their usual names."""
+        found = {f"contact_{frame}": column for frame, column in self.contact.items()}
+        for name, (start, axes) in BASE_VECTORS.items():
+            usual = [f"{start}{axis}" for axis in axes]
+            found |= zip(usual, getattr(self, name) or (), strict=False)
+        return found
 
     @property
     def numbered(self) -> bool:
@@ -242,7 +285,9 @@ class RecordingSheet(_Part):
     the acceleration and the speed of its goal also "none". `joint_units` are for single
     joints, in place of `units`: a unit, or the positions at two numbers of the log. `topic` and
     `command_topic` hold the joint states and the commanded ones in a bag, and
-    `command_joints` the joints of commands that are numbers alone, in their order. `date` is when
+    `command_joints` the joints of commands that are numbers alone, in their order; `base_topic` and
+    `imu_topic` the pose of a floating base and its inertial sensor, whose links or frames in the
+    description are `base_frame` and `imu_frame`. `date` is when
     the recording began, in UTC unless it names a time zone.
 
     Examples
@@ -282,15 +327,20 @@ class RecordingSheet(_Part):
     ] = Field(default_factory=dict)
     topic: str | None = None
     command_topic: str | None = None
+    base_topic: str | None = None
+    imu_topic: str | None = None
+    base_frame: str | None = None
+    imu_frame: str | None = None
     command_joints: list[str] | None = None
     date: datetime | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
-        """Return which times (N,) [s] of a recording that began at `start` lie in a window."""
-        inside = np.zeros(t.size, dtype=np.bool_)
-        for window in self.windows:
-            inside |= (t >= start + window.start) & (t < start + window.stop)
-        return inside
+        """Return which times (N,) [s] of a recording that began at `start` lie in a window.
+
+        All do where there are no windows.
+        """
+        inside = [(t >= start + each.start) & (t < start + each.stop) for each in self.windows]
+        return np.any(inside, axis=0) if inside else np.ones(t.size, dtype=np.bool_)
 
     @model_validator(mode="after")
     def _signs(self) -> RecordingSheet:
@@ -329,49 +379,37 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 def find_sheet_beside(log: Path) -> Path | None:
     """Return the sheet next to a log: `run.csv.toml` or `run.toml`; None if there is none."""
-    if not log.name:
-        return None
-    for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
-        if candidate == log or not candidate.is_file():
-            continue
-        try:
-            fields = set(parse_toml(read_text(candidate, "recording sheet", RecordingError)))
-        except ValueError:
-            return candidate
-        if fields & ROBOT_FIELDS:
-            continue
-        return candidate
+    candidates = (log.with_name(log.name + ".toml"), log.with_suffix(".toml")) if log.name else ()
+    for candidate in candidates:
+        fields: set[str] = set()
+        if candidate != log and candidate.is_file():
+            with suppress(ValueError):  # what is no TOML is refused where it is read
+                fields = set(parse_toml(read_text(candidate, "recording sheet", RecordingError)))
+            if not fields & ROBOT_FIELDS:
+                return candidate
     return None
 
 
 def _explain(path: Path, error: ValidationError) -> str:
     problems = []
-    unknown: dict[tuple[int | str, ...], list[str]] = {}
     for item in error.errors():
+        *place, last = item["loc"] or ("",)
         field = ".".join(
             str(part)
             for part in item["loc"]
             if not (isinstance(part, str) and ("[" in part or part in {"int", "str", "float"}))
         )
-        if item["type"] == "extra_forbidden":
-            unknown.setdefault(item["loc"][:-1], []).append(field)
-        elif item["type"] == "value_error":
-            problems.append(item["msg"].removeprefix("Value error, "))
-        else:
-            problems.append(
-                f"field {field!r} is {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}"
+        problem = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden" and not place and last in ROBOT_FIELDS:
+            return (
+                f"{path} is a robot description, not a recording and no recording sheet; the robot"
+                " comes first, then the logs"
             )
-    if ROBOT_FIELDS & set(unknown.get((), ())):
-        return (
-            f"{path} is a robot description, not a recording and no recording sheet; the robot"
-            " comes first, then the logs"
-        )
-    for place, fields in unknown.items():
-        are = "fields {} are" if len(fields) > 1 else "field {} is"
-        known = list_known_fields(RecordingSheet.model_json_schema(), place)
-        near = suggest_name(fields[0].rpartition(".")[2], known)
-        problems.append(
-            f"{are.format(', '.join(map(repr, fields)))} not known here; {near}known are"
-            f" {', '.join(known)}"
-        )
+        if item["type"] == "extra_forbidden":
+            known = list_known_fields(RecordingSheet.model_json_schema(), place)
+            near = suggest_name(str(last), known)
+            problem = f"field {field!r} is not known here; {near}known are {', '.join(known)}"
+        elif item["type"] != "value_error":
+            problem = f"field {field!r} is {item['input']!r}: {problem[0].lower()}{problem[1:]}"
+        problems.append(problem)
     return f"recording sheet {path}: {'; '.join(dict.fromkeys(problems))}"

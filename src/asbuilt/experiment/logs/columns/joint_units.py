@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,24 +19,6 @@ _OF_POSITION = ("position", "command")
 _OF_RATE = ("velocity", "acceleration")
 
 
-@dataclass(frozen=True, slots=True)
-class Conversion:
-    """Turn a number of the log into SI: `factor * number + offset`."""
-
-    factor: float
-    offset: float = 0.0
-
-
-def with_open_grippers(table: LogTable) -> LogTable:
-    """Return the table with the unit of joints that a gripper's word names left open."""
-    open_ones = tuple(
-        column
-        for column, (quantity, joint) in table.known.items()
-        if quantity in _OF_POSITION and names_gripper(joint)
-    )
-    return replace(table, shares=open_ones)
-
-
 def with_joint_units(
     table: LogTable, layout: Layout, sheet: RecordingSheet, held: Mapping[str, float | None]
 ) -> Layout:
@@ -47,8 +29,8 @@ def with_joint_units(
     Raises
     ------
     RecordingError
-        If the sheet names a joint that the log lacks, or not the unit of one that the format leaves
-        open.
+        If the sheet names a joint that the log lacks, or lacks the unit of one that the format
+        leaves open.
     """
     renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
     units = {renamed.get(name, name): unit for name, unit in sheet.joint_units.items()}
@@ -64,44 +46,56 @@ def with_joint_units(
         )
     scales, offsets = dict(layout.scales), dict(layout.offsets)
     for k, joint in enumerate(layout.joint_names):
+        column = layout.quantities["position"][k]
         if joint not in units:
-            _refuse_open(table, layout, k, held)
+            if column in table.open_units and held.get(joint) is None:
+                _refuse_open(table, column, joint, sheet)
             continue
-        conversion = _make_conversion(units[joint])
-        for quantity, columns in layout.quantities.items():
-            if quantity in _OF_POSITION:
-                scales[columns[k]] = conversion.factor
-                offsets[columns[k]] = conversion.offset
-            elif quantity in _OF_RATE:
-                scales[columns[k]] = conversion.factor
+        factor, offset = _find_conversion(units[joint])
+        for quantity in (*_OF_POSITION, *_OF_RATE):
+            if quantity in layout.quantities:
+                column = layout.quantities[quantity][k]
+                scales[column] = factor
+                offsets[column] = offset if quantity in _OF_POSITION else 0.0
     return replace(layout, scales=scales, offsets=offsets)
 
 
-def _make_conversion(unit: str | SheetRange) -> Conversion:
+def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
+    """Return factor and offset that turn a number of the log into SI."""
     if isinstance(unit, str):
-        return Conversion(parse_unit_scale(unit) or 1.0)
+        return parse_unit_scale(unit) or 1.0, 0.0
     (first, last), (lower, upper) = unit.logged, unit.position
     factor = (upper - lower) / (last - first)
-    return Conversion(factor, lower - factor * first)
+    return factor, lower - factor * first
 
 
-def _refuse_open(table: LogTable, layout: Layout, k: int, held: Mapping[str, float | None]) -> None:
-    """Raise if the unit of a joint is open, unless it is held at a position that is given."""
-    joint, column = layout.joint_names[k], layout.quantities["position"][k]
-    if column not in table.shares or held.get(joint) is not None:
+def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet) -> None:
+    """Raise unless the sheet gives the unit of positions, in which grippers are not."""
+    gripper = names_gripper(table.known[column][1])
+    if sheet.units.position is not None and not gripper:
         return
     values = table.columns[column]
     first, last = float(np.nanmin(values)), float(np.nanmax(values))
-    raise RecordingError(
-        f"{table.source}: the unit of {joint}, which runs from {first:.3g} to {last:.3g}, is not"
-        " known: grippers are mostly logged as shares of their range, 0 to 100 or 0 to 1, next to"
-        " angles of other joints",
-        cure=Cure(
+    mostly = "such logs have degrees, or -100 to 100 of the calibrated range"
+    cure = (
+        'write [units] position = "deg" in a recording sheet; or, for -100 to 100, the positions'
+        f" [rad] at both ends for each joint: [joint_units] {joint} = {{ logged = [-100, 100],"
+        " position = [LOWER, UPPER] }"
+    )
+    if gripper:
+        mostly = (
+            "grippers are mostly logged as shares of their range, 0 to 100 or 0 to 1, next to"
+            " angles of other joints"
+        )
+        cure = (
             "write its positions [rad or m] at the ends of the scale in a recording sheet:"
             f" [joint_units] {joint} = {{ logged = [0, 100], position = [CLOSED, OPEN] }}, or"
-            f' {joint} = "deg"; or hold it at a position [rad or m]',
-            settings={"lock": f"{joint}=VALUE"},
-        ),
+            f' {joint} = "deg"; or hold it at a position [rad or m]'
+        )
+    raise RecordingError(
+        f"{table.source}: the unit of {joint}, which runs from {first:.3g} to {last:.3g}, is not"
+        f" known: {mostly}",
+        cure=Cure(cure, settings={"lock": f"{joint}=VALUE"} if gripper else {}),
         file=table.source,
         value=joint,
     )

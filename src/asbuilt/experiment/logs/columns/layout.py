@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from asbuilt.description.joint_matching import (
     find_unlabelled_joints,
     match_joints,
-    read_label_numbers,
     split_words,
 )
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.columns.roles import (
+    GOALS,
     Role,
     find_nanoseconds,
     match_commanded_role,
-    match_goal_role,
     parse_unit_scale,
     recognise,
     recognise_by_unit,
@@ -35,7 +35,22 @@ _SYMBOLS = {
     "tau": "torque",
     "q_command": "command",
 }
-_EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
+_TORQUES: Mapping[tuple[str, str], TorqueSource] = {
+    ("torque", ""): "unknown",
+    ("torque", "sensor"): "sensor",
+    ("torque", "motor"): "motor",
+    ("current", ""): "current",
+    ("torque", "unscaled"): "unknown",
+    ("current", "unscaled"): "current",
+}
+"""Groups of columns that may be the torque, the best first, and what measured them."""
+_EXTRAS = {
+    ("torque", "external"): "tau_ext",
+    ("torque", "motor"): "tau_motor",
+    ("torque", "sensor"): "tau_sensor",
+    **{("position", side): name for side, name in ENCODERS.items()},
+}
+"""Names of groups of columns that are kept in addition."""
 
 
 @dataclass(frozen=True)
@@ -90,21 +105,23 @@ def find_layout(
         same place, or they do not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
-    groups = _group_columns(
-        names, {**_find_own_columns(names, model, sheet), **(known or {})}, sheet
-    )
+    of_base = {
+        find_column(source, names, order, what, column): ("", "")
+        for what, column in sheet.columns.by_base.items()
+    }
+    own = _find_own_columns(names, model, sheet) | dict(known or {}) | of_base
+    groups = _group_columns(names, own, sheet)
     for (quantity, kind), listed in sheet.columns.by_group.items():
         groups[quantity, kind] = _group_listed_columns(
             source, names, order, quantity, listed, sheet
         )
-    position = groups.get(("position", ""))
-    torque, torque_source = _choose_torque_group(groups)
-    notes: list[str] = []
-    either = groups.get(("command", "")) if torque is None else torque
-    if position is None or either is None:
+    measured = next((key for key in _TORQUES if key in groups), None)
+    position, command = groups.get(("position", "")), groups.get(("command", ""))
+    torque = None if measured is None else groups[measured]
+    if position is None or (torque is None and command is None):
         absent = " and ".join(
             what
-            for what, group in (("joint positions", position), ("joint torques", either))
+            for what, group in (("joint positions", position), ("joint torques", torque or command))
             if group is None
         )
         listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
@@ -121,62 +138,52 @@ def find_layout(
         )
     if torque is not None and not has_gains:
         _refuse_unscaled(source, torque, sheet)
-    chosen = _choose_groups(groups, position, torque)
-    if torque is None:
-        notes += _without_command(chosen, groups["command", ""])
+    chosen = {"position": position} | ({} if torque is None else {"torque": torque})
+    for (quantity, kind), group in groups.items():
+        used = group is position or group is torque
+        if not used and quantity != "time" and kind != "unscaled":
+            name = quantity if kind in ("", "sheet") else f"{quantity}_{kind}"
+            chosen[_EXTRAS.get((quantity, kind), name)] = group
+    notes = [] if torque is not None else _without_command(chosen, groups["command", ""])
     labels = _sort_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
-    for quantity, group in chosen.items():
-        if quantity == "position":
-            continue
-        if quantity in sheet.columns.extra and len(group) == 1:
-            ordered[quantity] = (group[0].column,) * len(labels)
-            continue
-        if quantity == "torque" and sheet.columns.torque is None:
-            some = _order_some_joints(group, position)
-            if some is not None:
-                ordered[quantity] = some
-                continue
+    for quantity in [each for each in chosen if each != "position"]:
         try:
-            ordered[quantity] = _align_columns(source, quantity, group, labels, sheet)
+            ordered[quantity] = _align_columns(source, quantity, chosen, labels, sheet)
         except RecordingError:
             if quantity in _QUANTITIES and (quantity != "command" or torque is None):
                 raise
             notes.append(
-                f"the {len(group)} columns of {quantity} do not match the {len(labels)}"
+                f"the {len(chosen[quantity])} columns of {quantity} do not match the {len(labels)}"
                 " joints and were left out"
             )
     joint_names = tuple(labels)
     if model is not None:
-        joint_names, places, matched = _match_order(model, source, labels, position, sheet)
-        beside_joints = _find_follower_columns(model, labels, ordered)
-        ordered = {
-            quantity: tuple(columns[k] for k in places) for quantity, columns in ordered.items()
-        }
-        ordered |= beside_joints
+        places, matched = _match_order(model, source, labels, position, sheet)
         notes.extend(matched)
+        followed = {
+            f"{symbol}_{joint.name}": (ordered[quantity][labels.index(joint.name)],)
+            for joint in model.followers
+            for quantity, symbol in (("position", "q"), ("torque", "tau"))
+            if joint.name in labels and quantity in ordered
+        }
+        ordered = {name: tuple(columns[k] for k in places) for name, columns in ordered.items()}
+        joint_names, ordered = model.joint_names, ordered | followed
     scales = _choose_scales(chosen, sheet, notes)
-    time, time_scale = _find_time_column(source, names, order, groups, sheet)
+    time = _find_time_column(source, names, order, groups, sheet)
     if time is not None:
-        scales[time] = time_scale
-    nanoseconds = find_nanoseconds(time, names) if time and sheet.columns.time is None else None
-    return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes), nanoseconds)
-
-
-def _choose_groups(
-    groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group | None
-) -> dict[str, _Group]:
-    """Return the groups by the names of their quantities, extra torques under their own."""
-    chosen = {"position": position} | ({} if torque is None else {"torque": torque})
-    for (quantity, kind), group in groups.items():
-        if group is position or group is torque or quantity == "time":
-            continue
-        if kind in ("", "sheet"):
-            chosen[quantity] = group
-        elif kind != "unscaled":
-            of_torque = _EXTRA_TORQUES if quantity == "torque" else ENCODERS
-            chosen[of_torque.get(kind, f"{quantity}_{kind}")] = group
-    return chosen
+        unit = sheet.units.time
+        scales[time.column] = time.scale if unit is None else parse_unit_scale(unit) or 1.0
+    own_time = time is not None and sheet.columns.time is None
+    return Layout(
+        time.column if time else None,
+        ordered,
+        scales,
+        joint_names,
+        "unknown" if measured is None else _TORQUES[measured],
+        tuple(notes),
+        find_nanoseconds(time.column, names) if time and own_time else None,
+    )
 
 
 def _without_command(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
@@ -216,54 +223,67 @@ def _find_own_columns(
     This holds for quantities that have such a column for every joint, so that no joint's name is
     mistaken for a word, as in `q_tau` of a joint called tau.
     """
-    if model is None or sheet.joints is not None:
-        return {}
+    joints = () if model is None or sheet.joints is not None else model.joint_names
     return {
         f"{symbols}_{joint}": (quantity, joint)
         for symbols, quantity in _SYMBOLS.items()
-        if all(f"{symbols}_{joint}" in names for joint in model.joint_names)
-        for joint in model.joint_names
+        if all(f"{symbols}_{joint}" in names for joint in joints)
+        for joint in joints
     }
 
 
 def _group_columns(
     names: Sequence[str], known: Mapping[str, tuple[str, str]], sheet: RecordingSheet
 ) -> dict[tuple[str, str], _Group]:
+    """Return the columns of each quantity and kind, by what is known of them or by their names.
+
+    Quantities that no column names are found by their units, and commands that only a word such as
+    setpoint names where each joint with a position has one.
+    """
     renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
-    groups: dict[tuple[str, str], _Group] = {}
-    for name in names:
-        if name in known:
-            quantity, joint = known[name]
-            role: Role | None = Role(quantity, joint)  # type: ignore[arg-type]
-        else:
-            role = recognise(name) or match_commanded_role(name)
-        if role is None:
-            continue
-        role = replace(role, joint=renamed.get(role.joint, role.joint), column=name)
-        groups.setdefault((role.quantity, role.kind), []).append(role)
-    for group in groups.values():
-        _count_by_index(group)
-    groups = _with_two_encoders(groups)
-    return {**_group_by_unit(names, groups), **_find_goals(names, groups), **groups}
+    names = [name for name in names if known.get(name) != ("", "")]
+
+    def group(recognise_one: Callable[[str], Role | None]) -> dict[tuple[str, str], _Group]:
+        groups: dict[tuple[str, str], _Group] = {}
+        for name in names:
+            if (role := recognise_one(name)) is not None:
+                role = replace(role, joint=renamed.get(role.joint, role.joint), column=name)
+                groups.setdefault((role.quantity, role.kind), []).append(role)
+        for each in groups.values():
+            _count_by_index(each)
+        return groups
+
+    groups = group(
+        lambda name: (
+            Role(*known[name])  # type: ignore[arg-type]
+            if name in known
+            else recognise(name) or match_commanded_role(name)
+        )
+    )
+    _use_two_encoders(groups)
+    by_unit, goals = group(recognise_by_unit), group(partial(match_commanded_role, alone=GOALS))
+    named = {quantity for quantity, _ in groups} | (
+        {"time"} if len(by_unit.get(("time", ""), ())) > 1 else set()
+    )
+    followed = sorted(_locate_joints(groups.get(("position", ""), [])))
+    goals = {key: each for key, each in goals.items() if sorted(_locate_joints(each)) == followed}
+    by_unit = {key: each for key, each in by_unit.items() if key[0] not in named}
+    return {**by_unit, **goals, **groups}
 
 
-def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str, str], _Group]:
-    """Return groups in which motor positions are the positions, and link positions a second set.
+def _use_two_encoders(groups: dict[tuple[str, str], _Group]) -> None:
+    """Make positions of motors the positions, and link positions a second set.
 
     Only where the others are called link positions; a log with positions of motors alone has no
     others.
     """
-    motor, other = groups.get(("position", "motor")), groups.get(("position", ""))
-    if motor is None:
-        return groups
-    rest = {key: each for key, each in groups.items() if key[0] != "position"}
-    if other is None:
-        return {**rest, ("position", ""): motor}
-    labels = [split_words(role.joint) for role in other]
-    if not all(words[:1] == ["link"] for words in labels):
-        return groups
-    other[:] = [replace(role, joint="") for role in other]
-    return {**rest, ("position", ""): motor, ("position", "link"): other}
+    other = groups.get(("position", ""), [])
+    if ("position", "motor") in groups and all(
+        split_words(role.joint)[:1] == ["link"] for role in other
+    ):
+        groups["position", ""] = groups.pop(("position", "motor"))
+        if other:
+            groups["position", "link"] = [replace(role, joint="") for role in other]
 
 
 def _count_by_index(group: _Group) -> None:
@@ -277,21 +297,6 @@ def _count_by_index(group: _Group) -> None:
         group[:] = [replace(role, joint="") for role in group]
 
 
-def _find_goals(
-    names: Sequence[str], found: Mapping[tuple[str, str], _Group]
-) -> dict[tuple[str, str], _Group]:
-    """Return the commands that only a word such as setpoint names, one for each position."""
-    position = found.get(("position", ""))
-    if position is None:
-        return {}
-    goals = [
-        replace(role, column=name) for name in names if (role := match_goal_role(name)) is not None
-    ]
-    _count_by_index(goals)
-    matched = goals and sorted(_locate_joints(goals)) == sorted(_locate_joints(position))
-    return {("command", ""): goals} if matched else {}
-
-
 def _list_columns(group: _Group) -> list[str]:
     return [role.column for role in group]
 
@@ -301,55 +306,39 @@ def _locate_joints(group: _Group) -> list[tuple[str, int]]:
     return [(role.joint, -1 if role.joint else role.index or 0) for role in group]
 
 
-def _group_by_unit(
-    names: Sequence[str], named: Mapping[tuple[str, str], _Group]
-) -> dict[tuple[str, str], _Group]:
-    """Return the columns of quantities that no column names, by their units."""
-    found: dict[tuple[str, str], _Group] = {}
-    quantities = {quantity for quantity, _ in named}
-    for name in names:
-        role = recognise_by_unit(name)
-        if role is not None and role.quantity not in quantities:
-            found.setdefault((role.quantity, ""), []).append(replace(role, column=name))
-    if len(found.get(("time", ""), ())) > 1:
-        del found["time", ""]
-    return found
-
-
-def _find_column(
+def find_column(
     source: str, names: Sequence[str], order: Sequence[str], what: str, column: ColumnName
 ) -> str:
-    if isinstance(column, int):
-        counted = order or names
-        if not 1 <= column <= len(counted):
-            raise RecordingError(
-                f"{source}: the sheet gives column {column} for {what}, but columns run from 1 to"
-                f" {len(counted)}",
-                file=source,
-                value=column,
-                lower=1,
-                upper=len(counted),
-            )
-        name = counted[column - 1]
-        if name not in names:
-            raise RecordingError(
-                f"{source}: the sheet gives column {column} ({name!r}) for {what}, which holds text"
-                " in place of numbers",
-                cure=Cure("count the columns of the file from 1, text columns too"),
-                file=source,
-                value=column,
-            )
-        return name
-    if column in names:
-        return column
+    """Return the column that a sheet gives by its name, or by its number in `order`."""
+    counted = order or names
+    numbered = isinstance(column, int)
+    inside = isinstance(column, int) and 1 <= column <= len(counted)
+    name = counted[int(column) - 1] if inside else str(column)
+    given = f"{source}: the sheet gives column {column!r}"
     listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
-    raise RecordingError(
-        f"{source}: the sheet gives column {column!r} for {what}, which the log does not have; it"
-        f" has {listing}",
-        file=source,
-        value=column,
-        available=list(names),
+    refuse(
+        RecordingError,
+        (
+            numbered and not inside,
+            f"{given} for {what}, but columns run from 1 to {len(counted)}",
+            {"file": source, "value": column, "lower": 1, "upper": len(counted)},
+        ),
+        (
+            numbered and name not in names,
+            f"{given} ({name!r}) for {what}, which holds text in place of numbers",
+            {
+                "cure": Cure("count the columns of the file from 1, text columns too"),
+                "file": source,
+                "value": column,
+            },
+        ),
+        (
+            name not in names,
+            f"{given} for {what}, which the log does not have; it has {listing}",
+            {"file": source, "value": column, "available": list(names)},
+        ),
     )
+    return name
 
 
 def _group_listed_columns(
@@ -360,9 +349,10 @@ def _group_listed_columns(
     columns: Sequence[ColumnName],
     sheet: RecordingSheet,
 ) -> _Group:
-    found = [_find_column(source, names, order, what, column) for column in columns]
+    """Return the columns that a sheet lists for a quantity."""
+    found = [find_column(source, names, order, what, column) for column in columns]
     repeated = next((name for name in found if found.count(name) > 1), None)
-    labels = _list_joints(sheet) or ["" for _ in found]
+    labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
     refuse(
         RecordingError,
         (
@@ -384,128 +374,96 @@ def _group_listed_columns(
     ]
 
 
-def _list_joints(sheet: RecordingSheet) -> list[str] | None:
-    """Return the joints in the order of the columns, None where the sheet does not list them."""
-    return sheet.joints if isinstance(sheet.joints, list) else None
-
-
-def _choose_torque_group(
-    groups: Mapping[tuple[str, str], _Group],
-) -> tuple[_Group | None, TorqueSource]:
-    sources: dict[tuple[str, str], TorqueSource] = {
-        ("torque", ""): "unknown",
-        ("torque", "sensor"): "sensor",
-        ("torque", "motor"): "motor",
-        ("current", ""): "current",
-        ("torque", "unscaled"): "unknown",
-        ("current", "unscaled"): "current",
-    }
-    for key, torque_source in sources.items():
-        if key in groups:
-            return groups[key], torque_source
-    return None, "unknown"
-
-
 def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
     """Sort a group by joint number if it only counts, and return its joint labels.
 
-    If some columns name a joint, numbers are the names of the rest.
+    If some columns name a joint, numbers are the names of the rest. Raises `RecordingError` if two
+    columns are one joint's, a number is missing, or the sheet lists other joints.
     """
-    _refuse_repeats(source, quantity, group)
-    listed = _list_joints(sheet)
+    choose = Cure(f"choose in a recording sheet: [columns] {quantity} = [...]")
+    places = [(role.joint, None if role.joint else role.index) for role in group]
+    for k, place in enumerate(places):
+        if (first := places.index(place)) < k:
+            pair = [group[first].column, group[k].column]
+            raise RecordingError(
+                f"{source}: columns {pair[0]!r} and {pair[1]!r} both look like the {quantity} of"
+                " the same joint",
+                cure=choose,
+                file=source,
+                value=pair,
+            )
+    listed = sheet.joints if isinstance(sheet.joints, list) else None
     if listed is None and any(role.joint for role in group):
         group[:] = [
             role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
             for role in group
         ]
-    if all(role.joint for role in group):
-        labels = [role.joint for role in group]
-        if listed is not None:
-            _refuse_other_joints(source, quantity, labels, listed)
-        return labels
-    _sort_by_number(source, quantity, group)
-    if listed is not None:
-        if len(listed) != len(group):
-            raise RecordingError(
-                f"{source}: the sheet names {len(listed)} joints but the log has"
-                f" {len(group)} {quantity} columns",
-                file=source,
-                value=len(group),
-                expected=len(listed),
-            )
-        return list(listed)
-    return [f"joint_{k}" for k in range(1, len(group) + 1)]
-
-
-def _refuse_other_joints(
-    source: str, quantity: str, labels: Sequence[str], listed: Sequence[str]
-) -> None:
-    """Raise if columns name their joints, and a sheet lists others; names tell the order."""
-    if sorted(map(split_words, labels)) == sorted(map(split_words, listed)):
-        return
-    cure = Cure(
-        "give the robot's name of each joint of the log in its place: [joints] with"
-        f' "{labels[0]}" = "..." and so on'
-    )
-    raise RecordingError(
-        f"{source}: the sheet lists the joints {', '.join(listed)}, but the {quantity} columns name"
-        f" theirs, {', '.join(labels)}",
-        cure=cure,
-        file=source,
-        value=list(listed),
-        expected=list(labels),
-    )
-
-
-def _refuse_repeats(source: str, quantity: str, group: _Group) -> None:
-    places: dict[tuple[str, int | None], str] = {}
-    for role in group:
-        place = (role.joint, None) if role.joint else ("", role.index)
-        if place in places:
-            raise RecordingError(
-                f"{source}: columns {places[place]!r} and {role.column!r} both look like the"
-                f" {quantity} of the same joint",
-                cure=Cure(f"choose in a recording sheet: [columns] {quantity} = [...]"),
-                file=source,
-                value=[places[place], role.column],
-            )
-        places[place] = role.column
-
-
-def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
-    group.sort(key=lambda role: (role.index is not None, role.index or 0))
-    indices = [role.index for role in group if role.index is not None]
-    if indices and len(indices) == len(group):
-        start = 0 if indices[0] == 0 else 1
-        missing = sorted(set(range(start, indices[-1] + 1)) - set(indices))
-        if missing:
-            raise RecordingError(
-                f"{source}: the {quantity} column of joint number {missing[0]} is missing; there"
-                f" are {', '.join(_list_columns(group))}",
-                cure=Cure(
+    labels, named = [role.joint for role in group], all(role.joint for role in group)
+    differ = sorted(map(split_words, labels)) != sorted(map(split_words, listed or ()))
+    if not named:
+        group.sort(key=lambda role: (role.index is not None, role.index or 0))
+    numbers = [role.index for role in group if role.index is not None]
+    whole = range(int(0 not in numbers), max(numbers) + 1) if len(numbers) == len(group) else ()
+    missing = [k for k in whole if k not in numbers and not named]
+    columns = ", ".join(_list_columns(group))
+    refuse(
+        RecordingError,
+        (
+            named and listed is not None and differ,
+            f"{source}: the sheet lists the joints {', '.join(listed or ())}, but the {quantity}"
+            f" columns name theirs, {', '.join(labels)}",
+            {
+                "cure": Cure(
+                    "give the robot's name of each joint of the log in its place: [joints] with"
+                    f' "{labels[0]}" = "..." and so on'
+                ),
+                "file": source,
+                "value": listed,
+                "expected": labels,
+            },
+        ),
+        (
+            missing,
+            f"{source}: the {quantity} column of joint number {(*missing, 0)[0]} is missing; there"
+            f" are {columns}",
+            {
+                "cure": Cure(
                     f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
                 ),
-                file=source,
-                available=_list_columns(group),
-            )
-
-
-def _order_some_joints(group: _Group, position: _Group) -> tuple[str, ...] | None:
-    """Return the columns in the order of the positions, "" for joints that have none.
-
-    None where every joint has one, or the names do not say which joint each belongs to.
-    """
-    own = dict(zip(_locate_joints(group), _list_columns(group), strict=True))
-    places = _locate_joints(position)
-    if len(own) < len(group) or not set(own) < set(places):
-        return None
-    return tuple(own.get(place, "") for place in places)
+                "file": source,
+                "available": _list_columns(group),
+            },
+        ),
+        (
+            not named and listed is not None and len(listed) != len(group),
+            f"{source}: the sheet names {len(listed or ())} joints but the log has {len(group)}"
+            f" {quantity} columns",
+            {"file": source, "value": len(group), "expected": len(listed or ())},
+        ),
+    )
+    return labels if named else listed or [f"joint_{k}" for k in range(1, len(group) + 1)]
 
 
 def _align_columns(
-    source: str, quantity: str, group: _Group, labels: Sequence[str], sheet: RecordingSheet
+    source: str,
+    quantity: str,
+    chosen: Mapping[str, _Group],
+    labels: Sequence[str],
+    sheet: RecordingSheet,
 ) -> tuple[str, ...]:
-    """Return the columns of a group in the order of the position columns."""
+    """Return the columns of a quantity in the order of the position columns.
+
+    Torques may lack joints, which have "" in their place, if names or numbers say which. One extra
+    column of a sheet counts for all joints.
+    """
+    group = chosen[quantity]
+    if quantity in sheet.columns.extra and len(group) == 1:
+        return (group[0].column,) * len(labels)
+    places = _locate_joints(chosen["position"])
+    located = dict(zip(_locate_joints(group), _list_columns(group), strict=True))
+    some = len(located) == len(group) and set(located) < set(places)
+    if some and quantity == "torque" and sheet.columns.torque is None:
+        return tuple(located.get(place, "") for place in places)
     own = _sort_labels(source, quantity, group, sheet)
     columns = _list_columns(group)
     if len(own) != len(labels):
@@ -517,17 +475,12 @@ def _align_columns(
             value=len(own),
             expected=len(labels),
         )
-    if list(own) == list(labels) or not all(role.joint for role in group):
+    if not all(role.joint for role in group):
         return tuple(columns)
-    if set(own) == set(labels):
-        return tuple(columns[own.index(label)] for label in labels)
-    if all(label.startswith("joint_") for label in labels) and read_label_numbers(own) is not None:
-        return tuple(
-            name for _, name in sorted(zip(read_label_numbers(own) or [], columns, strict=True))
-        )
+    counted = all(label.startswith("joint_") for label in labels)
     with suppress(RecordingError):
         order, assumed = match_joints(own, labels, source=source, robot=source)
-        if not assumed:
+        if not assumed or counted:
             return tuple(columns[k] for k in order)
     raise RecordingError(
         f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not the joints of the"
@@ -538,37 +491,24 @@ def _align_columns(
     )
 
 
-def _find_follower_columns(
-    model: RobotModel, labels: Sequence[str], ordered: Mapping[str, tuple[str, ...]]
-) -> dict[str, tuple[str, ...]]:
-    """Return the columns of position and torque of joints that follow others, by their names."""
-    symbols = {"position": "q", "torque": "tau"}
-    return {
-        f"{symbol}_{joint.name}": (ordered[quantity][labels.index(joint.name)],)
-        for joint in model.followers
-        for quantity, symbol in symbols.items()
-        if joint.name in labels and quantity in ordered
-    }
-
-
 def _match_order(
     model: RobotModel, source: str, labels: Sequence[str], position: _Group, sheet: RecordingSheet
-) -> tuple[tuple[str, ...], list[int], tuple[str, ...]]:
+) -> tuple[list[int], tuple[str, ...]]:
+    """Return the place of each joint of the robot among the labels, and notes."""
     named = sheet.joints is not None or all(role.joint for role in position)
+    following = [joint.name for joint in model.followers]
     if named and len(labels) > 1:
-        following = {joint.name for joint in model.followers}
         own = [k for k, label in enumerate(labels) if label not in following]
         order, notes = match_joints(
             [labels[k] for k in own], model.joint_names, source=source, robot=model.name
         )
-        return model.joint_names, [own[k] for k in order], notes
+        return [own[k] for k in order], notes
     if len(labels) != model.n_joints:
         missing = find_unlabelled_joints(labels, model.joint_names) if named else None
         beyond = ", ".join(model.joint_names[len(labels) :])
         more = f"; joints that the log lacks can be locked: {beyond}" if beyond else ""
-        if model.followers:
-            names = ", ".join(joint.name for joint in model.followers)
-            more += f"; joints that follow others have no column: {names}"
+        if following:
+            more += f"; joints that follow others have no column: {', '.join(following)}"
         raise RecordingError(
             f"{source} has {len(labels)} position columns ({position[0].column} ..."
             f" {position[-1].column}) but {model.name} has {model.n_joints} joints"
@@ -582,7 +522,7 @@ def _match_order(
             expected=model.n_joints,
             missing=missing or _find_gripper_joints(model, len(labels)),
         )
-    return model.joint_names, list(range(len(labels))), ()
+    return list(range(len(labels))), ()
 
 
 def _find_gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | None:
@@ -595,21 +535,19 @@ def _find_gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | Non
     chain = 0 < count < model.n_joints and parents[:count] == (ROOT, *range(count - 1))
     on = [joint.parent for joint in (*rest, *model.followers)]
     behind = all(parent >= count - 1 for parent in on)
-    branched = len(set(on)) < len(on)
-    slides = not any(joint.is_revolute for joint in rest)
-    if not (chain and behind and (branched or slides)):
-        return None
-    return tuple(joint.name for joint in rest)
+    slides = len(set(on)) < len(on) or not any(joint.is_revolute for joint in rest)
+    return tuple(joint.name for joint in rest) if chain and behind and slides else None
 
 
 def _choose_scales(
     chosen: Mapping[str, _Group], sheet: RecordingSheet, notes: list[str]
 ) -> dict[str, float]:
+    """Return the factor of each column to SI, and note what names of columns gave."""
     scales: dict[str, float] = {}
     for quantity, group in chosen.items():
-        of_position = quantity in ENCODERS.values()
-        unit = getattr(sheet.units, "position" if of_position else quantity, None)
-        if quantity == "command" and unit is None and not any(role.unit for role in group):
+        unit = getattr(sheet.units, quantity, None)
+        unnamed = quantity == "command" and not any(role.unit for role in group)
+        if unit is None and (unnamed or quantity in ENCODERS.values()):
             unit = sheet.units.position
         for role in group:
             scales[role.column] = role.scale if unit is None else parse_unit_scale(unit) or 1.0
@@ -625,15 +563,11 @@ def _find_time_column(
     order: Sequence[str],
     groups: Mapping[tuple[str, str], _Group],
     sheet: RecordingSheet,
-) -> tuple[str | None, float]:
-    unit = parse_unit_scale(sheet.units.time) if sheet.units.time else None
+) -> Role | None:
+    """Return the column of the time, if there is one."""
     if sheet.columns.time is not None:
-        return _find_column(source, names, order, "time", sheet.columns.time), unit or 1.0
-    group = groups.get(("time", ""))
-    if group is None:
-        return None, 1.0
-    picks = [role for role in group if not role.joint]
-    if not picks:
-        return None, 1.0
-    pick = next((role for role in picks if find_nanoseconds(role.column, names)), picks[0])
-    return pick.column, unit or pick.scale
+        name = find_column(source, names, order, "time", sheet.columns.time)
+        return Role("time", column=name)
+    picks = [role for role in groups.get(("time", ""), ()) if not role.joint]
+    whole = [role for role in picks if find_nanoseconds(role.column, names)]
+    return next(iter([*whole, *picks]), None)

@@ -6,82 +6,24 @@ import math
 import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Literal
 
 from asbuilt.description.joint_matching import WORD, split_words
 
 Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current", "command"]
 
-_WORDS: dict[str, Quantity] = {
-    **dict.fromkeys(
-        (
-            "time",
-            "times",
-            "timestamp",
-            "timestamps",
-            "stamp",
-            "stamps",
-            "clock",
-            "duration",
-            "elapsed",
-            "sec",
-            "secs",
-            "seconds",
-            "uptime",
-            "zeit",
-            "temps",
-            "tiempo",
-            "tempo",
-            "ipoc",
-        ),
-        "time",
-    ),
-    **dict.fromkeys(
-        ("position", "positions", "pos", "angle", "angles", "ang", "theta", "qpos", "winkel"),
-        "position",
-    ),
-    **dict.fromkeys(
-        (
-            "velocity",
-            "velocities",
-            "vel",
-            "vels",
-            "speed",
-            "speeds",
-            "qvel",
-            "omega",
-            "qdot",
-            "thetadot",
-            "dtheta",
-            "geschwindigkeit",
-        ),
-        "velocity",
-    ),
-    **dict.fromkeys(
-        ("acceleration", "accelerations", "accel", "acc", "qacc", "qddot", "thetaddot", "ddtheta"),
-        "acceleration",
-    ),
-    **dict.fromkeys(
-        (
-            "torque",
-            "torques",
-            "effort",
-            "efforts",
-            "eff",
-            "tau",
-            "taus",
-            "moment",
-            "moments",
-            "drehmoment",
-            "trq",
-            "torq",
-        ),
-        "torque",
-    ),
-    **dict.fromkeys(
-        ("current", "currents", "curr", "amps", "ampere", "amperes", "strom"), "current"
-    ),
+_NAMES: dict[Quantity, str] = {
+    "time": "time times timestamp timestamps stamp stamps clock duration elapsed sec secs seconds"
+    " uptime zeit temps tiempo tempo ipoc",
+    "position": "position positions pos angle angles ang theta qpos winkel",
+    "velocity": "velocity velocities vel vels speed speeds qvel omega qdot thetadot dtheta"
+    " geschwindigkeit",
+    "acceleration": "acceleration accelerations accel acc qacc qddot thetaddot ddtheta",
+    "torque": "torque torques effort efforts eff tau taus moment moments drehmoment trq torq",
+    "current": "current currents curr amps ampere amperes strom",
 }
+_WORDS = {word: quantity for quantity, words in _NAMES.items() for word in words.split()}
 _SYMBOLS: dict[str, Quantity] = {
     "t": "time",
     "q": "position",
@@ -103,9 +45,12 @@ _PAIRS: dict[tuple[str, ...], Quantity] = {
 }
 _KUKA_POSITION = ("axis", "act")
 """Words of the positions in traces of KUKA controllers, such as `$AXIS_ACT` and `AxisAct.A1`."""
-_RSI = {"AIPos.": "position (deg) ", "ASPos.": "position (deg) ", "MACur.": "current "}
-"""Names of KUKA's sensor interface, and what they say."""
-_RSI_COMMAND = "ASPos."
+_SPELT = {
+    "AIPos.": "position (deg) ",
+    "ASPos.": "command position (deg) ",
+    "MACur.": "current ",
+}
+"""Names of KUKA's sensor interface, in words."""
 _NO_CLOCK = {"latency", "delay", "dt", "delta", "period", "cycle", "jitter", "step", "flight"}
 """Words of times that are not those of the samples."""
 _SECONDS = {"sec", "secs", "seconds"}
@@ -134,13 +79,13 @@ _DESIRED = {
     "error",
     "err",
 }
-_COMMANDS = {"command", "commands", "commanded", "cmd"}
+COMMANDS = {"command", "commands", "commanded", "cmd"}
 """Words that make a command of a column without another quantity."""
-_GOALS = {
+GOALS = {
     *("ref", "reference", "references", "setpoint", "setpoints", "goal", "goals"),
     *("target", "targets", "desired", "des"),
 }
-"""Words that do so where each joint with a position has such a column, and no other has one."""
+"""Words that may do so too."""
 _ANGLE_UNITS = {"deg", "degrees", "rad", "mrad"}
 """Units of angles at the end of a name: a command in another unit is none of positions."""
 _OTHER = {
@@ -261,73 +206,68 @@ def recognise(name: str) -> Role | None:
     ('torque', 'elbow_joint')
     >>> recognise("target_q_1")
     """
-    if name.startswith(_RSI_COMMAND):
-        return None
-    for start, meant in _RSI.items():
-        name = meant + name.removeprefix(start) if name.startswith(start) else name
-    bare, index, unit, _ = _with_unit(name.replace("τ", "tau").replace("θ", "theta"))
-    spans = [(m.group().lower(), m.start(), m.end()) for m in WORD.finditer(bare)]
-    words = [word for word, _, _ in spans]
+    bare, index, unit, _ = _with_unit(_spell(name))
+    spans = list(WORD.finditer(bare))
+    words = [each.group().lower() for each in spans]
     quantity, used = _find_quantity(words)
-    if quantity is None or (set(words) - {words[k] for k in used}) & (_DESIRED | _OTHER):
-        return None
-    if quantity == "time" and set(words) & _NO_CLOCK:
+    others = set(words) - {words[k] for k in used}
+    no_clock = quantity == "time" and set(words) & _NO_CLOCK
+    if quantity is None or others & (_DESIRED | _OTHER) or no_clock:
         return None
     unscaled = "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
     unit = unscaled or ("ms" if "ipoc" in words else unit)
     rest = [k for k in range(len(words)) if k not in used and words[k] != unscaled]
-    scale = parse_unit_scale(unit) if unit else None
     left = {words[k] for k in rest}
     if unscaled and left & _EXTERNAL:
         return None
-    kind = (
-        "unscaled"
-        if unscaled
-        else "external"
-        if left & _EXTERNAL
-        else (
-            "motor"
-            if left & _MOTOR and quantity in ("torque", "position")
-            else "sensor"
-            if left & _SENSOR
-            else ""
-        )
-    )
-    if (
-        quantity == "torque"
-        and len(rest) > 0
-        and words[rest[0]] == "j"
-        and used
-        and rest[0] == used[-1] + 1
-    ):
+    kinds = {
+        "unscaled": bool(unscaled),
+        "external": left & _EXTERNAL,
+        "motor": left & _MOTOR and quantity in ("torque", "position"),
+        "sensor": left & _SENSOR,
+    }
+    kind = next((kind for kind, found in kinds.items() if found), "")
+    if quantity == "torque" and rest and used and rest[0] == used[-1] + 1 and words[rest[0]] == "j":
         rest = rest[1:]
     rest = [k for k in rest if words[k] not in _EXTERNAL | _MOTOR | _SENSOR]
     numbers = [k for k in rest if words[k].isdigit()]
     if index is None and numbers:
         index = int(words[numbers[-1]])
-    named = [k for k in rest if words[k] not in _MEASURED and not words[k].isdigit()]
-    if quantity == "time":
-        named, numbers = [], []
     joint = ""
-    if named or len(numbers) > 1:
-        first, last = rest[0], rest[-1]
-        while words[first] in _PREFIXES and first < last:
-            first += 1
-        contiguous = not any(k in used for k in range(first, last + 1))
-        joint = (
-            bare[spans[first][1] : spans[last][2]]
-            if contiguous
-            else "_".join(bare[spans[k][1] : spans[k][2]] for k in rest)
-        )
-        for prefix in ("joint_states/", "joint_states_", "joint_state_"):
-            joint = joint.removeprefix(prefix)
-    elif "joint" in left and numbers and not unit and rest == list(range(rest[0], rest[-1] + 1)):
-        joint = (
-            bare[spans[rest[0]][1] : spans[rest[-1]][2]]
-            if words[rest[0]] == "joint" and words[rest[-1]].isdigit()
-            else ""
-        )
-    return Role(quantity, joint, index, kind, 1.0 if scale is None else scale, unit)
+    if quantity != "time":
+        joint = _find_joint(bare, spans, rest, "joint" in left and not unit)
+    return Role(quantity, joint, index, kind, (unit and parse_unit_scale(unit)) or 1.0, unit)
+
+
+def _spell(name: str) -> str:
+    """Return a name with Greek letters and names of KUKA's interface in words."""
+    start = next((each for each in _SPELT if name.startswith(each)), "")
+    name = _SPELT.get(start, "") + name.removeprefix(start)
+    return name.replace("τ", "tau").replace("θ", "theta")
+
+
+def _find_joint(
+    bare: str, spans: Sequence[re.Match[str]], rest: Sequence[int], counts: bool
+) -> str:
+    """Return the name of a joint that the words `rest` of a column's name give; "" if they count.
+
+    A joint that `counts` may be called joint_1, and is called so if nothing else is left.
+    """
+    words = [each.group().lower() for each in spans]
+    numbers = [k for k in rest if words[k].isdigit()]
+    named = len(numbers) > 1 or any(k not in numbers and words[k] not in _MEASURED for k in rest)
+    while named and words[rest[0]] in _PREFIXES and len(rest) > 1:
+        rest = rest[1:]
+    whole = [*rest] == [*range(rest[0], rest[-1] + 1)] if rest else False
+    if not (
+        named or (counts and whole and words[rest[0]] == "joint" and words[rest[-1]].isdigit())
+    ):
+        return ""
+    parts = [spans[k].group() for k in rest]
+    joint = bare[spans[rest[0]].start() : spans[rest[-1]].end()] if whole else "_".join(parts)
+    for prefix in ("joint_states/", "joint_states_", "joint_state_"):
+        joint = joint.removeprefix(prefix)
+    return joint
 
 
 def find_nanoseconds(name: str, names: Sequence[str]) -> str | None:
@@ -345,8 +285,11 @@ def find_nanoseconds(name: str, names: Sequence[str]) -> str | None:
     return next((each for each in names if split_words(each) in wanted), None)
 
 
-def match_commanded_role(name: str) -> Role | None:
+def match_commanded_role(name: str, alone: Set[str] = COMMANDS) -> Role | None:
     """Return the role of a column of commanded positions by its name, None for all others.
+
+    Words of `alone` need no quantity next to them: `COMMANDS` do not, `GOALS` only where each joint
+    with a position has such a column, and no other has one.
 
     Examples
     --------
@@ -356,46 +299,28 @@ def match_commanded_role(name: str) -> Role | None:
     'elbow_joint'
     >>> match_commanded_role("elbow_cmd_deg").joint, match_commanded_role("elbow_cmd_deg").unit
     ('elbow', 'deg')
+    >>> match_commanded_role("elbow/setpoint", GOALS).joint
+    'elbow'
     >>> [match_commanded_role(name) for name in ("q_1", "target_velocity_1", "elbow_cmd_mA")]
     [None, None, None]
     """
-    return _find_commanded_role(name, _COMMANDS)
-
-
-def match_goal_role(name: str) -> Role | None:
-    """Return the role of a column that names a joint and a word such as setpoint, and no quantity.
-
-    Examples
-    --------
-    >>> match_goal_role("elbow/setpoint").joint, match_goal_role("ref_2").index
-    ('elbow', 2)
-    >>> match_goal_role("setpoint_temperature"), match_goal_role("action_1")
-    (None, None)
-    """
-    return _find_commanded_role(name, _GOALS)
-
-
-def _find_commanded_role(name: str, alone: Set[str]) -> Role | None:
-    """Return the role of a commanded position; words of `alone` need no quantity beside them."""
-    if name.startswith(_RSI_COMMAND):
-        name = f"command {_RSI[_RSI_COMMAND]}{name.removeprefix(_RSI_COMMAND)}"
+    name = _spell(name)
     spans = list(WORD.finditer(name))
-    desired = [m for m in spans if m.group().lower() in _DESIRED - {"error", "err"}]
-    if not desired or {m.group().lower() for m in spans} & {"error", "err"}:
+    words = {m.group().lower() for m in spans}
+    desired = [m for m in spans if m.group().lower() in _DESIRED]
+    if not desired or words & {"error", "err"}:
         return None
-    rest = name
     for found in reversed(desired):
-        rest = rest[: found.start()] + rest[found.end() :]
-    rest = re.sub(r"([_./ -])[_./ -]+", r"\1", rest).strip("_./ -")
+        name = name[: found.start()] + name[found.end() :]
+    rest = re.sub(r"([_./ -])[_./ -]+", r"\1", name).strip("_./ -")
     role = recognise(rest)
-    if role is None and alone & {m.group().lower() for m in desired}:
+    if role is None and alone & words:
         unit = _UNIT_SUFFIX.search(rest)
         if unit and unit.group(1).lower() not in _ANGLE_UNITS:
             return None
         bare, end = (rest[: unit.start()], rest[unit.start() :]) if unit else (rest, "")
-        role = recognise(
-            f"{bare}_position{end}" if re.search("[a-zA-Z]", bare) else f"position_{bare}{end}"
-        )
+        parts = (bare, "_position") if re.search("[a-zA-Z]", bare) else ("position_", bare)
+        role = recognise("".join((*parts, end)))
     if role is None or role.quantity != "position" or role.kind:
         return None
     return replace(role, quantity="command")
@@ -409,7 +334,7 @@ def names_command(name: str) -> bool:
     >>> [names_command(each) for each in ("/joint_states", "/arm/joint_commands", "/desired_state")]
     [False, True, True]
     """
-    return bool(set(split_words(name)) & (_COMMANDS | _GOALS))
+    return bool(set(split_words(name)) & (COMMANDS | GOALS))
 
 
 def recognise_by_unit(name: str) -> Role | None:
@@ -449,11 +374,10 @@ def parse_file_quantity(stem: str) -> tuple[Quantity | None, str]:
     "run1_positions" -> ("position", "run1").
     """
     words = split_words(stem)
-    for k in (len(words) - 1, 0):
-        if words and words[k] in _WORDS and _WORDS[words[k]] != "time":
-            return _WORDS[words[k]], "_".join(words[:k] + words[k + 1 :])
-        if words and words[k] in _SYMBOLS and words[k] not in {"t", "i"}:
-            return _SYMBOLS[words[k]], "_".join(words[:k] + words[k + 1 :])
+    for k in dict.fromkeys((len(words) - 1, 0)) if words else ():
+        quantity = (_WORDS | _SYMBOLS).get(words[k])
+        if quantity not in (None, "time") and words[k] != "i":
+            return quantity, "_".join(words[:k] + words[k + 1 :])
     return None, "_".join(words)
 
 
@@ -474,42 +398,35 @@ def _with_unit(name: str) -> tuple[str, int | None, str, int]:
         suffix = suffix if rest in (None, "time") else None
     if suffix and not unit:
         bare = bare[: suffix.start()] + bare[suffix.end() :]
-        return bare, index, suffix.group(1), _find_order(suffix.group(2) or "")
-    return bare, index, unit, _find_order(unit.partition("/")[2])
-
-
-def _find_order(per: str) -> int:
-    """Return how often a unit is per second, from what follows its stroke."""
-    return 0 if not per else 2 if per.strip()[-1] in "2²" else 1
+        unit, per = suffix.group(1), suffix.group(2) or ""
+    else:
+        per = unit.partition("/")[2].strip()
+    return bare, index, unit, 0 if not per else 2 if per[-1] in "2²" else 1
 
 
 def _find_quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
     """Return the quantity that the words name, and the indices of these words."""
-    for k in range(len(words)):
-        for pair, quantity in _PAIRS.items():
-            if tuple(words[k : k + len(pair)]) == pair:
-                return quantity, list(range(k, k + len(pair)))
+    for k, size in product(range(len(words)), (3, 2)):
+        quantity = _PAIRS.get(tuple(words[k : k + size]))
+        if quantity is not None:
+            return quantity, list(range(k, min(k + size, len(words))))
     strong = [k for k, word in enumerate(words) if word in _WORDS]
     if strong:
         k = next((i for i in reversed(strong) if _WORDS[words[i]] != "time"), strong[-1])
         symbols = [
             i
-            for i, word in enumerate(words)
-            if word in {"q"}
-            and _WORDS[words[k]] in {"position"}
-            and abs(i - k) == 1
+            for i in (k - 1, k + 1)
+            if _WORDS[words[k]] == "position"
+            and words[max(i, 0) : i + 1] == ["q"]
             and not _follows_number(words, i)
         ]
         return _WORDS[words[k]], sorted([k, *symbols])
     for k in range(len(words) - 1):
         if tuple(words[k : k + 2]) == _KUKA_POSITION:
             return "position", [k, k + 1]
-    if "sec" in words and "stamp" in words:
-        return "time", [words.index("stamp")]
     for k, word in enumerate(words):
-        if word in _SYMBOLS and (
-            word not in {"t", "i"} or len(words) == 1 or _follows_number(words, k)
-        ):
+        counts = len(words) == 1 or _follows_number(words, k)
+        if word in _SYMBOLS and (counts or word not in {"t", "i"}):
             return _SYMBOLS[word], [k]
     return None, []
 

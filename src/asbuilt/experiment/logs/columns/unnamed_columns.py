@@ -20,8 +20,9 @@ from asbuilt.experiment.gravity_load import (
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 
 DEGREES_PER_RADIAN = 180 / np.pi
-RADIANS_ARE_LESS = DEGREE**0.5
-"""Ratio of velocities to the slope of positions in degrees, above which they are degrees too."""
+RADIANS_ARE_LESS, DEGREES_ARE_MORE = DEGREE**0.5, DEGREE**-0.5
+"""Ratios of velocities to the slope of positions in degrees, and in radians, above which they are
+degrees."""
 STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
 """Units of time, and the least median step in each: 0.2 s."""
 
@@ -31,6 +32,8 @@ CLOCK_STEPS = (0.99, 0.5)
 """Share of the steps of a clock that are forward, and of one that does not lead the columns also
 within this of the median step."""
 
+FOLLOWS = 0.8
+"""Correlation with a derivative from which a group is one."""
 MOST_QUANTITIES = 32
 """Quantities of each joint that are compared with each other, every pair: logs have a dozen."""
 
@@ -74,45 +77,34 @@ def suggest_sheet(
     places = list(range(1, len(values) + 1)) if numbers is None else list(numbers)
     time, others = _find_time_column(values)
     rest = [values[k] for k in others]
-    places_of_rest = [places[k] for k in others]
-    clock = None if time is None else values[time]
-    n_joints = _count_joints_by_derivative(rest, clock) if model is None else model.n_joints
+    rows = values[0].size if values else 0
+    t = np.arange(rows) / (rate or 1.0) if time is None else values[time]
+    n_joints = _count_joints_by_derivative(rest, t) if model is None else model.n_joints
     head = [] if named else ["header = false"]
     if rate is not None:
         head.append(f"rate = {rate:g}")
-    if not n_joints or not 2 * n_joints <= len(rest) <= MOST_QUANTITIES * n_joints:
+    fits = n_joints and 2 * n_joints <= len(rest) <= MOST_QUANTITIES * n_joints
+    if not n_joints or not fits or rows < 2:
         return "\n".join([*head, DRAFT])
-    groups = [
-        np.column_stack(rest[k : k + n_joints])
-        for k in range(0, len(rest) - n_joints + 1, n_joints)
-    ]
-    spans = [
-        _format_span(places_of_rest[k : k + n_joints])
-        for k in range(0, len(rest) - n_joints + 1, n_joints)
-    ]
+    begins = range(0, len(rest) - n_joints + 1, n_joints)
+    groups = [np.column_stack(rest[k : k + n_joints]) for k in begins]
+    spans = [_format_span([places[j] for j in others[k : k + n_joints]]) for k in begins]
     units: dict[str, str] = {}
-    if clock is not None and (unit := _guess_time_unit(clock)) != "s":
-        units["time"], clock = unit, clock * (parse_unit_scale(unit) or 1.0)
-    t = np.arange(values[0].size) / (rate or 1.0) if clock is None else clock
-    pair = _find_position_and_command(t, groups)
-    kept = [k for k in range(len(groups)) if pair is None or k != pair[1]]
-    position, velocity, torques, degrees = _assign_roles(
-        t, [groups[k] for k in kept], model, None if pair is None else kept.index(pair[0])
-    )
-    position, torques = kept[position], [kept[k] for k in torques]
-    velocity = None if velocity is None else kept[velocity]
+    if time is not None and (unit := _guess_time_unit(t)) != "s":
+        units["time"], t = unit, t * (parse_unit_scale(unit) or 1.0)
+    position, command, velocity, torques, degrees = _assign_roles(t, groups, model)
     if degrees:
-        units |= dict.fromkeys(["position"] if pair is None else ["position", "command"], "deg")
-    if clock is None and rate is None:
-        found = (
-            None
-            if velocity is None
-            else _estimate_rate(groups[position], groups[velocity], degrees)
-        )
-        t = t / (found or 1.0)
-        head.append("rate = 100  # Hz" if found is None else f"rate = {found:g}  # Hz")
+        units |= dict.fromkeys(["position"] if command is None else ["position", "command"], "deg")
     if velocity is not None:
-        units |= _guess_velocity_unit(t, groups[position], groups[velocity], degrees)
+        ratio = _measure_ratio(t, groups[position], groups[velocity])
+    if time is None and rate is None:
+        found = None
+        if velocity is not None:
+            found = _estimate_rate(groups[position], groups[velocity], degrees)
+        head.append("rate = 100  # Hz" if found is None else f"rate = {found:g}  # Hz")
+        ratio = 0.0 if velocity is None else ratio / (found or 1.0)
+    if velocity is not None and ratio > (RADIANS_ARE_LESS if degrees else DEGREES_ARE_MORE):
+        units["velocity"] = "deg/s"
     if units:
         stated = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
         head.append(f"units = {{ {stated} }}")
@@ -121,7 +113,7 @@ def suggest_sheet(
         "time": None if time is None else places[time],
         "position": spans[position],
         "velocity": None if velocity is None else spans[velocity],
-        "command": None if pair is None else spans[pair[1]],
+        "command": None if command is None else spans[command],
         "torque": spans[torques[0]] + (f"  # or {also}" if also else "") if torques else None,
     }
     listed = [f"{name} = {value}" for name, value in entries.items() if value is not None]
@@ -131,13 +123,24 @@ def suggest_sheet(
 
 
 def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
-    """Return which column is time, and which are neither time nor counters that lead the others."""
+    """Return which column is time, and which are neither time nor counters that lead the others.
+
+    Time leads and rises, but may be set back once or twice, or it rises in steps alike elsewhere.
+    """
     leads = next((k for k, each in enumerate(values) if not _counts_rows(each)), len(values))
     others = list(range(leads, len(values)))
-    if others and _increases(values[leads]):
+    first = values[leads] if others else np.empty(0)
+    finite = first[np.isfinite(first)]
+    rises = finite.size > 1 and finite[-1] > finite[0]
+    if rises and np.mean(np.diff(finite) >= 0) >= CLOCK_STEPS[0]:
         return leads, others[1:]
-    time = next((k for k in others if _ticks(values[k])), None)
-    return time, [k for k in others if k != time]
+    for k in others:
+        steps = np.diff(values[k])
+        middle = float(np.median(steps)) if steps.size else 0.0
+        even = np.abs(steps - middle) <= CLOCK_STEPS[1] * middle
+        if middle > 0.0 and float(np.mean(even)) >= CLOCK_STEPS[0]:
+            return k, [each for each in others if each != k]
+    return None, others
 
 
 def _counts_rows(values: Array) -> bool:
@@ -158,36 +161,80 @@ def _guess_time_unit(values: Array) -> str:
     return next(unit for unit, least in STEPS.items() if step >= least)
 
 
-def _guess_velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, str]:
-    """Return the unit of velocities under its name where it is not the positions' unit in SI."""
+def _measure_ratio(t: Array, q: Array, qd: Array) -> float:
+    """Return the size of velocities relative to the slope of positions."""
     slope = np.gradient(q, t, axis=0)
     ok = np.isfinite(slope) & np.isfinite(qd)
-    factor = float(np.sqrt(np.sum(qd[ok] ** 2) / max(float(np.sum(slope[ok] ** 2)), 1e-30)))
-    in_degrees = factor > DEGREES_PER_RADIAN**0.5 if not degrees else factor > RADIANS_ARE_LESS
-    return {"velocity": "deg/s"} if in_degrees else {}
+    return float(np.sqrt(np.sum(qd[ok] ** 2) / max(float(np.sum(slope[ok] ** 2)), 1e-30)))
 
 
-def _find_position_and_command(t: Array, groups: list[Array]) -> tuple[int, int] | None:
-    """Return two groups of which the first follows the second closely, and later.
+def _estimate_rate(q: Array, qd: Array, degrees: bool) -> float | None:
+    """Return the rate [Hz] at which the steps of positions are the velocities; None if none can be.
 
-    It is the group of which another is the derivative, if there is one. None if no group follows
-    another, or several do, such as currents too.
+    Velocities in degrees per second with positions in radians count as such.
     """
-    moving = _find_derivative_pair(t, groups, None)
+    steps = np.gradient(q, axis=0)
+    ok = np.isfinite(steps) & np.isfinite(qd)
+    per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
+    rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
+    # Velocities beyond are rather degrees per second [rad/s].
+    if _find_largest(qd) > 10.0:
+        rates.reverse()
+    low, high = RATES
+    return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
+
+
+def _assign_roles(
+    t: Array, groups: list[Array], model: RobotModel | None
+) -> tuple[int, int | None, int | None, list[int], bool]:
+    """Return which groups are positions, commands, velocities and torques, the likeliest first.
+
+    And whether the positions are degrees. A command is what one group alone follows closely, and
+    later; it is none of the other groups.
+    """
+    moving = _find_derivative_pair(t, groups, range(len(groups)))
     # Difference of two groups, relative to their spread, up to which one is the command of the
     # other.
-    found = [
-        (i, k)
-        for i, k in combinations(range(len(groups)), 2)
-        if (moving is None or moving[0] in (i, k))
-        and _measure_difference(groups[i], groups[k]) < 0.3
+    close = [
+        pair
+        for pair in combinations(range(len(groups)), 2)
+        if (moving is None or moving[0] in pair)
+        and _measure_difference(*(groups[k] for k in pair)) < 0.3
     ]
-    if len(found) != 1:
-        return None
-    (i, k) = found[0]
-    if moving is not None:
-        return (i, k) if i == moving[0] else (k, i)
-    return (i, k) if _is_later(t, groups[i], groups[k]) else (k, i)
+    known: int | None = None
+    command: int | None = None
+    if len(close) == 1:
+        (i, k) = close[0]
+        leads = moving[0] == k if moving is not None else not _is_later(t, groups[i], groups[k])
+        known, command = (k, i) if leads else (i, k)
+    rest = [k for k in range(len(groups)) if k != command]
+    pair = _find_derivative_pair(t, groups, rest if known is None else [known], rest)
+    position, velocity = pair or (rest[0] if known is None else known, None)
+    turned = bool(_find_largest(groups[position]) > LARGEST_RADIANS)
+    others = [k for k in rest if k not in (position, velocity)]
+    if model is None:
+        return position, command, velocity, others, turned
+    matches = [
+        np.stack([load_matches(model, groups[k], groups, scale) for k in rest])
+        for scale in (1.0, DEGREE)
+    ]
+    for each in matches:
+        each[range(len(rest)), rest] = 0.0
+        if command is not None:
+            each[:, command] = 0.0
+    if velocity is None and known is None:
+        position = rest[int(np.argmax(np.max(matches, axis=(0, 2))))]
+        others = [k for k in rest if k != position]
+    plain, in_degrees = (each[rest.index(position)] for each in matches)
+    degrees = _find_largest(groups[position]) > LARGEST_RADIANS or (
+        in_degrees.max() > max(CLEAR_LOAD, plain.max() + CLEARLY_BETTER)
+    )
+    loads = in_degrees if degrees else plain
+    if np.max(loads) > CLEAR_LOAD:
+        # Share of the best correlation from which groups count alike, in the order of the file:
+        # what was commanded correlates better than what was measured.
+        others.sort(key=lambda k: loads[k] < 0.8 * np.max(loads))
+    return position, command, velocity, others, bool(degrees)
 
 
 def _measure_difference(one: Array, other: Array) -> float:
@@ -210,89 +257,19 @@ def _is_later(t: Array, q: Array, u: Array) -> bool:
     return float(np.sum(lags[spread > 0.0] / spread[spread > 0.0] ** 2)) < 0.0
 
 
-def _assign_roles(
-    t: Array, groups: list[Array], model: RobotModel | None, known: int | None
-) -> tuple[int, int | None, list[int], bool]:
-    """Return the groups of positions and velocities, and groups of torques, the likeliest first.
-
-    And whether the positions are degrees. `known` is the group of positions, if that is known.
-    """
-    pair = _find_derivative_pair(t, groups, known)
-    position, velocity = pair if pair is not None else (known or 0, None)
-    if model is None:
-        rest = [k for k in range(len(groups)) if k not in (position, velocity)]
-        return position, velocity, rest, bool(_find_largest(groups[position]) > LARGEST_RADIANS)
-    plain, turned = _load_matches(model, groups, 1.0), _load_matches(model, groups, DEGREE)
-    if velocity is None and known is None:
-        best = np.maximum(np.max(plain, axis=1), np.max(turned, axis=1))
-        position = int(np.argmax(best))
-    degrees = _find_largest(groups[position]) > LARGEST_RADIANS or (
-        np.max(turned[position]) > CLEAR_LOAD
-        and np.max(turned[position]) > np.max(plain[position]) + CLEARLY_BETTER
-    )
-    loads = (turned if degrees else plain)[position]
-    rest = [k for k in range(len(groups)) if k not in (position, velocity)]
-    if np.max(loads) > CLEAR_LOAD:
-        # Share of the best correlation from which groups count alike, in the order of the file:
-        # what was commanded correlates better than what was measured.
-        rest.sort(key=lambda k: loads[k] < 0.8 * np.max(loads))
-    return position, velocity, rest, bool(degrees)
-
-
 def _find_largest(values: Array) -> float:
     """Return the largest finite magnitude, 0 if there is none."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.max()) if finite.size else 0.0
-
-
-def _load_matches(model: RobotModel, groups: list[Array], scale: float) -> Array:
-    """Return how each group (column) follows gravity's torques at each group (row) as positions."""
-    matches = np.stack([load_matches(model, q, groups, scale) for q in groups])
-    np.fill_diagonal(matches, 0.0)
-    return matches
-
-
-def _increases(values: Array) -> bool:
-    """Return whether values rise as times do, which may be set back once or twice."""
-    finite = values[np.isfinite(values)]
-    forward = np.diff(finite) >= 0
-    return finite.size > 1 and float(np.mean(forward)) >= CLOCK_STEPS[0] and finite[-1] > finite[0]
-
-
-def _ticks(values: Array) -> bool:
-    """Return whether values rise in steps alike, as only times do."""
-    steps = np.diff(values)
-    middle = float(np.median(steps)) if steps.size else 0.0
-    even = np.abs(steps - middle) <= CLOCK_STEPS[1] * middle
-    return middle > 0.0 and float(np.mean(even)) >= CLOCK_STEPS[0]
-
-
-def _estimate_rate(q: Array, qd: Array, degrees: bool) -> float | None:
-    """Return the rate [Hz] at which the steps of positions are the velocities; None if none can be.
-
-    Velocities in degrees per second with positions in radians count as such.
-    """
-    steps = np.gradient(q, axis=0)
-    ok = np.isfinite(steps) & np.isfinite(qd)
-    per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
-    rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
-    # Velocities beyond are rather degrees per second [rad/s].
-    if _find_largest(qd) > 10.0:
-        rates.reverse()
-    low, high = RATES
-    return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
+    return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
 
 
 def _find_derivative_pair(
-    t: Array, groups: list[Array], known: int | None
+    t: Array, groups: list[Array], first: Sequence[int], second: Sequence[int] | None = None
 ) -> tuple[int, int] | None:
-    """Return the groups of which the second follows the derivative of the first, if any."""
-    best, pair = 0.8, None
-    for i, q in enumerate(groups):
-        for k, qd in enumerate(groups):
-            if i != k and known in (None, i) and (match := _correlate_derivative(t, q, qd)) > best:
-                best, pair = match, (i, k)
-    return pair
+    """Return the groups of which the second follows the derivative of the first best, if any."""
+    pairs = [(i, k) for i in first for k in (first if second is None else second) if i != k]
+    found = [(_correlate_derivative(t, groups[i], groups[k]), (i, k)) for i, k in pairs]
+    best = max(found, key=lambda each: np.nan_to_num(each[0]), default=(0.0, (0, 0)))
+    return best[1] if best[0] > FOLLOWS else None
 
 
 def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:
@@ -302,22 +279,10 @@ def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:
     return float(np.median(correlations(slope, qd)))
 
 
-def _count_joints_by_derivative(values: list[Array], t: Array | None) -> int | None:
+def _count_joints_by_derivative(values: list[Array], t: Array) -> int | None:
     """Return the number of joints that makes the second group the derivative of the first."""
-    clock = (
-        t
-        if t is not None
-        else np.arange(values[0].size, dtype=np.float64)
-        if values
-        else np.zeros(0)
-    )
-    for n in range(2, len(values) // 2 + 1):
-        if (
-            len(values) % n == 0
-            and _correlate_derivative(
-                clock, np.column_stack(values[:n]), np.column_stack(values[n : 2 * n])
-            )
-            > 0.8
-        ):
+    for n in range(2, len(values) // 2 + 1 if t.size > 1 else 0):
+        first, second = np.column_stack(values[:n]), np.column_stack(values[n : 2 * n])
+        if len(values) % n == 0 and _correlate_derivative(t, first, second) > FOLLOWS:
             return n
     return None

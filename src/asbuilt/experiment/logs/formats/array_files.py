@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import MissingExtraError, RecordingError
-from asbuilt.experiment.logs.formats.isolated import LIMITS, read_isolated
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.isolated import LIMITS, FileKind, isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -22,9 +22,6 @@ from asbuilt.experiment.logs.formats.log_format import (
     tabulate_variables,
 )
 from asbuilt.findings import Cure
-from asbuilt.untrusted import describe_problem
-
-_SAVE = Cure("save named arrays of numbers: np.savez(path, t=t, q=q, tau=tau)")
 
 
 def read_npz(path: Path) -> LogTable:
@@ -33,66 +30,51 @@ def read_npz(path: Path) -> LogTable:
     Raises
     ------
     RecordingError
-        If the file is no archive of arrays, or holds nothing that looks like a recording.
+        If it holds nothing that looks like a recording.
     """
-    variables = {}
-    pickled = []
-    try:
-        _refuse_bombs(path)
-        archive = np.load(path, allow_pickle=False)
-        if isinstance(archive, np.ndarray):
-            raise RecordingError(
-                f"{path} holds one array of shape {archive.shape} without names",
-                cure=_SAVE,
-                file=str(path),
-            )
-        with archive:
-            for name in archive.files:
-                try:
-                    variables[name] = archive[name]
-                except ValueError as error:
-                    if "pickle" not in str(error):
-                        raise
-                    pickled.append(name)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, RecordingError):
-            raise
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            _refuse_bombs(path, archive)
+    archive = np.load(path, allow_pickle=False)
+    if isinstance(archive, np.ndarray):
         raise RecordingError(
-            f"{path} is not a recording: NumPy cannot read it as an .npz archive"
-            f" ({describe_problem(error)})",
-            cure=_SAVE,
-            file=str(path),
-        ) from error
+            f"{path} holds one array of shape {archive.shape} without names", cure=Cure(NPZ.cure)
+        )
+    variables, pickled = {}, []
+    for name in archive.files:
+        try:
+            variables[name] = archive[name]
+        except ValueError as error:
+            if "pickle" not in str(error):
+                raise
+            pickled.append(name)
     if not variables:
         why = (
             f"its arrays are pickled objects ({', '.join(pickled)}), which are not read for safety"
             if pickled
             else "it holds no array"
         )
-        raise RecordingError(f"{path} is not a recording: {why}", cure=_SAVE, file=str(path))
+        raise RecordingError(f"{path} is not a recording: {why}", cure=Cure(NPZ.cure))
     return tabulate_variables(str(path), variables)
 
 
-def _refuse_bombs(path: Path) -> None:
+def _refuse_bombs(path: Path, archive: zipfile.ZipFile) -> None:
     """Raise `RecordingError` if an archive declares more than it may hold."""
-    if not zipfile.is_zipfile(path):
-        return
-    with zipfile.ZipFile(path) as archive:
-        declared = sum(member.file_size for member in archive.infolist())
+    declared = sum(member.file_size for member in archive.infolist())
     most = LIMITS.memory_for(path.stat().st_size)
     if declared > most:
         raise RecordingError(
             f"{path} declares {declared / 1e9:.3g} GB of arrays; at most {most / 1e9:.3g} GB are"
             " read from a file of its size",
             cure=Cure("save it without compression, or as Parquet, which is read in chunks"),
-            file=str(path),
         )
 
 
-FORMATS.register(
-    "npz",
-    LogFormat(suffixes=(".npz",), read=lambda path, sheet: read_isolated(read_npz, path)),
+NPZ = FileKind(
+    "an .npz archive of NumPy",
+    cure="save named arrays of numbers: np.savez(path, t=t, q=q, tau=tau)",
 )
+FORMATS.register("npz", LogFormat(suffixes=(".npz",), read=isolate(read_npz, NPZ)))
 
 
 DTYPES = {
@@ -107,37 +89,17 @@ DTYPES = {
     "BoolStorage": "?",
 }
 """Storages of PyTorch and their NumPy types."""
-SAVE = Cure("save a dict of tensors: torch.save({'time': t, 'dof_pos': q, 'des_dof_pos': u}, path)")
 
 
 def read_torch_archive(path: Path) -> LogTable:
     """Read the tensors of a `.pt` file: a dict of vectors and matrices, such as PACE writes.
 
-    Nested dicts give names joined by an underscore.
-
-    Raises
-    ------
-    RecordingError
-        If the file is no archive of tensors, or holds objects other than tensors, numbers and
-        texts, which are not read for safety.
+    Nested dicts give names joined by an underscore. Objects other than tensors, numbers and texts
+    are not read for safety.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            declared = sum(member.file_size for member in archive.infolist())
-            if declared > LIMITS.memory_for(path.stat().st_size):
-                raise RecordingError(
-                    f"{path} declares {declared / 1e9:.3g} GB of tensors", file=str(path)
-                )
-            content = _Content(archive).load()
-    except RecordingError:
-        raise
-    except Exception as error:  # a damaged pickle raises what it likes
-        raise RecordingError(
-            f"{path} is not a recording: it is no archive of tensors that torch.save wrote"
-            f" ({describe_problem(error)})",
-            cure=SAVE,
-            file=str(path),
-        ) from error
+    with zipfile.ZipFile(path) as archive:
+        _refuse_bombs(path, archive)
+        content = _Content(archive).load()
     if not isinstance(content, Mapping):
         content = {"tensor": content}
     return tabulate_variables(str(path), dict(_flatten(content)))
@@ -209,7 +171,15 @@ def _flatten(content: Mapping[Any, Any], prefix: str = "") -> list[tuple[str, Ar
 FORMATS.register(
     "torch",
     LogFormat(
-        suffixes=(".pt", ".pth"), read=lambda path, sheet: read_isolated(read_torch_archive, path)
+        suffixes=(".pt", ".pth"),
+        read=isolate(
+            read_torch_archive,
+            FileKind(
+                "an archive of tensors that torch.save wrote",
+                cure="save a dict of tensors: torch.save({'time': t, 'dof_pos': q, 'des_dof_pos':"
+                " u}, path)",
+            ),
+        ),
     ),
 )
 
@@ -221,15 +191,11 @@ def read_hdf5(path: Path) -> LogTable:
 
     Raises
     ------
-    MissingExtraError
-        If h5py is not installed.
     RecordingError
-        If the file is no HDF5 file or holds no numbers.
+        If it takes values from other files or holds no numbers.
     """
-    try:
-        import h5py  # noqa: PLC0415
-    except ImportError as error:
-        raise MissingExtraError("h5py", "hdf5", f"reading {path}") from error
+    import h5py  # noqa: PLC0415
+
     variables: dict[str, Array] = {}
 
     def refuse_link(name: str, link: Any) -> None:
@@ -244,24 +210,16 @@ def read_hdf5(path: Path) -> LogTable:
         if item.size and item.size * item.dtype.itemsize > LIMITS.memory_for(path.stat().st_size):
             raise RecordingError(
                 f"{path}: the dataset {name!r} declares {item.size * item.dtype.itemsize:.3g}"
-                " bytes, too many for a file of its size",
-                file=str(path),
+                " bytes, too many for a file of its size"
             )
-        if item.dtype.names:
-            for field in item.dtype.names:
-                if np.issubdtype(item.dtype[field], np.number):
-                    variables[f"{name}/{field}"] = item[field]
-        elif np.issubdtype(item.dtype, np.number):
-            variables[name] = item[()]
+        parts = {f"{name}/{each}": item[each] for each in item.dtype.names or ()} or {name: item}
+        for each, values in parts.items():
+            if np.issubdtype(values.dtype, np.number):
+                variables[each] = values[()]
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems_links(refuse_link)
-            file.visititems(visit)
-    except OSError as error:
-        raise RecordingError(
-            f"{path} is not a recording: it cannot be read as HDF5 ({error})", file=str(path)
-        ) from error
+    with h5py.File(path, "r") as file:
+        file.visititems_links(refuse_link)
+        file.visititems(visit)
     short = [name.rsplit("/", 1)[-1] for name in variables]
     named = {
         last if short.count(last) == 1 else name: value
@@ -274,62 +232,39 @@ def _make_foreign_error(path: Path, name: str, why: str) -> RecordingError:
     return RecordingError(
         f"{path}: {name!r} {why}, which is refused",
         cure=Cure("copy the values into one file, such as with h5repack"),
-        file=str(path),
     )
 
 
 FORMATS.register(
     "hdf5",
-    LogFormat(suffixes=(".h5", ".hdf5"), read=lambda path, sheet: read_isolated(read_hdf5, path)),
+    LogFormat(suffixes=(".h5", ".hdf5"), read=isolate(read_hdf5, FileKind("HDF5", extra="hdf5"))),
 )
 
 
 def read_mat(path: Path) -> LogTable:
-    """Read numeric variables of a `.mat` file, also inside structures.
-
-    Version 7.3 files are read as HDF5.
-
-    Raises
-    ------
-    RecordingError
-        If the file is no MATLAB file or holds no numbers.
-    """
+    """Read numeric variables of a `.mat` file, also inside structures; version 7.3 as HDF5."""
     with path.open("rb") as file:
         start = file.read(128)
     if start.startswith(b"MATLAB 7.3") or start[1:4] == b"HDF":
         return read_hdf5(path)
     from scipy.io import loadmat  # noqa: PLC0415 - light start
-    from scipy.io.matlab import MatReadError  # noqa: PLC0415 - light start
 
-    try:
-        content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    except (
-        MatReadError, ValueError, OSError, TypeError, NotImplementedError, IndexError
-    ) as error:  # fmt: skip
-        raise RecordingError(
-            f"{path} is not a recording: it cannot be read as a MATLAB file ({error})",
-            file=str(path),
-        ) from error
     variables: dict[str, Array] = {}
-    for name, value in content.items():
+    for name, value in loadmat(path, squeeze_me=True, struct_as_record=False).items():
         if not name.startswith("__"):
             _collect(name, value, variables)
     return tabulate_variables(str(path), variables)
 
 
 def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:
-    if hasattr(value, "_fieldnames"):
-        for field in value._fieldnames:
-            _collect(
-                field if field not in variables else f"{name}.{field}",
-                getattr(value, field),
-                variables,
-            )
-    elif isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number):
+    for field in getattr(value, "_fieldnames", ()):
+        inner = field if field not in variables else f"{name}.{field}"
+        _collect(inner, getattr(value, field), variables)
+    if isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number):
         variables[name] = value
 
 
 FORMATS.register(
     "matlab",
-    LogFormat(suffixes=(".mat",), read=lambda path, sheet: read_isolated(read_mat, path)),
+    LogFormat(suffixes=(".mat",), read=isolate(read_mat, FileKind("a MATLAB file", extra="hdf5"))),
 )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ import lazy_loader
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.formats.isolated import LIMITS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
@@ -22,7 +23,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
 )
 from asbuilt.experiment.logs.formats.ros.topic_echo import is_topic_echo, read_topic_echo
-from asbuilt.experiment.logs.formats.series import columns_of, numbers, seconds_of_text
+from asbuilt.experiment.logs.formats.series import columns_of, seconds_of_text
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
@@ -96,75 +97,57 @@ def find_dialect(
     ]
     if not body:
         raise RecordingError(f"{path} is not a recording: it is empty", file=str(path))
-    first = body[0]
     if separator is None:
         separator = _find_separator([lines[k] for k in body[:20]])
-    decimal_comma = separator == ";" and any(
-        "," in field for k in body[1:3] for field in lines[k].split(";")
-    )
-    fields = _split_fields(lines[first], separator)
-    has_header = (
-        _is_header(fields, [_split_fields(lines[k], separator) for k in body[1:3]], decimal_comma)
-        if header is None
-        else header
-    )
-    skip, names = first, fields
-    if has_header:
-        if len(body) < 2:
-            raise RecordingError(
-                f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data",
-                file=str(path),
-            )
-        skip = body[1]
-        units = _split_fields(lines[skip], separator)
-        if (
-            len(body) > 2
-            and len(units) == len(names)
-            and _is_words(units, decimal_comma)
-            and not _is_words(_split_fields(lines[body[2]], separator), decimal_comma)
-        ):
-            names, skip = (
-                [
-                    f"{name} [{unit}]" if unit else name
-                    for name, unit in zip(names, units, strict=True)
-                ],
-                body[2],
-            )
+    names, *rest = (_split_fields(lines[k], separator) for k in body[:3])
+    decimal_comma = separator == ";" and any("," in cell for row in rest for cell in row)
+    is_number = partial(_is_number, decimal_comma=decimal_comma)
+    skip, data = body[0], names
+    named = _is_header(names, rest, is_number) if header is None else header
+    if named and not rest:
+        raise RecordingError(
+            f"{path} is not a recording: it has a header ({', '.join(names[:6])}) but no data",
+            file=str(path),
+        )
+    if named:
+        skip, data = body[1], rest[0]
+        words = [not any(map(is_number, row)) for row in rest]
+        if words == [True, False] and len(data) == len(names):
+            pairs = zip(names, data, strict=True)
+            names = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
+            skip, data = body[2], rest[1]
     else:
-        commented = _split_fields(lines[first - 1].lstrip(" #%"), separator) if first > 0 else []
-        if (
-            header is None
-            and len(commented) == len(fields)
-            and not any(_is_number(field, decimal_comma) for field in commented)
-        ):
-            names, has_header = commented, True
-        else:
-            names = [str(k) for k in range(1, len(fields) + 1)]
+        commented = _split_fields(lines[skip - 1].lstrip(" #%"), separator) if skip > 0 else []
+        named = (
+            header is None and len(commented) == len(data) and not any(map(is_number, commented))
+        )
+        names = commented if named else [str(k) for k in range(1, len(data) + 1)]
     names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
-    if len(names) > LIMITS.columns:
-        raise RecordingError(
-            f"{path} has {len(names)} columns; at most {LIMITS.columns} are read",
-            file=str(path),
-            value=len(names),
-            upper=LIMITS.columns,
-        )
     repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated and numbered:
-        names = [f"{name} ({k})" if name in repeated else name for k, name in enumerate(names, 1)]
-    elif repeated:
-        places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
-        raise RecordingError(
-            f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times"
-            f" (columns {places})",
-            cure=Cure("rename one of them, or number all columns in a recording sheet"),
-            file=str(path),
-            value=repeated[0],
-        )
-    data = _split_fields(lines[skip], separator)
+    places = ", ".join(str(k) for k, name in enumerate(names, 1) if name in repeated[:1])
+    refuse(
+        RecordingError,
+        (
+            len(names) > LIMITS.columns,
+            f"{path} has {len(names)} columns; at most {LIMITS.columns} are read",
+            {"file": str(path), "value": len(names), "upper": LIMITS.columns},
+        ),
+        (
+            repeated and not numbered,
+            f"{path}: the column name {''.join(repeated[:1])!r} appears {places.count(',') + 1}"
+            f" times (columns {places})",
+            {
+                "cure": Cure("rename one of them, or number all columns in a recording sheet"),
+                "file": str(path),
+                "value": "".join(repeated[:1]),
+            },
+        ),
+    )
+    names = [f"{name} ({k})" if name in repeated else name for k, name in enumerate(names, 1)]
     text = tuple(
         name
         for name, cell in itertools.zip_longest(names, data, fillvalue="")
-        if name and not _is_number(cell, decimal_comma) and cell not in _MISSING
+        if name and not is_number(cell) and cell not in _MISSING
     )
     dated = tuple(
         name
@@ -180,7 +163,7 @@ def find_dialect(
             line=skip + 1,
         )
     rows = _count_rows_before_cut(path, skip, separator, len(names))
-    return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text, dated, rows)
+    return Dialect(separator, decimal_comma, skip, tuple(names), named, text, dated, rows)
 
 
 def _count_rows_before_cut(path: Path, skip: int, separator: str, columns: int) -> int | None:
@@ -197,24 +180,23 @@ def _count_rows_before_cut(path: Path, skip: int, separator: str, columns: int) 
     return rows if rows > 0 else None
 
 
-def _is_header(fields: list[str], rows: list[list[str]], decimal_comma: bool) -> bool:
+def _is_header(fields: list[str], rows: list[list[str]], is_number: Callable[[str], bool]) -> bool:
     """Return whether the first line names the columns, by the lines after it."""
-    numeric = [_is_number(field, decimal_comma) for field in fields]
-    if not any(numeric):
-        return True
-    counted = [float(field) for field, is_number in zip(fields, numeric, strict=True) if is_number]
-    counts = len(counted) < len(fields) and counted in (
-        [float(k) for k in range(len(counted))],
-        [float(k) for k in range(1, len(counted) + 1)],
-    )
-    alike = [
-        [_is_number(field, decimal_comma) or field in _MISSING for field in row] == numeric
-        for row in rows
-    ]
-    return not all(numeric) and (counts or not rows or not all(alike))
+    numeric = [is_number(field) for field in fields]
+    if all(numeric) or not any(numeric):
+        return not any(numeric)
+    counted = [float(field) for field in fields if is_number(field)]
+    counts = any(counted == [float(k + n) for k in range(len(counted))] for n in (0, 1))
+    alike = [[is_number(field) or field in _MISSING for field in row] == numeric for row in rows]
+    return counts or not rows or not all(alike)
 
 
-def _detect_dialect(path: Path, sheet: RecordingSheet) -> Dialect:
+def _detect_dialect(path: Path, sheet: RecordingSheet) -> Dialect | None:
+    """Return how a file is written, as far as its sheet does not say; None for an echoed topic."""
+    if sheet.header is None and sheet.separator is None:
+        first = next((line for line in _read_first_lines(path) if line.strip()), "")
+        if is_topic_echo(first):
+            return None
     separator = "" if sheet.separator == " " else sheet.separator
     return find_dialect(
         path, header=sheet.header, separator=separator, numbered=sheet.columns.numbered
@@ -293,11 +275,8 @@ def read_delimited(path: Path, dialect: Dialect | None = None) -> LogTable:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
         raise locate_bad_cell(path, dialect, error) from error
-    frame = _with_times(path, frame, dialect)
-    return replace(
-        _make_header(path, dialect),
-        columns={name: numbers(frame[name]) for name in dialect.numeric},
-    )
+    frame = _with_times(path, frame, dialect).select(dialect.numeric)
+    return replace(_make_header(path, dialect), columns=columns_of(frame))
 
 
 def _make_header(path: Path, dialect: Dialect) -> LogTable:
@@ -307,13 +286,9 @@ def _make_header(path: Path, dialect: Dialect) -> LogTable:
         columns={name: np.empty(0) for name in dialect.numeric},
         named=dialect.named,
         text_columns=tuple(name for name in dialect.names if name not in dialect.numeric),
-        notes=_list_notes(dialect),
+        notes=() if dialect.rows is None else ("the last line is cut and was left out",),
         order=dialect.names,
     )
-
-
-def _list_notes(dialect: Dialect) -> tuple[str, ...]:
-    return () if dialect.rows is None else ("the last line is cut and was left out",)
 
 
 def _with_times(path: Path, frame: pl.DataFrame, dialect: Dialect) -> pl.DataFrame:
@@ -383,40 +358,37 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
         raise RecordingError(
             f"{path} cannot be read as numbers between blanks: {error}", file=str(path)
         ) from error
-    return LogTable(
-        source=str(path),
-        columns={name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)},
-        named=dialect.named,
-        notes=_list_notes(dialect),
-    )
+    columns = {name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)}
+    return replace(_make_header(path, dialect), columns=columns)
 
 
 def _read_first_lines(path: Path, count: int = 64) -> list[str]:
     with path.open("rb") as file:
         start = file.read(4096)
-    packed = next((what for magic, what in _PACKED.items() if start.startswith(magic)), None)
-    if packed is not None:
-        raise RecordingError(
-            f"{path} is not a recording: it holds {packed[0]}",
-            cure=Cure(packed[1]),
-            file=str(path),
-        )
-    if b"\r" in start and b"\n" not in start:
-        raise RecordingError(
-            f"{path} is not a recording: its lines end in a carriage return alone",
-            cure=Cure("save it with line feeds"),
-            file=str(path),
-        )
-    if b"\0" in start:
-        raise RecordingError(
-            f"{path} is not a recording: it holds binary data, not text", file=str(path)
-        )
-    if start.lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<robot", b"{")):
-        raise RecordingError(
-            f"{path} is not a recording: it starts with"
-            f" {start.lstrip()[:20].decode('utf-8', 'replace')!r}, not a table of numbers",
-            file=str(path),
-        )
+    packed, cure = next(
+        (what for magic, what in _PACKED.items() if start.startswith(magic)), ("", "")
+    )
+    begins = start.lstrip()[:20].decode("utf-8", "replace")
+    refuse(
+        RecordingError,
+        *(
+            (found, f"{path} is not a recording: {what}", {"cure": cure, "file": str(path)})
+            for found, what, cure in (
+                (packed, f"it holds {packed}", Cure(cure)),
+                (
+                    b"\r" in start and b"\n" not in start,
+                    "its lines end in a carriage return alone",
+                    Cure("save it with line feeds"),
+                ),
+                (b"\0" in start, "it holds binary data, not text", None),
+                (
+                    begins.lower().startswith(("<!doctype", "<html", "<?xml", "<robot", "{")),
+                    f"it starts with {begins!r}, not a table of numbers",
+                    None,
+                ),
+            )
+        ),
+    )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = [file.readline(LONGEST_LINE) for _ in range(count)]
     if any(len(line) == LONGEST_LINE for line in lines):
@@ -443,10 +415,6 @@ def _split_fields(line: str, separator: str) -> list[str]:
     return [part.strip().strip('"').strip() for part in parts]
 
 
-def _is_words(fields: list[str], decimal_comma: bool) -> bool:
-    return not any(_is_number(field, decimal_comma) for field in fields)
-
-
 def _is_number(text: str, decimal_comma: bool) -> bool:
     try:
         float(text.replace(",", ".") if decimal_comma else text)
@@ -457,16 +425,15 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
 
 def _read_header(path: Path, sheet: RecordingSheet) -> LogTable | None:
     """Return the table of a file that can be read lazily, without its rows."""
-    if _is_echo(path, sheet):
-        return None
     dialect = _detect_dialect(path, sheet)
-    return None if dialect.separator == "" else _make_header(path, dialect)
+    return None if dialect is None or dialect.separator == "" else _make_header(path, dialect)
 
 
 def _chunks(
     path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
     dialect = _detect_dialect(path, sheet)
+    assert dialect is not None  # `_read_header` returns None for an echoed topic
     # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
     parts = [None] if _holds(path, b'"') else _read_parts(path, dialect)
     done, held = 0, pl.DataFrame()
@@ -484,16 +451,9 @@ def _chunks(
         yield done, columns_of(_with_times(path, held, dialect))
 
 
-def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
-    if sheet.header is not None or sheet.separator is not None:
-        return False
-    return is_topic_echo(next((line for line in _read_first_lines(path) if line.strip()), ""))
-
-
 def _read(path: Path, sheet: RecordingSheet) -> LogTable:
-    if _is_echo(path, sheet):
-        return read_topic_echo(path)
-    return read_delimited(path, _detect_dialect(path, sheet))
+    dialect = _detect_dialect(path, sheet)
+    return read_topic_echo(path) if dialect is None else read_delimited(path, dialect)
 
 
 FORMATS.register(

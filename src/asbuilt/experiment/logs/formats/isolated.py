@@ -12,8 +12,9 @@ import pickle
 import signal
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from asbuilt.errors import AsbuiltError, MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, describe_problem
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.logs.sheet import RecordingSheet
 
 MOST_FILES = 500
 """Files that a process reads before another takes its place, lest its memory grow."""
@@ -64,7 +68,63 @@ class Limits:
 LIMITS = Limits()
 
 
-def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | None) -> LogTable:
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """Name a kind of file in messages.
+
+    Parameters
+    ----------
+    title
+        What it is read as, such as "HDF5"; by default its suffix.
+    extra
+        The extra of asbuilt that has the library which reads it.
+    cure
+        What to do with a file that cannot be read.
+    """
+
+    title: str = ""
+    extra: str = ""
+    cure: str = "record or export it again"
+
+
+def isolate(
+    read: Callable[..., LogTable],
+    kind: FileKind,
+    settings: Callable[[RecordingSheet], Mapping[str, Any]] = lambda sheet: {},
+) -> Callable[[Path, RecordingSheet], LogTable]:
+    """Return the reader of a format that calls `read` in another process (`read_isolated`).
+
+    `settings` takes further arguments of `read` from the recording sheet.
+    """
+    return lambda path, sheet: read_isolated(read, path, kind, **settings(sheet))
+
+
+def read_guarded(
+    read: Callable[..., LogTable], path: Path, kind: FileKind = FileKind(), **settings: Any
+) -> LogTable:
+    """Return what `read(path, **settings)` returns; whatever it raises becomes an error of ours.
+
+    So readers pass on what their libraries raise, and what damaged content makes of them.
+    """
+    try:
+        return read(path, **settings)
+    except (AsbuiltError, MemoryError):
+        raise
+    except BaseException as problem:
+        if isinstance(problem, ImportError) and kind.extra:
+            purpose = f"reading {path}"
+            raise MissingExtraError(str(problem.name), kind.extra, purpose) from problem
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as {kind.title or path.suffix}"
+            f" ({type(problem).__name__}: {describe_problem(problem)})",
+            cure=Cure(kind.cure),
+            file=str(path),
+        ) from problem
+
+
+def read_isolated(
+    read: Callable[..., LogTable], path: Path, kind: FileKind = FileKind(), **settings: Any
+) -> LogTable:
     """Return what `read(path, **settings)` returns, called in a process of its own.
 
     Parameters
@@ -73,6 +133,8 @@ def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | N
         A function of a module; the other process imports it by name.
     path
         The file, or the folder of a bag.
+    kind
+        What messages call such files.
     settings
         Further arguments of `read`.
 
@@ -81,21 +143,16 @@ def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | N
     RecordingError
         As `read` does; and for whatever else it raises, for a crash, or beyond `LIMITS`.
     MissingExtraError
-        As `read` does.
+        If a library is missing.
     """
-    answer, arrays = _call(read, path, _measure_size(path), settings)
+    size = _measure_size(path)
+    answer, arrays = _call((read, path, kind), settings, size)
     if "error" in answer:
         raise _rebuild_error(answer["error"], path)
-    table = answer["table"]
-    return LogTable(
-        source=str(path),
-        columns=dict(zip(table["columns"], arrays, strict=True)),
-        named=bool(table["named"]),
-        text_columns=tuple(table["text_columns"]),
-        known={name: (what, joint) for name, (what, joint) in table["known"].items()},
-        notes=tuple(table["notes"]),
-        order=tuple(table["order"]),
-    )
+    known = {name: tuple(each) for name, each in answer.pop("known").items()}
+    lists = {name: tuple(each) for name, each in answer.items() if isinstance(each, list)}
+    columns = dict(zip(lists.pop("columns"), arrays, strict=True))
+    return LogTable(**{**answer, **lists, "columns": columns, "known": known})
 
 
 _idle: list[Child] = []
@@ -108,14 +165,14 @@ def _end_idle() -> None:
 
 
 def _call(
-    read: Callable[..., Any], path: Path, size: float, settings: Mapping[str, Any]
+    asked: tuple[Callable[..., Any], Path, FileKind], settings: Mapping[str, Any], size: float
 ) -> tuple[dict[str, Any], list[Any]]:
     """Return the answer of another process, and the columns that follow it.
 
     A process that was idle may end before it sees the request; then another one is asked.
     """
     memory = LIMITS.memory_for(size)
-    request = pickle.dumps((_answer, (read, path, dict(settings), memory)))
+    request = pickle.dumps((_answer, (asked, dict(settings), memory)))
     while True:
         child = _take_idle() or Child({"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"})
         try:
@@ -125,7 +182,7 @@ def _call(
         except ChildEnded as ended:
             if child.calls > 1:
                 continue
-            return {"error": _describe_crash(path, size, ended.status)}, []
+            return {"error": _describe_crash(asked[1], size, ended.status)}, []
         except BaseException:
             child.end()
             raise
@@ -157,15 +214,15 @@ def _describe_crash(path: Path, size: float, status: int) -> dict[str, Any]:
         what = f"crashes its reader ({signal.Signals(-status).name})"
     else:
         what = f"ends its reader with status {status}"
-    return {"kind": "RecordingError", "message": f"{path} is damaged: it {what}"}
+    return {"message": f"{path} is damaged: it {what}"}
 
 
 def _rebuild_error(error: Mapping[str, Any], path: Path) -> AsbuiltError:
-    if error["kind"] == "MissingExtraError":
-        return MissingExtraError(error["package"], error["extra"], f"reading {path}")
-    cure = error.get("cure") or "record or export it again"
-    fields = {"file": str(path)} | error.get("fields", {})
-    return RecordingError(error["message"], cure=Cure(cure), **fields)
+    fields = error.get("fields", {})
+    if "extra" in fields:
+        return MissingExtraError(fields["package"], fields["extra"], f"reading {path}")
+    cure = error.get("cure") or FileKind().cure
+    return RecordingError(error["message"], cure=Cure(cure), **{"file": str(path)} | fields)
 
 
 def _measure_size(path: Path) -> float:
@@ -178,41 +235,26 @@ def _measure_size(path: Path) -> float:
 
 
 def _answer(
-    read: Callable[..., LogTable], path: Path, settings: Mapping[str, Any], memory: int
+    asked: tuple[Callable[..., LogTable], Path, FileKind], settings: Mapping[str, Any], memory: int
 ) -> list[Any]:
     """Return the table of a file, or why it has none, as JSON, and its columns.
 
     Nothing that the file holds comes back as a pickle.
     """
-    error: dict[str, Any] = {"kind": ""}
+    path = asked[1]
     try:
-        table = read(path, **settings)
+        table = read_guarded(*asked, **settings)
         if len(table.columns) > LIMITS.columns:
             raise RecordingError(
                 f"{path} has {len(table.columns)} columns; at most {LIMITS.columns} are read"
             )
-        return _split_table(table)
-    except MissingExtraError as problem:
-        error = {"kind": "MissingExtraError", **problem.fields}
     except AsbuiltError as problem:
         fields = {k: v for k, v in problem.fields.items() if isinstance(v, str | int | list)}
-        error |= {"message": problem.message, "cure": str(problem.cure or ""), "fields": fields}
+        error = {"message": problem.message, "cure": str(problem.cure or ""), "fields": fields}
     except MemoryError:
-        error["message"] = f"{path} needs more than {memory / 1e6:.0f} MB to read"
-    except BaseException as problem:
-        text = f"{type(problem).__name__}: {describe_problem(problem)}"
-        error["message"] = f"{path} is not a recording: it cannot be read as {path.suffix} ({text})"
+        error = {"message": f"{path} needs more than {memory / 1e6:.0f} MB to read"}
+    else:
+        document = {entry.name: getattr(table, entry.name) for entry in dataclass_fields(table)}
+        values = [np.ascontiguousarray(each, np.float64) for each in table.columns.values()]
+        return [json.dumps(document | {"columns": list(table.columns)}).encode(), *values]
     return [json.dumps({"error": error}).encode()]
-
-
-def _split_table(table: LogTable) -> list[Any]:
-    document = {
-        "columns": list(table.columns),
-        "named": table.named,
-        "text_columns": list(table.text_columns),
-        "known": {name: list(each) for name, each in table.known.items()},
-        "notes": list(table.notes),
-        "order": list(table.order),
-    }
-    columns = (np.ascontiguousarray(each, dtype=np.float64) for each in table.columns.values())
-    return [json.dumps({"table": document}).encode(), *columns]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, refuse
@@ -39,15 +41,19 @@ class LogTable:
     text_columns
         Names of the columns that do not hold numbers.
     known
-        Quantity and joint of columns whose format gives them, such as a ROS message.
+        Quantity and joint of columns whose format gives them, such as a ROS message; both "" of
+        columns of a floating base, which are no joint's.
     notes
         What was assumed or left out, in sentences.
     order
         Names of all columns in the order of the file, text columns too, by which a sheet numbers
         them; by default the numeric ones.
-    shares
-        Columns of positions and commands that may be shares of a range, so that the sheet has to
-        give their unit.
+    open_units
+        Columns of positions and commands of an unknown unit, which the sheet has to give.
+    frames
+        Frames of the "base", of its sensor ("imu") and of the "world", as far as a format says.
+    unread
+        Why the "base", "imu" or a contact of a floating base has no columns, and what to do.
     """
 
     source: str
@@ -57,7 +63,9 @@ class LogTable:
     known: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     order: tuple[str, ...] = ()
-    shares: tuple[str, ...] = ()
+    open_units: tuple[str, ...] = ()
+    frames: Mapping[str, str] = field(default_factory=dict)
+    unread: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def n_samples(self) -> int:
@@ -179,6 +187,14 @@ def tabulate_joints(
     return LogTable(source=source, columns=columns, known=known, notes=tuple(notes))
 
 
+def hold_last(times: NDArray[Any], sent: NDArray[Any], values: Array) -> tuple[Array, list[str]]:
+    """Return the commands (N, n) that held at times, each since it was sent, and notes."""
+    last = np.searchsorted(sent, times, side="right") - 1
+    before = int(np.count_nonzero(last < 0))
+    note = f"{before} states before the first command count as commanded like it"
+    return values[np.maximum(last, 0)], [note] if before else []
+
+
 def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
 
@@ -202,10 +218,7 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
             f" {', '.join(variables) or 'nothing'})",
             file=source,
         )
-    votes: dict[int, int] = {}
-    for array in arrays.values():
-        for size in set(array.shape):
-            votes[size] = votes.get(size, 0) + 1
+    votes = Counter(size for array in arrays.values() for size in {*array.shape})
     length = max(votes, key=lambda size: (votes[size], size))
     columns: dict[str, Array] = {}
     left_out = []
@@ -215,12 +228,10 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
             left_out.append(f"{name} {array.shape}{complex_}")
             continue
         values = array.astype(np.float64)
-        if values.ndim == 1:
-            columns[name] = values
-            continue
-        matrix = values if values.shape[0] == length else values.T
-        for k in range(matrix.shape[1]):
-            columns[f"{name}_{k + 1}"] = np.ascontiguousarray(matrix[:, k])
+        rows = values.T if values.shape[0] == length else values
+        vectors = [rows] if values.ndim == 1 else [np.ascontiguousarray(row) for row in rows]
+        names = [name] if values.ndim == 1 else [f"{name}_{k + 1}" for k in range(len(rows))]
+        columns |= zip(names, vectors, strict=True)
     listed = ", ".join(left_out)
     notes = (f"variables without the common length {length} were left out: {listed}",)
     return LogTable(source=source, columns=columns, notes=notes if left_out else ())

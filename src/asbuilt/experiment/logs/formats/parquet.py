@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.experiment.logs.formats.isolated import FileKind, isolate, read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -29,50 +29,38 @@ if TYPE_CHECKING:
 else:
     pl = lazy_loader.load("polars")
 
+PARQUET = FileKind("Parquet")
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
 
 
-def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
-    """Open a Parquet file lazily, with the names of its numeric columns and of all.
+def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
+    """Open a Parquet file lazily, with the table of its numeric columns without their rows.
 
     Raises
     ------
     RecordingError
-        If the file is no Parquet file or has no numeric column.
+        If the file has no numeric column.
     """
-    try:
-        frame = pl.scan_parquet(path)
-        schema = frame.collect_schema()
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise RecordingError(
-            f"{path} is not a recording: it cannot be read as Parquet ({error})", file=str(path)
-        ) from error
-    numeric = tuple(
-        name
-        for name, kind in schema.items()
-        if kind.is_numeric() or kind in (pl.Datetime, pl.Duration)
-    )
+    frame = pl.scan_parquet(path)
+    schema = frame.collect_schema()
+    timed = (pl.Datetime, pl.Duration)
+    numeric = [name for name, kind in schema.items() if kind.is_numeric() or kind in timed]
     if not numeric:
         raise RecordingError(
             f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)})",
             cure=Cure("write numbers, a column for each joint"),
             file=str(path),
         )
-    return frame, numeric, tuple(schema)
+    columns = {name: np.empty(0) for name in numeric}
+    text = tuple(name for name in schema if name not in columns)
+    return frame, LogTable(str(path), columns, text_columns=text, order=tuple(schema))
 
 
 def read_parquet(path: Path) -> LogTable:
-    """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds.
-
-    Raises
-    ------
-    RecordingError
-        If the file is no Parquet file of numbers.
-    """
-    scanned, numeric, order = scan_parquet(path)
-    frame = scanned.select(numeric).collect()
-    return _make_table(path, columns_of(frame), order)
+    """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds."""
+    frame, header = scan_parquet(path)
+    return replace(header, columns=columns_of(frame.select([*header.columns]).collect()))
 
 
 def _chunks(
@@ -108,24 +96,16 @@ def read_parquet_header(path: Path) -> LogTable:
     Raises
     ------
     RecordingError
-        If the file is no Parquet file of numbers, or declares more than its size can hold.
+        If the file declares more than its size can hold.
     """
-    scanned, numeric, order = scan_parquet(path)
-    rows = int(scanned.select(pl.len()).collect().item())
-    if rows * len(numeric) * 8 > 1e9 + 1000 * path.stat().st_size:
+    frame, header = scan_parquet(path)
+    rows, count = int(frame.select(pl.len()).collect().item()), len(header.columns)
+    if rows * count * 8 > 1e9 + 1000 * path.stat().st_size:
         raise RecordingError(
-            f"{path} declares {rows:.3g} rows of {len(numeric)} columns, too many for a file of"
-            " its size",
+            f"{path} declares {rows:.3g} rows of {count} columns, too many for a file of its size",
             file=str(path),
         )
-    return _make_table(path, {name: np.empty(0) for name in numeric}, order, notes=(str(rows),))
-
-
-def _make_table(
-    path: Path, columns: Mapping[str, Array], order: tuple[str, ...], notes: tuple[str, ...] = ()
-) -> LogTable:
-    text = tuple(name for name in order if name not in columns)
-    return LogTable(source=str(path), columns=columns, text_columns=text, order=order, notes=notes)
+    return replace(header, notes=(str(rows),))
 
 
 def _read_declared(path: Path) -> tuple[int, LogTable]:
@@ -137,7 +117,7 @@ def _read_declared(path: Path) -> tuple[int, LogTable]:
 
 @lru_cache(maxsize=64)
 def _read_declared_once(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
-    header = read_isolated(read_parquet_header, path)
+    header = read_isolated(read_parquet_header, path, PARQUET)
     return int(header.notes[0]), replace(header, notes=())
 
 
@@ -154,7 +134,7 @@ FORMATS.register(
     "parquet",
     LogFormat(
         suffixes=(".parquet",),
-        read=lambda path, sheet: read_isolated(read_parquet, path),
+        read=isolate(read_parquet, PARQUET),
         stream=LogStream(
             header=lambda path, sheet: _read_declared(path)[1],
             chunks=lambda path, sheet, columns, size: _chunks(path, columns, size),

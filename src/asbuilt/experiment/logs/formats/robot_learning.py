@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,17 +14,17 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
-from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
+    hold_last,
     tabulate_joints,
 )
-from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
+from asbuilt.experiment.logs.sheet import RATES
 from asbuilt.findings import Cure
-from asbuilt.untrusted import check_regular, describe_problem, parse_json, shorten_line
+from asbuilt.untrusted import parse_json, shorten_line
 
 if TYPE_CHECKING:
     import polars as pl
@@ -34,8 +35,6 @@ INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"
 OTHERS = (".vel", ".acc", ".effort", ".torque", ".current", ".load", ".temp")
 """Ends of features that are no positions; their units are not known either."""
-LARGEST = 1e9
-"""Bytes of the largest file of a dataset that is read; an hour at 1 kHz with 30 joints is 2e9."""
 
 
 def read_lerobot(path: Path) -> LogTable:
@@ -44,13 +43,15 @@ def read_lerobot(path: Path) -> LogTable:
     Raises
     ------
     RecordingError
-        If a file is missing or damaged, or state and action have other joints.
+        If a file or a feature is missing, or a feature does not hold one number per joint.
     """
     info = _read_info(path / INFO)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise RecordingError(f"{path} has no Parquet file under data/", file=str(path))
-    frame = _read_frame(files)
+    frame = pl.concat([pl.read_parquet(file) for file in files], how="diagonal_relaxed")
+    order = [name for name in ("episode_index", "frame_index") if name in frame.columns]
+    frame = frame.sort(order) if order else frame
     if STATE not in frame:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
@@ -59,9 +60,12 @@ def read_lerobot(path: Path) -> LogTable:
     for field, quantity in ((STATE, "position"), (ACTION, "command")):
         if field not in frame:
             continue
-        cells = _read_lists(path, field, frame[field])
-        names = _find_names(path, info, field, cells)
-        values = _build_matrix(path, field, cells, len(names))
+        inner = getattr(frame[field].dtype, "inner", None)
+        if inner is None or not inner.is_numeric():
+            raise _make_feature_error(path, field, f"{frame[field].dtype}, not lists of numbers")
+        rows = frame[field].to_list()
+        names = _find_names(path, info, field, rows)
+        values = _stack_rows(path, field, rows, len(names))
         kept = [k for k, name in enumerate(names) if not name.endswith(OTHERS)]
         joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
         left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
@@ -72,7 +76,8 @@ def read_lerobot(path: Path) -> LogTable:
     ]
     if left_out:
         notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
-    return tabulate_joints(str(path), _join_times(path, frame, info), groups, notes)
+    table = tabulate_joints(str(path), _join_times(path, frame, info), groups, notes)
+    return replace(table, open_units=tuple(table.known))
 
 
 def is_lerobot(path: Path) -> bool:
@@ -81,45 +86,25 @@ def is_lerobot(path: Path) -> bool:
 
 
 def _read_info(path: Path) -> Mapping[str, Any]:
-    check_regular(path, "recording", RecordingError, LARGEST)
-    try:
-        info = parse_json(path.read_bytes())
-        if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
-            raise ValueError("it has no object 'features'")
-        if not all(isinstance(each, dict) for each in info["features"].values()):
-            raise ValueError("a feature is no object")
-    except (ValueError, OSError) as error:
+    info: dict[str, Any] = parse_json(path.read_bytes())
+    features = info.get("features") if isinstance(info, dict) else None
+    if not isinstance(features, dict) or not all(isinstance(x, dict) for x in features.values()):
         raise RecordingError(
-            f"{path} does not describe a LeRobot dataset ({describe_problem(error)})",
+            f"{path} does not describe a LeRobot dataset (it has no object 'features' of objects)",
             file=str(path),
-        ) from error
+        )
     return info
 
 
-def _read_frame(files: Sequence[Path]) -> pl.DataFrame:
-    frames = []
-    for file in files:
-        check_regular(file, "recording", RecordingError, LARGEST)
-        try:
-            frames.append(pl.read_parquet(file))
-        except (pl.exceptions.PolarsError, OSError) as error:
-            raise RecordingError(
-                f"{file} cannot be read ({describe_problem(error)})", file=str(file)
-            ) from None
-    together = pl.concat(frames, how="diagonal_relaxed")
-    order = [name for name in ("episode_index", "frame_index") if name in together.columns]
-    return together.sort(order) if order else together
-
-
 def _find_names(
-    path: Path, info: Mapping[str, Any], field: str, cells: Sequence[Any]
+    path: Path, info: Mapping[str, Any], field: str, rows: Sequence[Any]
 ) -> tuple[str, ...]:
     """Return the names of the numbers of a feature."""
     names = info["features"].get(field, {}).get("names")
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        first = next((row for row in cells if row is not None), ())
+        first = next((row for row in rows if row is not None), ())
         names = [f"joint_{k + 1}" for k in range(len(first))]
     if not names:
         raise RecordingError(f"{path} does not name the joints of {field}", file=str(path))
@@ -131,15 +116,12 @@ def _join_times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Arr
 
     It comes from the time stamps, or without them from the frames at `fps`.
     """
-    stamps = pl.Series([None] * frame.height, dtype=pl.Float64)
-    if "timestamp" in frame.columns and frame["timestamp"].dtype.is_numeric():
-        stamps = frame["timestamp"].cast(pl.Float64)
-    if stamps.null_count() < frame.height:
-        t = stamps.to_numpy()
+    stamps = frame["timestamp"] if "timestamp" in frame.columns else pl.Series([None])
+    if stamps.dtype.is_numeric() and stamps.null_count() < frame.height:
+        t = stamps.cast(pl.Float64).to_numpy()
     elif RATES.holds(info.get("fps")):
-        counted = "frame_index" if "frame_index" in frame.columns else None
-        frames = np.arange(frame.height) if counted is None else frame[counted].to_numpy()
-        t = frames / float(info["fps"])
+        counted = frame["frame_index"] if "frame_index" in frame.columns else range(frame.height)
+        t = np.asarray(counted) / float(info["fps"])
     else:
         raise RecordingError(
             f"{path} has no time: no time stamps, and no fps in {INFO} (a number {RATES})",
@@ -153,66 +135,25 @@ def _join_times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Arr
     return np.asarray(t + np.cumsum(before))
 
 
-def _read_lists(path: Path, field: str, cells: pl.Series) -> list[Any]:
-    """Return the rows of a feature; raises `RecordingError` unless they are lists of numbers."""
-    inner = getattr(cells.dtype, "inner", None)
-    if inner is None or not inner.is_numeric():
-        raise RecordingError(
-            f"{path}: {field} holds {cells.dtype}, not lists of numbers",
-            cure=Cure("export the dataset again"),
-            file=str(path),
-        )
-    return cells.to_list()
+def _stack_rows(path: Path, field: str, rows: Sequence[Any], n_joints: int) -> Array:
+    """Return lists of one number per joint as a matrix (N, n)."""
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, list) or len(row) != n_joints:
+            got = f"{str(row)[:60]} in row {number}, not {n_joints} numbers"
+            raise _make_feature_error(path, field, got)
+    return np.array(rows, dtype=np.float64).reshape(len(rows), n_joints)
 
 
-def _build_matrix(path: Path, field: str, values: Sequence[Any], n_joints: int) -> Array:
-    if any(row is None or len(row) != n_joints for row in values):
-        raise RecordingError(
-            f"{path}: {field} does not hold {n_joints} numbers in every row",
-            cure=Cure("export the dataset again"),
-            file=str(path),
-            expected=n_joints,
-        )
-    return np.array(values, dtype=np.float64).reshape(len(values), n_joints)
-
-
-def _with_unit(table: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
-    """Return the table if its sheet says the units; raises `RecordingError` otherwise.
-
-    The unit of grippers, which is another one, is left to the joints that the robot has.
-    """
-    renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
-    positions = {
-        joint: table.columns[column]
-        for column, (quantity, joint) in table.known.items()
-        if quantity == "position" and not names_gripper(joint)
-    }
-    unsaid = [
-        joint
-        for joint in positions
-        if not {joint, renamed.get(joint, joint)} & set(sheet.joint_units)
-    ]
-    if sheet.units.position is None and unsaid:
-        largest = max(float(np.nanmax(np.abs(positions[joint]))) for joint in unsaid)
-        raise RecordingError(
-            f"the unit of the positions of {path} is not known: LeRobot logs degrees or -100 to"
-            f" 100 of the calibrated range (the largest of {', '.join(unsaid)} is {largest:.3g})",
-            cure=Cure(
-                'write [units] position = "deg" in a recording sheet; or, for -100 to 100, the'
-                f" positions [rad] at both ends for each joint: [joint_units] {unsaid[0]} ="
-                " { logged = [-100, 100], position = [LOWER, UPPER] }"
-            ),
-            file=str(path),
-            value=largest,
-        )
-    return with_open_grippers(table)
+def _make_feature_error(path: Path, field: str, what: str) -> RecordingError:
+    cure = Cure("export the dataset again")
+    return RecordingError(f"{path}: {field} holds {what}", cure=cure, file=str(path))
 
 
 FORMATS.register(
     "lerobot",
     LogFormat(
         suffixes=(),
-        read=lambda path, sheet: _with_unit(read_isolated(read_lerobot, path), path, sheet),
+        read=isolate(read_lerobot, FileKind("a LeRobot dataset", cure="export the dataset again")),
         folders=True,
         recognises=is_lerobot,
     ),
@@ -225,25 +166,27 @@ QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "tor
 
 
 def read_sage(path: Path) -> LogTable:
-    """Read a motion that SAGE logged (isaac-sim2real/sage): lists in cells, times in microseconds.
+    """Read a motion that SAGE logged: lists in cells, times in microseconds.
 
     The command at the time of a state is the last one sent until then.
 
     Raises
     ------
     RecordingError
-        If a file is missing or damaged, or its lists are not one number per joint.
+        If no joint is named, or lists are not one number per joint.
     """
-    names = _read_joint_names(path / NAMES)
+    lines = (path / NAMES).read_text("utf-8", "replace").splitlines()
+    names = tuple(name for line in lines if (name := line.strip()))
+    if not names:
+        raise RecordingError(f"{path / NAMES} names no joint", file=str(path))
     t, states = _read_list_cells(path / STATES, tuple(QUANTITIES), len(names))
     sent, commands = _read_list_cells(path / COMMANDS, ("positions",), len(names))
-    last = np.searchsorted(sent, t, side="right") - 1
-    before = int(np.count_nonzero(last < 0))
     groups = {QUANTITIES[field]: values for field, values in states.items()}
-    groups["command"] = commands["positions"][np.maximum(last, 0)]
+    groups["command"], notes = hold_last(t, sent, commands["positions"])
     listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
-    notes = (f"{before} states before the first command count as commanded like it",)
-    return tabulate_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+    table = tabulate_joints(str(path), t * MICROSECOND, listed, notes)
+    grippers = [column for column, (_, joint) in table.known.items() if names_gripper(joint)]
+    return replace(table, open_units=tuple(grippers))
 
 
 def is_sage(path: Path) -> bool:
@@ -251,55 +194,25 @@ def is_sage(path: Path) -> bool:
     return all((path / name).is_file() for name in (COMMANDS, STATES, NAMES))
 
 
-def _read_joint_names(path: Path) -> tuple[str, ...]:
-    check_regular(path, "recording", RecordingError, LARGEST)
-    names = tuple(line.strip() for line in path.read_text("utf-8", "replace").splitlines())
-    names = tuple(name for name in names if name)
-    if not names:
-        raise RecordingError(f"{path} names no joint", file=str(path))
-    return names
-
-
 def _read_list_cells(
     path: Path, fields: tuple[str, ...], n_joints: int
 ) -> tuple[Array, dict[str, Array]]:
     """Return the times and the lists (N, n) of the fields that a file has."""
-    check_regular(path, "recording", RecordingError, LARGEST)
-    try:
-        frame = pl.read_csv(path, infer_schema=False)
-        t = frame["timestamp"].cast(pl.Float64).to_numpy()
-        return t, {
-            name: _parse_numbers(path, name, frame[name].to_list(), n_joints)
-            for name in fields
-            if name in frame.columns
-        }
-    except (pl.exceptions.PolarsError, ValueError, TypeError) as error:
-        raise RecordingError(
-            f"{path} is not a recording of SAGE ({describe_problem(error)})",
-            cure=Cure("export the motion again"),
-            file=str(path),
-        ) from error
-
-
-def _parse_numbers(path: Path, field: str, cells: list[str | None], n_joints: int) -> Array:
-    values = json.loads(f"[{','.join(cell or 'null' for cell in cells)}]")
-    for row, cell in enumerate(values):
-        if not isinstance(cell, list) or len(cell) != n_joints:
-            raise RecordingError(
-                f"{path}: {field} in data row {row + 1} is {str(cell)[:60]}; expected a list of"
-                f" {n_joints} numbers",
-                file=str(path),
-                value=row + 1,
-                expected=n_joints,
-            )
-    return np.array(values, dtype=np.float64).reshape(len(cells), n_joints)
+    frame = pl.read_csv(path, infer_schema=False)
+    cells = {
+        name: json.loads(f"[{','.join(cell or 'null' for cell in frame[name])}]")
+        for name in fields
+        if name in frame.columns
+    }
+    values = {name: _stack_rows(path, name, rows, n_joints) for name, rows in cells.items()}
+    return frame["timestamp"].cast(pl.Float64).to_numpy(), values
 
 
 FORMATS.register(
     "sage",
     LogFormat(
         suffixes=(),
-        read=lambda path, sheet: with_open_grippers(read_isolated(read_sage, path)),
+        read=isolate(read_sage, FileKind("a motion of SAGE", cure="export the motion again")),
         folders=True,
         recognises=is_sage,
     ),

@@ -5,31 +5,29 @@ from __future__ import annotations
 import contextlib
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from asbuilt.errors import MissingExtraError, RecordingError
-from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
-from asbuilt.experiment.logs.formats.ros.messages import JOINT_STATE, KINDS, choose_topics
-from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.experiment.logs.formats.ros.messages import (
+    JOINT_STATE,
+    KINDS,
+    TopicChoices,
+    choose_topics,
+    read_topic_choices,
+)
 from asbuilt.findings import Cure
 
 UNPACKED = 4_000_000_000
 """Bytes that a compressed bag may unpack to."""
 
 
-def read_ros_bag(
-    path: Path,
-    *,
-    topic: str | None = None,
-    command_topic: str | None = None,
-    command_joints: Sequence[str] | None = None,
-    required: bool = False,
-) -> LogTable:
+def read_ros_bag(path: Path, choices: TopicChoices) -> LogTable:
     """Read joints from the folder of a ROS 2 bag, a bare file of one, or a ROS 1 `.bag`.
 
     A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap` of ROS 2.
@@ -37,62 +35,38 @@ def read_ros_bag(
     Times are the message header's if it has one, else the bag's. Measured joints come from
     `sensor_msgs/JointState`, `control_msgs/DynamicJointState` or the state of a trajectory
     controller; commanded positions from `command_topic`, or the only topic that holds some
-    (`choose_topics`). `command_joints` names the joints of commands that are numbers alone;
-    `required` says that commands which cannot be used are an error even if there are efforts.
+    (`choose_topics`).
 
     Raises
     ------
-    MissingExtraError
-        If rosbags is not installed.
     RecordingError
-        If the bag cannot be read, has no joint states, or has several topics of them and `topic`
-        does not say which, or neither efforts nor commands.
+        If the bag has no joint states, or has several topics of them and `choices` do not say
+        which, or neither efforts nor commands.
     """
-    try:
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-    except ImportError as error:
-        raise MissingExtraError("rosbags", "bags", f"reading {path}") from error
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
     first_ros = path.suffix == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if first_ros else Stores.ROS2_HUMBLE)
-    read: Callable[[bytes, str], Any] = (
-        store.deserialize_ros1 if first_ros else store.deserialize_cdr
-    )
-    try:
-        with _open_bag(path) as bag:
-            types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in KINDS}
-            if not types:
-                raise _without_joints(path, [c.topic for c in bag.connections])
-            topics = choose_topics(path, types, topic, command_topic)
-            messages: dict[str, list[tuple[int, Any]]] = {}
-            for each in {topics.states, topics.commands} - {None}:
-                found = [c for c in bag.connections if c.topic == each]
-                for connection in found:
-                    _define(path, store, connection)
-                messages[str(each)] = [
-                    (stamp, read(bytes(data), types[str(each)]))
-                    for _, stamp, data in bag.messages(found)
-                ]
-    except (RecordingError, MissingExtraError):
-        raise
-    except Exception as error:  # rosbags passes on what its readers of databases raise
-        kind = "ROS 1" if first_ros else "ROS 2"
-        raise RecordingError(
-            f"{path} is not a recording: it cannot be read as a {kind} bag"
-            f" ({type(error).__name__}: {error})",
-            file=str(path),
-        ) from error
-    return tabulate_joint_messages(
-        path, topics, types, messages, command_joints=command_joints, required=required
-    )
-
-
-def _without_joints(path: Path, topics: Sequence[str]) -> RecordingError:
-    listing = ", ".join(sorted(set(topics))) or "none"
-    return RecordingError(
-        f"{path} is not a recording: it holds no {JOINT_STATE} message (topics: {listing})",
-        cure=Cure("record the joint states' topic"),
-        file=str(path),
-    )
+    read = store.deserialize_ros1 if first_ros else store.deserialize_cdr
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    with _open_bag(path) as bag:
+        types = {each.topic: each.msgtype for each in bag.connections if each.msgtype in KINDS}
+        if not types:
+            listing = ", ".join(sorted({each.topic for each in bag.connections})) or "none"
+            raise RecordingError(
+                f"{path} is not a recording: it holds no {JOINT_STATE} message (topics: {listing})",
+                cure=Cure("record the joint states' topic"),
+                file=str(path),
+            )
+        topics = choose_topics(path, types, choices)
+        used = {topics.states, topics.commands, *topics.base}
+        wanted = [each for each in bag.connections if each.topic in used]
+        for connection in wanted:
+            _define(path, store, connection)
+            messages.setdefault(connection.topic, [])
+        for connection, stamp, data in bag.messages(wanted) if wanted else ():
+            messages[connection.topic].append((stamp, read(bytes(data), connection.msgtype)))
+    return tabulate_joint_messages(topics, messages, choices)
 
 
 def _define(path: Path, store: Any, connection: Any) -> None:
@@ -170,22 +144,10 @@ def _unpack(packed: Path, target: Path) -> Path:
     return target
 
 
-def read_topic_choices(sheet: RecordingSheet) -> dict[str, Any]:
-    """Return what a sheet says of the topics, for `read_ros_bag` and `read_mcap`."""
-    stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
-    return {
-        "topic": sheet.topic,
-        "command_topic": sheet.command_topic,
-        "command_joints": sheet.command_joints,
-        "required": sheet.torque_source == "command" or any(each is not None for each in stated),
-    }
+def _make_format(title: str, *suffixes: str, folders: bool = False) -> LogFormat:
+    read = isolate(read_ros_bag, FileKind(title, extra="bags"), read_topic_choices)
+    return LogFormat(suffixes=suffixes, read=read, folders=folders)
 
 
-FORMATS.register(
-    "rosbag",
-    LogFormat(
-        suffixes=(".db3", ".bag", ".zstd"),
-        read=lambda path, sheet: read_isolated(read_ros_bag, path, **read_topic_choices(sheet)),
-        folders=True,
-    ),
-)
+FORMATS.register("rosbag", _make_format("a ROS 2 bag", ".db3", ".zstd", folders=True))
+FORMATS.register("rosbag1", _make_format("a ROS 1 bag", ".bag"))

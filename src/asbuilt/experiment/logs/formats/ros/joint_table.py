@@ -2,124 +2,175 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_joints
-from asbuilt.experiment.logs.formats.ros.messages import FIELDS, KINDS, JointMessage, Topics
+from asbuilt.errors import RecordingError, refuse
+from asbuilt.experiment.logs.formats.log_format import (
+    LogTable,
+    hold_last,
+    tabulate_joints,
+)
+from asbuilt.experiment.logs.formats.ros.base_table import add_base_states
+from asbuilt.experiment.logs.formats.ros.messages import (
+    FIELDS,
+    KINDS,
+    SPARSE,
+    JointMessage,
+    TopicChoices,
+    Topics,
+    is_stamped,
+    read_times,
+)
 from asbuilt.findings import Cure
 
+Messages = Mapping[str, Sequence[tuple[int, Any]]]
+"""Messages of each topic with the times [ns] at which they were logged."""
 
-def tabulate_joint_messages(
-    path: Path,
+
+def tabulate_joint_messages(topics: Topics, messages: Messages, choices: TopicChoices) -> LogTable:
+    """Return the messages of the chosen topics as `tabulate_joint_states` does."""
+    states, commands = (
+        _read_topic(topics, messages, getattr(topics, role), role)
+        for role in ("states", "commands")
+    )
+    base = {each: _read_topic(topics, messages, each, "base") for each in topics.base}
+    return tabulate_joint_states(topics, states, commands, choices, base)
+
+
+def tabulate_joint_states(
     topics: Topics,
-    types: Mapping[str, str],
-    messages: Mapping[str, Sequence[tuple[int, Any]]],
-    *,
-    command_joints: Sequence[str] | None = None,
-    required: bool = False,
+    states: Sequence[JointMessage],
+    commands: list[JointMessage],
+    choices: TopicChoices,
+    base: Mapping[str, list[JointMessage]] = MappingProxyType({}),
 ) -> LogTable:
-    """Return the messages of the chosen topics as a table with one row for each joint state.
+    """Return states and commands as a table with one row for each joint state.
 
     Joints are matched by name in every message; messages that name other joints than most are left
-    out. The command of a row is the last one that held by then.
-
-    Parameters
-    ----------
-    path
-        The file, for messages.
-    topics, types
-        The topics, and the types of the messages of each.
-    messages
-        Messages of each topic with the times [ns] at which they were logged.
-    command_joints
-        Joints of commands that do not name theirs, in order.
-    required
-        Whether the commands are needed; otherwise those that cannot be used are left out with a
-        note where the states have efforts.
+    out. The command of a row is the last one that held by then. Commands that cannot be used are
+    left out with a note where the states have efforts, unless they are required.
 
     Raises
     ------
     RecordingError
         If there is neither an effort nor a command, or the commands cannot be used.
     """
-    states = _select_states(path, topics, types, messages)
+    states = [each for each in states if each.names]
+    if not states:
+        listing = ", ".join(sorted(topics.types)) or "none"
+        raise RecordingError(
+            f"{topics.path} is not a recording: no topic holds positions of joints (topics:"
+            f" {listing})",
+            cure=Cure("record the joint states' topic"),
+            file=str(topics.path),
+        )
     names = _find_usual_names(states)
     kept = _select_naming(states, names)
-    notes: list[str] = []
+    stamped, notes = is_stamped(kept), list[str]()
+    stamps = read_times(kept, stamped)
     try:
-        commands = read_commands(path, topics, types, messages, command_joints)
-        commanded, commands = _select_joints(path, topics, names, commands, command_joints or ())
-        stamps, sent, commands = _choose_clock(path, topics, kept, commands)
+        commands = _select_commands(topics, commands, names, choices)
+        both = stamped and (not commands or is_stamped(commands))
+        own = read_times(kept, both)
+        sent, commands = order_commands(topics, commands, read_times(commands, both), own)
+        stamps = own
     except RecordingError as problem:
-        if required or not any(each.effort.size for each in kept):
+        if choices.required or not any(each.effort.size for each in kept):
             raise
         notes.append(f"commands were left out: {problem.message}")
-        commanded, commands = (), []
-        stamps, sent, commands = _choose_clock(path, topics, kept, commands)
+        commands = []
     groups = [
         (field, quantity, names, values)
         for field, quantity in FIELDS
         if (values := _stack_values(kept, field, names)) is not None
     ]
+    commanded = tuple(name for name in names if commands and name in commands[0].names)
     values = _stack_values(commands, "position", commanded) if commands else None
     if values is not None:
-        last = np.searchsorted(sent, stamps, side="right") - 1
-        if before := int(np.count_nonzero(last < 0)):
-            notes.append(f"{before} states before the first command count as commanded like it")
-        groups.append(("command", "command", commanded, values[np.maximum(last, 0)]))
-    if not any(quantity in ("torque", "command") for _, quantity, joints, _ in groups if joints):
-        raise _without_commands(path, topics, names)
+        held, more = hold_last(stamps, sent, values)
+        notes += more
+        groups.append(("command", "command", commanded, held))
+    if not any(quantity in ("torque", "command") for _, quantity, _, _ in groups):
+        several = topics.candidates if topics.commands is None else ()
+        lack = f"{', '.join(several)} may each hold" if several else "no topic holds"
+        raise RecordingError(
+            f"{topics.path}: the joint states of {', '.join(names)} have no effort, and {lack}"
+            " their commands; torques, currents or commanded positions are required",
+            cure=Cure('name the topic of the commands in a recording sheet: command_topic = "..."'),
+            file=str(topics.path),
+            available=list(several),
+        )
     if dropped := len(states) - len(kept):
         notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
-    return tabulate_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups, notes)
+    t = (stamps - stamps[0]).astype(np.float64) * 1e-9
+    table = tabulate_joints(str(topics.path), t, groups, notes)
+    logged = {topic: found for topic, found in base.items() if found}
+    return add_base_states(table, topics, logged, kept) if logged or topics.unread else table
 
 
-def _select_states(
-    path: Path,
-    topics: Topics,
-    types: Mapping[str, str],
-    messages: Mapping[str, Sequence[tuple[int, Any]]],
+def _read_topic(
+    topics: Topics, messages: Messages, topic: str | None, role: str
 ) -> list[JointMessage]:
-    """Return the states that hold positions; raises `RecordingError` if none does."""
-    read = KINDS[types[topics.states]].states if topics.states else None
-    states = [
-        each
-        for logged, message in (messages[str(topics.states)] if read else ())
-        for each in read(logged, message)  # type: ignore[misc]
-        if each.names
+    """Return the joints of a topic of states or of commands, or the states of the base."""
+    if topic is None:
+        return []
+    read = getattr(KINDS[topics.types[topic]], role)
+    return [each for at, message in messages[topic] for each in read(at, message)]
+
+
+def _select_commands(
+    topics: Topics, commands: list[JointMessage], names: Sequence[str], choices: TopicChoices
+) -> list[JointMessage]:
+    """Return the commands that name all joints which are mostly commanded.
+
+    Numbers alone get the names of `choices.command_joints`. Raises `RecordingError` if these do not
+    fit, or the states have none of the joints.
+    """
+    listed, path = choices.command_joints, topics.path
+    sizes = {each.position.size for each in commands if not each.names}
+    count = ", ".join(map(str, sorted(sizes)))
+    distinct = set(listed or ())
+    refuse(
+        RecordingError,
+        (
+            sizes and listed is None,
+            f"{path}: the messages of {topics.commands}"
+            f" ({topics.types.get(str(topics.commands))}) hold {count} numbers without the names of"
+            " their joints",
+            {
+                "cure": Cure(
+                    "list the joints in the order of the controller's parameter `joints`, in a"
+                    ' recording sheet: command_joints = ["...", "..."]'
+                ),
+                "file": str(path),
+                "value": topics.commands,
+            },
+        ),
+        (
+            sizes and (sizes != {len(listed or ())} or len(distinct) < len(listed or ())),
+            f"{path}: the sheet lists {len(distinct)} command_joints, but the messages of"
+            f" {topics.commands} hold {count} numbers",
+            {
+                "cure": Cure("list one joint for each number, in their order"),
+                "file": str(path),
+                "value": len(listed or ()),
+                "expected": sorted(sizes),
+            },
+        ),
+    )
+    commands = [
+        each if each.names else replace(each, names=tuple(listed or ())) for each in commands
     ]
-    if not states:
-        listing = ", ".join(sorted(types)) or "none"
-        raise RecordingError(
-            f"{path} is not a recording: no topic holds positions of joints (topics: {listing})",
-            cure=Cure("record the joint states' topic"),
-            file=str(path),
-        )
-    return states
-
-
-def _select_joints(
-    path: Path,
-    topics: Topics,
-    names: tuple[str, ...],
-    commands: list[JointMessage],
-    listed: Sequence[str],
-) -> tuple[tuple[str, ...], list[JointMessage]]:
-    """Return the joints of the states that are commanded, and the commands that name them all."""
-    if not commands:
-        return (), []
-    others = _find_usual_names(commands)
-    commanded = tuple(name for name in names if name in others)
-    unknown = [name for name in listed if name in others and name not in names]
-    if not commanded or unknown:
+    others = _find_usual_names(commands) if commands else ()
+    if commands and (not {*names} & {*others} or not distinct & {*others} <= {*names}):
         raise RecordingError(
             f"{path}: the commands of {topics.commands} name {', '.join(others)}, and the"
             f" joint states of {topics.states} name {', '.join(names)}",
@@ -131,19 +182,7 @@ def _select_joints(
             value=list(others),
             expected=list(names),
         )
-    return commanded, _select_naming(commands, commanded)
-
-
-def _without_commands(path: Path, topics: Topics, names: Sequence[str]) -> RecordingError:
-    several = topics.candidates if topics.commands is None else ()
-    lack = f"{', '.join(several)} may each hold" if several else "no topic holds"
-    return RecordingError(
-        f"{path}: the joint states of {', '.join(names)} have no effort, and {lack} their commands;"
-        " torques, currents or commanded positions are required",
-        cure=Cure('name the topic of the commands in a recording sheet: command_topic = "..."'),
-        file=str(path),
-        available=list(several),
-    )
+    return _select_naming(commands, [name for name in names if name in others])
 
 
 def _select_naming(states: list[JointMessage], names: Sequence[str]) -> list[JointMessage]:
@@ -154,126 +193,44 @@ def _select_naming(states: list[JointMessage], names: Sequence[str]) -> list[Joi
 
 def _find_usual_names(states: list[JointMessage]) -> tuple[str, ...]:
     """Return the joints of the most frequent kind of message that carries efforts."""
-    votes: dict[tuple[str, ...], int] = {}
+    votes = Counter[tuple[str, ...]]()
     for state in states:
-        weight = 1000 if state.effort.size == len(state.names) > 0 else 1
-        key = tuple(sorted(state.names))
-        votes[key] = votes.get(key, 0) + weight
+        votes[tuple(sorted(state.names))] += 1000 if state.effort.size == len(state.names) else 1
     best = max(votes, key=lambda key: (votes[key], len(key)))
     return next(state.names for state in states if tuple(sorted(state.names)) == best)
 
 
-def _choose_clock(
-    path: Path, topics: Topics, states: list[JointMessage], commands: list[JointMessage]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], list[JointMessage]]:
-    """Return the times [ns] of states and commands by one clock, and the commands in their order.
-
-    It is the headers' clock, unless one of them has none.
-    """
-    groups = [each for each in (states, commands) if each]
-    stamped = all(_is_stamped(each) for each in groups)
-    own, starts = (
-        np.array([each.stamp if stamped else each.logged for each in group], dtype=np.int64)
-        for group in (states, commands)
-    )
-    if not commands:
-        return own, starts, []
-    period = float(np.median(np.diff(own))) if own.size > 1 else 0.0
-    commands, sent = order_commands(path, str(topics.commands), commands, starts, period)
-    return own, sent, commands
-
-
-def _is_stamped(messages: Sequence[JointMessage]) -> bool:
-    """Return whether the headers of messages have times, which differ as logging times do."""
-    stamps = np.array([each.stamp for each in messages], dtype=np.int64)
-    distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
-    unset = int(np.count_nonzero(stamps == 0))
-    return unset <= min(1, distinct - 1) and 2 * distinct >= logged
-
-
-def _stack_values(states: list[JointMessage], field: str, names: tuple[str, ...]) -> Array | None:
+def _stack_values(states: list[JointMessage], field: str, names: Sequence[str]) -> Array | None:
+    """Return the values of joints (N, n), NaN where a message has none; None if none has any."""
     values = np.full((len(states), len(names)), np.nan)
-    order: dict[tuple[str, ...], list[int]] = {}
+    orders: dict[tuple[str, ...], list[int]] = {}
     for row, state in enumerate(states):
         logged = getattr(state, field)
-        key = state.names
-        if len(logged) != len(key):
-            continue
-        if key not in order:
-            order[key] = [key.index(name) for name in names]
-        values[row] = logged[order[key]]
+        if len(logged) == len(state.names):
+            if state.names not in orders:
+                orders[state.names] = [state.names.index(name) for name in names]
+            values[row] = logged[orders[state.names]]
     return None if np.all(np.isnan(values)) else values
 
 
-SPARSE = 5.0
-"""Periods of the states between points of a trajectory beyond which the way between them matters:
-a point that is held is late by half its distance."""
-_STATE = (
-    "record the state of the controller, whose reference is what it commanded, such as"
-    " /joint_trajectory_controller/controller_state"
-)
-
-
-def read_commands(
-    path: Path,
-    topics: Topics,
-    types: Mapping[str, str],
-    messages: Mapping[str, Sequence[tuple[int, Any]]],
-    joints: Sequence[str] | None,
-) -> list[JointMessage]:
-    """Return the commands, with the names of their joints."""
-    if topics.commands is None:
-        return []
-    read = KINDS[types[topics.commands]].commands
-    assert read is not None
-    commands = [
-        each for logged, message in messages[topics.commands] for each in read(logged, message)
-    ]
-    nameless = [each for each in commands if not each.names]
-    if not nameless:
-        return commands
-    sizes = {each.position.size for each in nameless}
-    count = ", ".join(map(str, sorted(sizes)))
-    if joints is None:
-        raise RecordingError(
-            f"{path}: the messages of {topics.commands} ({types[topics.commands]}) hold {count}"
-            " numbers without the names of their joints",
-            cure=Cure(
-                "list the joints in the order of the controller's parameter `joints`, in a"
-                ' recording sheet: command_joints = ["...", "..."]'
-            ),
-            file=str(path),
-            value=topics.commands,
-        )
-    if sizes != {len(joints)} or len(set(joints)) < len(joints):
-        raise RecordingError(
-            f"{path}: the sheet lists {len(set(joints))} command_joints, but the messages of"
-            f" {topics.commands} hold {count} numbers",
-            cure=Cure("list one joint for each number, in their order"),
-            file=str(path),
-            value=len(joints),
-            expected=sorted(sizes),
-        )
-    return [each if each.names else replace(each, names=tuple(joints)) for each in commands]
-
-
 def order_commands(
-    path: Path, topic: str, commands: list[JointMessage], starts: NDArray[np.int64], period: float
-) -> tuple[list[JointMessage], NDArray[np.int64]]:
-    """Return the commands in the order in which they begin to hold, and these times [ns].
+    topics: Topics,
+    commands: list[JointMessage],
+    starts: NDArray[np.int64],
+    states: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], list[JointMessage]]:
+    """Return the times [ns] at which commands begin to hold, and the commands, in their order.
 
     Points of a trajectory that another one replaced before their time are left out.
 
     Parameters
     ----------
-    path, topic
+    topics
         File and topic, for messages.
     commands
         The commands; trajectories give them point by point.
-    starts
-        Times of their messages [ns].
-    period
-        Median period of the states [ns].
+    starts, states
+        Times of their messages, and of the states [ns].
 
     Raises
     ------
@@ -284,36 +241,42 @@ def order_commands(
     after = np.array([each.after for each in commands], dtype=np.int64)
     sent = starts + after
     if after.any():
-        _refuse_sparse(path, topic, commands, period)
+        period = float(np.median(np.diff(states))) if states.size > 1 else 0.0
+        follows = np.diff([each.logged for each in commands], prepend=-1) == 0
+        gap = int(np.max(after - np.where(follows, np.roll(after, 1), 0)))
         distinct = np.append(np.unique(starts), np.iinfo(np.int64).max)
         kept = np.flatnonzero(sent < distinct[np.searchsorted(distinct, starts, side="right")])
-        if 2 * kept.size < len(commands):
-            raise RecordingError(
-                f"{path}: {len(commands) - kept.size} of {len(commands)} points of the trajectories"
-                f" of {topic} were replaced by the next trajectory before their time; the way"
-                " toward them is the controller's own and not in the log",
-                cure=Cure(_STATE),
-                file=str(path),
-                value=len(commands) - int(kept.size),
-            )
+        cure = Cure(
+            "record the state of the controller, whose reference is what it commanded, such as"
+            " /joint_trajectory_controller/controller_state"
+        )
+        refuse(
+            RecordingError,
+            (
+                gap > SPARSE * period,
+                f"{topics.path}: points of the trajectories of {topics.commands} come"
+                f" {gap * 1e-9:.3g} s after the one before, and the states every"
+                f" {period * 1e-9:.3g} s; the way between the points is the controller's own and"
+                " not in the log",
+                {
+                    "cure": cure,
+                    "file": str(topics.path),
+                    "value": gap * 1e-9,
+                    "upper": SPARSE * period * 1e-9,
+                },
+            ),
+            (
+                2 * kept.size < len(commands),
+                f"{topics.path}: {len(commands) - kept.size} of {len(commands)} points of the"
+                f" trajectories of {topics.commands} were replaced by the next trajectory before"
+                " their time; the way toward them is the controller's own and not in the log",
+                {
+                    "cure": cure,
+                    "file": str(topics.path),
+                    "value": len(commands) - int(kept.size),
+                },
+            ),
+        )
         sent, commands = sent[kept], [commands[k] for k in kept]
     order = np.argsort(sent, kind="stable")
-    return [commands[k] for k in order], sent[order]
-
-
-def _refuse_sparse(path: Path, topic: str, commands: list[JointMessage], period: float) -> None:
-    gap = max(
-        now.after - (before.after if now.logged == before.logged else 0)
-        for before, now in zip([commands[0], *commands[:-1]], commands, strict=True)
-    )
-    if gap <= SPARSE * period:
-        return
-    raise RecordingError(
-        f"{path}: points of the trajectories of {topic} come {gap * 1e-9:.3g} s after the one"
-        f" before, and the states every {period * 1e-9:.3g} s; the way between the points is the"
-        " controller's own and not in the log",
-        cure=Cure(_STATE),
-        file=str(path),
-        value=gap * 1e-9,
-        upper=SPARSE * period * 1e-9,
-    )
+    return sent[order], [commands[k] for k in order]

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import split_words
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import names_command
+from asbuilt.experiment.logs.formats.ros.base_messages import (
+    ESTIMATED_POSE,
+    FLAG,
+    IMU,
+    ODOMETRY,
+    POSE,
+    WRENCH,
+    name_contact,
+    read_flag,
+    read_frames,
+    read_imu,
+    read_odometry,
+    read_pose,
+    read_wrench,
+)
 from asbuilt.findings import Cure
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.logs.sheet import RecordingSheet
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
@@ -24,7 +43,8 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
 """Fields of a joint state, and their quantities."""
-_NONE = np.empty(0)
+_NONE: Array = np.empty(0)
+_NO_FRAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +63,8 @@ class JointMessage:
         Values (n,), empty where the message has none.
     after
         Time after the message at which they hold [ns], of points of a trajectory.
+    frames
+        Frames of a state of the base (`read_frames`), whose values are a position of its names.
     """
 
     logged: int
@@ -52,6 +74,7 @@ class JointMessage:
     velocity: Array = field(default_factory=lambda: _NONE)
     effort: Array = field(default_factory=lambda: _NONE)
     after: int = 0
+    frames: Mapping[str, str] = field(default_factory=lambda: _NO_FRAMES)
 
 
 Reader = Callable[[int, Any], list[JointMessage]]
@@ -60,16 +83,15 @@ Reader = Callable[[int, Any], list[JointMessage]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MessageKind:
-    """Say how messages of a type are read: as measured joints, as commanded ones, or as both."""
+    """Say how messages of a type are read: as measured joints, commanded ones, or the base."""
 
     states: Reader | None = None
     commands: Reader | None = None
+    base: Reader | None = None
 
 
 def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
-    q, qd, tau = (
-        _make_array(getattr(message, field)) for field in ("position", "velocity", "effort")
-    )
+    q, qd, tau = (_make_array(getattr(message, field, ())) for field, _ in FIELDS)
     return [JointMessage(logged, _read_stamp(message), tuple(message.name), q, qd, tau)]
 
 
@@ -79,14 +101,11 @@ def _read_dynamic_state(logged: int, message: Any) -> list[JointMessage]:
         name: dict(zip(each.interface_names, _make_array(each.values), strict=False))
         for name, each in zip(message.joint_names, message.interface_values, strict=False)
     }
-    joints = tuple(name for name, values in found.items() if "position" in values)
-    position, velocity, effort = (
-        np.array([found[name][field] for name in joints])
-        if all(field in found[name] for name in joints)
-        else _NONE
-        for field in ("position", "velocity", "effort")
+    found = {name: values for name, values in found.items() if "position" in values}
+    q, qd, tau = (
+        np.array([each[field] for each in found.values() if field in each]) for field, _ in FIELDS
     )
-    return [JointMessage(logged, _read_stamp(message), joints, position, velocity, effort)]
+    return [JointMessage(logged, _read_stamp(message), tuple(found), q, qd, tau)]
 
 
 def _read_controller_state(logged: int, message: Any, fields: Sequence[str]) -> list[JointMessage]:
@@ -115,6 +134,14 @@ def _read_points(logged: int, message: Any) -> list[JointMessage]:
     ]
 
 
+def _read_base(
+    logged: int, message: Any, read: Callable[[Any], dict[str, float]]
+) -> list[JointMessage]:
+    values, stamp = read(message), _read_stamp(message)
+    position = np.array([*values.values()])
+    return [JointMessage(logged, stamp, tuple(values), position, frames=read_frames(message))]
+
+
 def _read_numbers_alone(logged: int, message: Any) -> list[JointMessage]:
     return [JointMessage(logged, 0, (), _make_array(message.data))]
 
@@ -129,9 +156,19 @@ KINDS: Mapping[str, MessageKind] = MappingProxyType(
         ),
         TRAJECTORY: MessageKind(commands=_read_points),
         ARRAY: MessageKind(commands=_read_numbers_alone),
+        ODOMETRY: MessageKind(base=partial(_read_base, read=read_odometry)),
+        ESTIMATED_POSE: MessageKind(base=partial(_read_base, read=read_pose)),
+        POSE: MessageKind(base=partial(_read_base, read=read_pose)),
+        IMU: MessageKind(base=partial(_read_base, read=read_imu)),
+        WRENCH: MessageKind(base=partial(_read_base, read=read_wrench)),
+        FLAG: MessageKind(base=partial(_read_base, read=read_flag)),
     }
 )
-"""Types of messages that hold joints."""
+"""Types of messages that hold joints, or a floating base; of its poses the best first."""
+_BASES = {"base": (ODOMETRY, ESTIMATED_POSE, POSE), "imu": (IMU,)}
+SPARSE = 5.0
+"""Periods of the states between other messages, or points of a trajectory, beyond which the way
+between them matters: a point that is held is late by half its distance."""
 
 
 def _make_array(values: Any) -> Array:
@@ -139,10 +176,15 @@ def _make_array(values: Any) -> Array:
 
 
 def _read_stamp(message: Any) -> int:
-    return _count_nanoseconds(message.header.stamp)
+    """Return the time of a message [ns], 0 without one."""
+    header = getattr(message, "header", message)
+    return _count_nanoseconds(getattr(header, "stamp", getattr(header, "timestamp", 0)))
 
 
 def _count_nanoseconds(time: Any) -> int:
+    """Return a time [ns] of seconds and nanoseconds, or of seconds alone as JSON may have them."""
+    if isinstance(time, int | float):
+        return round(time * 1e9)
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
@@ -153,58 +195,138 @@ _NOT_POSITIONS = {
 """Words in the name of a topic whose numbers are no positions."""
 
 
-@dataclass(frozen=True, slots=True)
-class Topics:
-    """Hold the topics of states and of commands, None where there is none.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicChoices:
+    """Choose topics of a bag.
 
-    `candidates` are all that may hold commands.
+    Parameters
+    ----------
+    topic, command_topic, base_topic, imu_topic
+        Topics of states, of commands, of the pose of a floating base and of its inertial sensor;
+        None: found by their types and names.
+    command_joints
+        Joints of commands that are numbers alone, in their order.
+    required
+        Whether commands that cannot be used are an error even if there are efforts.
     """
 
+    topic: str | None = None
+    command_topic: str | None = None
+    base_topic: str | None = None
+    imu_topic: str | None = None
+    command_joints: Sequence[str] | None = None
+    required: bool = False
+
+
+def read_topic_choices(sheet: RecordingSheet) -> dict[str, TopicChoices]:
+    """Return what a sheet says of the topics, as an argument of the readers of bags."""
+    stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
+    names = ("topic", "command_topic", "base_topic", "imu_topic", "command_joints")
+    return {
+        "choices": TopicChoices(
+            **{name: getattr(sheet, name) for name in names},
+            required=sheet.torque_source == "command" or any(each is not None for each in stated),
+        )
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """Hold the topics of states and of commands of a file, None where there is none.
+
+    `types` are the types of all topics, `candidates` all that may hold commands, `base` the topics
+    of a floating base. `unread` says why its pose or its sensor has none, and what to do.
+    """
+
+    path: Path
+    types: Mapping[str, str]
     states: str | None
     commands: str | None
     candidates: tuple[str, ...] = ()
+    base: tuple[str, ...] = ()
+    unread: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
-def choose_topics(
-    path: Path, topics: Mapping[str, str], topic: str | None, command_topic: str | None
-) -> Topics:
+def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -> Topics:
     """Choose among topics, given the type of the messages of each.
 
     States are `topic`; else `/joint_states`, the only topic of joint states whose name does not say
     command, desired, target or the like, or the only one of a controller's states. Commands are
     `command_topic`; else the reference of the only controller's state; else the only topic of joint
-    states, of trajectories, or of numbers, whose type or name says that it holds commands.
+    states, of trajectories, or of numbers, whose type or name says that it holds commands. The pose
+    of a floating base is `base_topic`, or the only odometry, else the only pose; every topic of
+    forces, or of flags whose name says contact, may concern a contact.
 
     Raises
     ------
     RecordingError
         If it is not clear which topic holds the states, or one does not exist.
     """
-    of_states = {each for each, kind in topics.items() if KINDS[kind].states}
-    of_commands = {each for each, kind in topics.items() if KINDS[kind].commands}
-    _refuse_unknown(path, topic, of_states, "joint states")
-    _refuse_unknown(path, command_topic, of_commands, "joint states or commands of joints")
-    states = _find_state_topic(path, topics, of_states, command_topic) if topic is None else topic
+    of_states = {each for each, kind in types.items() if KINDS[kind].states}
+    of_commands = {each for each, kind in types.items() if KINDS[kind].commands}
+    of_base = {
+        group: {each for each, kind in types.items() if kind in kinds}
+        for group, kinds in _BASES.items()
+    }
+    for topic, known, what in (
+        (choices.topic, of_states, "joint states"),
+        (choices.command_topic, of_commands, "joint states or commands of joints"),
+        (choices.base_topic, of_base["base"], "pose of a base"),
+        (choices.imu_topic, of_base["imu"], "inertial sensor"),
+    ):
+        if topic is not None and topic not in known:
+            raise RecordingError(
+                f"{path} has no {what} on topic {topic!r}; it has them on"
+                f" {', '.join(sorted(known)) or 'no topic'}",
+                file=str(path),
+                value=topic,
+                available=sorted(known),
+            )
+    states = choices.topic or _find_state_topic(path, types, of_states, choices.command_topic)
     candidates = tuple(
-        sorted(each for each in of_commands if _holds_commands(each, topics[each], states))
+        sorted(each for each in of_commands if _holds_commands(each, types[each], states))
     )
-    if command_topic is None:
-        controllers = [each for each in candidates if topics[each] == CONTROLLER_STATE]
-        best = controllers if len(controllers) == 1 else candidates
-        command_topic = best[0] if len(best) == 1 else None
-    return Topics(states, command_topic, candidates)
+    controllers = _list_best(candidates, types, [CONTROLLER_STATE])
+    best = controllers if len(controllers) == 1 else candidates
+    commands = choices.command_topic or (best[0] if len(best) == 1 else None)
+    base = [
+        each
+        for each, kind in types.items()
+        if kind == WRENCH or (kind == FLAG and name_contact(each))
+    ]
+    unread: dict[str, tuple[str, str]] = {}
+    for group, kinds in _BASES.items():
+        measured = {each for each in of_base[group] if not names_command(each)}
+        stated = getattr(choices, f"{group}_topic")
+        found = [stated] if stated else _list_best(measured, types, kinds)
+        if len(found) > 1:
+            unread[group] = (
+                f"{path} has messages {types[found[0]]} on {len(found)} topics"
+                f" ({', '.join(found)})",
+                f'choose one in a recording sheet: {group}_topic = "..."',
+            )
+        else:
+            base += found
+    return Topics(path, types, states, commands, candidates, tuple(base), unread)
 
 
-def _refuse_unknown(path: Path, topic: str | None, known: set[str], what: str) -> None:
-    if topic is None or topic in known:
-        return
-    raise RecordingError(
-        f"{path} has no {what} on topic {topic!r}; it has them on"
-        f" {', '.join(sorted(known)) or 'no topic'}",
-        file=str(path),
-        value=topic,
-        available=sorted(known),
-    )
+def _list_best(topics: Iterable[str], types: Mapping[str, str], kinds: Iterable[str]) -> list[str]:
+    """Return the topics of the first of these types that any of them has."""
+    by_kind = (sorted(each for each in topics if types[each] == kind) for kind in kinds)
+    return next((each for each in by_kind if each), [])
+
+
+def read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.int64]:
+    """Return the times of messages [ns], by the clock of their headers or of the recorder."""
+    return np.array([each.stamp if stamped else each.logged for each in messages], dtype=np.int64)
+
+
+def is_stamped(messages: Sequence[JointMessage]) -> bool:
+    """Return whether the headers of messages have times, which differ as logging times do."""
+    stamps = read_times(messages, stamped=True)
+    distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
+    unset = int(np.count_nonzero(stamps == 0))
+    return unset <= min(1, distinct - 1) and 2 * distinct >= logged
 
 
 def _find_state_topic(
@@ -218,10 +340,7 @@ def _find_state_topic(
         for each in of_states
         if topics[each] == CONTROLLER_STATE or (each != command_topic and not names_command(each))
     }
-    by_kind: dict[str, list[str]] = {}
-    for each in sorted(measured or of_states):
-        by_kind.setdefault(topics[each], []).append(each)
-    best = next((by_kind[kind] for kind in KINDS if kind in by_kind), [])
+    best = _list_best(measured or of_states, topics, KINDS)
     if len(best) > 1:
         raise RecordingError(
             f"{path} has joint states on {len(best)} topics ({', '.join(best)})",

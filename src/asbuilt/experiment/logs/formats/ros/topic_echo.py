@@ -6,16 +6,18 @@ efforts; an empty field stands for an empty array.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from pathlib import Path
 
 import numpy as np
 
-from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_joints
-from asbuilt.experiment.logs.formats.ros.messages import FIELDS
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_states
+from asbuilt.experiment.logs.formats.ros.messages import JointMessage, TopicChoices, Topics
 from asbuilt.findings import Cure
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 
 
 def is_topic_echo(line: str) -> bool:
@@ -29,81 +31,41 @@ def read_topic_echo(path: Path) -> LogTable:
     Raises
     ------
     RecordingError
-        If a line is no joint state, names other joints than the first, or has no effort.
+        If a line is no joint state, or none has an effort.
     """
-    times: list[int] = []
-    rows: list[Array] = []
-    joints: tuple[str, ...] = ()
-    for number, line in _read_lines(path):
-        parsed = _parse_line(line)
-        if parsed is None:
-            raise _make_line_error(path, number, "is not a joint state")
-        stamp, names, values = parsed
-        joints = joints or names
-        if set(names) != set(joints):
-            raise _make_line_error(path, number, f"names the joints {', '.join(names)}")
-        times.append(stamp)
-        rows.append(values[:, [names.index(name) for name in joints]])
-    values = np.array(rows)
-    if np.all(np.isnan(values[:, 2])):
-        raise RecordingError(
-            f"{path}: the joint states of {', '.join(joints)} have no effort; torques or currents"
-            " are required",
-            file=str(path),
-        )
-    stamps = np.array(times, dtype=np.int64)
-    groups = [
-        (field, quantity, joints, values[:, which])
-        for which, (field, quantity) in enumerate(FIELDS)
-        if not np.all(np.isnan(values[:, which]))
-    ]
-    return tabulate_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups)
-
-
-def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
+    states: list[JointMessage] = []
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
-            if line.strip() and line.strip() != "---":
-                yield number, line
+            state = _parse_line(line)
+            if state is not None:
+                states.append(state)
+            elif line.strip() not in ("", "---"):
+                raise RecordingError(
+                    f"{path}, line {number}: it is not a joint state",
+                    cure=Cure("remove the line"),
+                    file=str(path),
+                    line=number,
+                )
+    return tabulate_joint_states(Topics(path, {}, "the file", None), states, [], TopicChoices())
 
 
-def _parse_line(line: str) -> tuple[int, tuple[str, ...], Array] | None:
-    """Return nanoseconds, names and values (3, n) of a line; None if it is no joint state."""
+def _parse_line(line: str) -> JointMessage | None:
+    """Return the joint state of a line; None if it is none."""
     fields = [field.strip() for field in line.strip("\r\n").split(",")]
     if len(fields) < 7 or not (fields[0].isdigit() and fields[1].isdigit()):
         return None
-    first = next((k for k in range(3, len(fields)) if _is_number(fields[k])), len(fields))
-    while first > 3 and not fields[first - 1]:
-        first -= 1
-    names = tuple(fields[3:first])
-    if not names or not all(names) or len(set(names)) < len(names):
-        return None
-    values, rest = np.full((3, len(names)), np.nan), fields[first:]
-    for which in range(3):
-        if not rest:
+    numeric = [k for k in range(3, len(fields)) if not fields[k] or _NUMBER.fullmatch(fields[k])]
+    first = numeric[0] if numeric else len(fields)
+    names, rest = tuple(fields[3:first]), fields[first:]
+    values = []
+    for _ in range(3):
+        count = len(names) if rest and rest[0] else 1
+        values.append(rest[:count] if rest and rest[0] else [])
+        full, rest = len(rest) >= count, rest[count:]
+        if not full or not all(map(_NUMBER.fullmatch, values[-1])):
             return None
-        taken = 1 if not rest[0] else len(names)
-        if rest[0]:
-            try:
-                values[which] = [float(field) for field in rest[:taken]]
-            except ValueError:
-                return None
-        rest = rest[taken:]
-    return (int(fields[0]) * 10**9 + int(fields[1]), names, values) if not rest else None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _make_line_error(path: Path, number: int, what: str) -> RecordingError:
-    return RecordingError(
-        f"{path}, line {number}: it {what}",
-        cure=Cure("remove the line"),
-        file=str(path),
-        line=number,
-    )
+    if rest or not names or len(set(names)) < len(names):
+        return None
+    stamp = int(fields[0]) * 10**9 + int(fields[1])
+    q, qd, tau = (np.array(each, dtype=np.float64) for each in values)
+    return JointMessage(stamp, stamp, names, q, qd, tau)
