@@ -4,7 +4,8 @@
 what is possible. Then 20 of each of three robots whose torque Pinocchio or MuJoCo computes, where
 the model is right and where it lacks something (`lacking.py`). There either it is named, or
 intervals hold 93 %. Gains of drives and delays of the torque have truth by the same engines
-(`calibrations.py`), and so have robots that stand, trot, jump and fall on legs (`legs.py`).
+(`calibrations.py`), and so have robots that stand, trot, jump and fall on legs (`legs.py`), from
+torques and from commands.
 
     python benchmarks/coverage.py [PART...] [--workers N | --scheduler tcp://...]
     python benchmarks/coverage.py lacking --only ur10e,elastic --engine mujoco --repetitions 4
@@ -114,6 +115,13 @@ STUDIES_OF_WALKS = (
     Walk("go2", ("step",), forces=True),
     Walk("go2", ("step",), method="auto"),
     Walk("go2", ("flight",), method="auto"),
+    *(
+        Walk(robot, (motion,), method="auto", command=True)
+        for robot in ("go2", "solo12")
+        for motion in ("squat", "step", "hop", "flight")
+    ),
+    Walk("g1", ("squat",), method="auto", command=True),
+    Walk("g1", ("flight",), method="auto", command=True),
 )
 PARTS = ("noise", "bodies", "lacking", "calibrations", "legs")
 

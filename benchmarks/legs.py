@@ -45,7 +45,8 @@ class Walk:
     """A robot, what it does, one log each, and for how long [s].
 
     It squats, sways and turns on its feet (`squat`), trots (`step`), jumps (`hop`), or moves its
-    joints as it falls (`flight`). With `forces` those of the feet are logged in place of flags.
+    joints as it falls (`flight`). With `forces` those of the feet are logged in place of flags,
+    with `command` what the servos are asked for in place of torques; their gains are known.
     """
 
     robot: str
@@ -53,11 +54,12 @@ class Walk:
     seconds: float = SECONDS
     method: str = "wls"
     forces: bool = False
+    command: bool = False
 
     @property
     def name(self) -> str:
         name = f"legs_{self.robot}_{'_'.join(self.motions)}_{self.seconds:g}s_{self.method}"
-        return f"{name}_forces" if self.forces else name
+        return name + "_forces" * self.forces + "_command" * self.command
 
 
 class Stage(NamedTuple):
@@ -81,8 +83,14 @@ def studied(walk: Walk, seed: int) -> tuple[RobotModel, Study]:
     legged, rng = LEGGED[walk.robot], np.random.default_rng(seed)
     cad = described(walk.robot)
     truth = other_bodies(cad, rng)
-    logs = [recorded(legged, truth, kind, walk.seconds, rng, walk.forces) for kind in walk.motions]
-    return truth, identify(cad, logs, torque_source="motor", method=walk.method)
+    logs = [
+        recorded(legged, truth, kind, walk.seconds, rng, walk.forces, walk.command)
+        for kind in walk.motions
+    ]
+    if not walk.command:
+        return truth, identify(cad, logs, torque_source="motor", method=walk.method)
+    gains = {"torque_source": "command", "kp": (legged.kp,), "kd": (legged.kd,)}
+    return truth, identify(cad, logs, method=walk.method, **gains)
 
 
 @cache
@@ -108,12 +116,16 @@ def recorded(
     seconds: float,
     rng: np.random.Generator,
     forces: bool = False,
+    command: bool = False,
 ) -> dict[str, Array]:
-    """Return the log of a motion; the robot falls freely if it is `flight`."""
+    """Return the log of a motion; the robot falls freely if it is `flight`.
+
+    A `command` is logged in place of torques; it is held until the next sample.
+    """
     stage = staged(legged, model)
     goal = goals(stage, kind, seconds + SETTLING, rng)
-    log = simulated(legged, stage, goal, kind == "flight", rng)
-    return _columns(legged, model, log, rng, forces)
+    log = simulated(legged, stage, goal, kind == "flight", rng, command)
+    return _columns(legged, model, log, rng, forces, command)
 
 
 def staged(legged: Legged, model: RobotModel) -> Stage:
@@ -265,24 +277,43 @@ def _rotation(quaternion: Array, wanted: Array) -> Array:
 
 
 def simulated(
-    legged: Legged, stage: Stage, goal: CubicSpline, falls: bool, rng: np.random.Generator
+    legged: Legged,
+    stage: Stage,
+    goal: CubicSpline,
+    falls: bool,
+    rng: np.random.Generator,
+    held: bool = False,
 ) -> Array:
     """Return rows of t, pose (7), joints, torques, felt contacts and wrenches at the feet.
 
-    They begin at `SETTLING`; wrenches (6 a foot) are in axes of the feet, about their points.
+    They begin at `SETTLING`; wrenches (6 a foot) are in axes of the feet, about their points. With
+    `held` servos follow commands from sample to sample, which take the place of torques. Steps then
+    are those of the leapfrog method, with implicit damping D as `step / 2 D` less armature, so that
+    servos act on the positions and velocities of the same moment, and shorter, since Coriolis
+    forces are early by half a step.
     """
     m, d = stage.m, mujoco.MjData(stage.m)
+    step = STEP / 5.0 if held else STEP
+    if held:
+        m.opt.timestep = step
+        m.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
+        m.actuator_gainprm[:, 0], m.actuator_biasprm[:, 1:3] = legged.kp, [-legged.kp, -legged.kd]
+        m.dof_armature[6:] -= 0.5 * step * (legged.kd + legged.viscous)
     d.qpos[:] = _standing(stage)
     if falls:
         m.geom_contype[:] = m.geom_conaffinity[:] = 0
         d.qvel[3:6] = rng.normal(0.0, 0.2, 3)
-    steps = round(float(goal.x[-1] - 0.1) / STEP)
-    times = np.arange(steps) * STEP
+    steps = round(float(goal.x[-1] - 0.1) / step)
+    times = np.arange(steps) * step
     wanted, rates = goal(times), goal(times, 1)
-    every, force, rows = round(1.0 / RATE / STEP), np.zeros(6), []
+    every, force, rows = round(1.0 / RATE / step), np.zeros(6), []
     for k in range(steps):
         q = d.qpos.copy()
-        d.ctrl[:] = legged.kp * (wanted[k] - q[7:]) + legged.kd * (rates[k] - d.qvel[6:])
+        if not held or k % every == 0:
+            command = wanted[k] + legged.kd / legged.kp * rates[k]
+        d.ctrl[:] = command
+        if not held:
+            d.ctrl[:] = legged.kp * (command - q[7:]) - legged.kd * d.qvel[6:]
         mujoco.mj_step(m, d)
         if k % every or times[k] < SETTLING:
             continue
@@ -300,12 +331,18 @@ def simulated(
                 arm = contact.pos - d.xpos[body] - R @ point
                 wrenches[foot] += np.stack([f, np.cross(arm, f)]) @ R
         flags = felt > FELT * stage.weight
-        rows.append(np.r_[times[k], q, d.actuator_force, flags, wrenches.ravel()])
+        driven = command if held else d.actuator_force
+        rows.append(np.r_[times[k], q, driven, flags, wrenches.ravel()])
     return np.array(rows)
 
 
 def _columns(
-    legged: Legged, model: RobotModel, log: Array, rng: np.random.Generator, forces: bool
+    legged: Legged,
+    model: RobotModel,
+    log: Array,
+    rng: np.random.Generator,
+    forces: bool,
+    command: bool = False,
 ) -> dict[str, Array]:
     """Return the columns of a log, with noise; forces at feet in place of flags."""
     names, n = model.joint_names[6:], model.n_joints - 6
@@ -315,7 +352,8 @@ def _columns(
     place = place + rng.normal(0.0, PLACE_NOISE, place.shape)
     turn = turn + rng.normal(0.0, 0.5 * TURN_NOISE, turn.shape)
     turn /= np.linalg.norm(turn, axis=1)[:, None]
-    q, tau = sensors.positions(q), tau + sensors.errors(rng, len(t), RATE)
+    q = sensors.positions(q)
+    tau = tau if command else tau + sensors.errors(rng, len(t), RATE)
     touch = {f"contact_{foot}": felt[:, k] for k, foot in enumerate(legged.feet)}
     if forces:
         columns = [f"contact_{foot}_{axis}" for foot in legged.feet for axis in WRENCH]
@@ -326,6 +364,6 @@ def _columns(
         | {f"base_{axis}": place[:, k] for k, axis in enumerate("xyz")}
         | {f"base_q{axis}": turn[:, k] for k, axis in enumerate("wxyz")}
         | {f"q_{name}": q[:, k] for k, name in enumerate(names)}
-        | {f"tau_{name}": tau[:, k] for k, name in enumerate(names)}
+        | {f"{'cmd' if command else 'tau'}_{name}": tau[:, k] for k, name in enumerate(names)}
         | touch
     )

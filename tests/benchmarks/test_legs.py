@@ -9,9 +9,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from asbuilt import identify
+from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from legged_robots import LEGGED
-from legs import Walk, described, parameter_errors, recorded
+from legs import STEP, Walk, against_truth, described, parameter_errors, recorded, studied
+from outside_robot import other_bodies
 
 LEAST = 0.93
 """Least share of 95 % intervals with the truth."""
@@ -33,6 +36,37 @@ def test_feet_roll_on_their_balls(robot: str, motion: str, radius: float) -> Non
     unstated = replace(cad, contacts=tuple(replace(each, radius=None) for each in cad.contacts))
     for contact in read_fitted_recordings(unstated, [log])[0].contacts:
         assert contact.radius == pytest.approx(radius, abs=1.5e-3)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("robot", "motion", "method"),
+    [("go2", "flight", "wls"), ("solo12", "step", "auto"), ("solo12", "squat", "auto")],
+)
+def test_intervals_from_commands_hold_the_truth(robot: str, motion: str, method: str) -> None:
+    walk = Walk(robot, (motion,), method=method, command=True)
+    truth, study = studied(walk, 0)
+    error, std_error = against_truth(truth, study)
+    assert np.mean(np.abs(error) < 1.959964 * std_error) >= LEAST
+    assert study.result.servo is not None
+    assert study.result.servo.delay == pytest.approx(-STEP / 10.0, abs=1.5e-4)
+
+
+@pytest.mark.study
+def test_one_unknown_stiffness_follows_from_the_weight() -> None:
+    """Feet that stand mix the joints; the weight by CAD, 0.4 % off, settles what all share."""
+    legged, rng = LEGGED["go2"], np.random.default_rng(0)
+    cad = described("go2")
+    log = recorded(legged, other_bodies(cad, rng), "step", 8.0, rng, command=True)
+    shared = {"torque_source": "command", "kd": (legged.kd,), "method": "wls"}
+    with pytest.raises(UsageError, match="mix the joints"):
+        identify(cad, log, **shared)
+    servo = identify(cad, log, same_servos=True, **shared).result.servo
+    assert servo is not None
+    assert servo.kp[:6] == (0.0,) * 6
+    assert servo.kp[6:] == pytest.approx((legged.kp,) * 12, rel=0.05)
+    with pytest.raises(UsageError, match="0 at every joint"):
+        identify(cad, log, kp=(0.0,), **shared)
 
 
 @pytest.mark.study

@@ -11,6 +11,7 @@ import pytest
 from asbuilt import identify, roll_out_robot
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.free_base.base_checks import check_free_base
@@ -94,11 +95,43 @@ def test_solo12_predicts_its_last_eight_seconds(solo: RobotModel, log: Recording
     assert "poorly_determined" in {finding.code for finding in study.findings}
 
 
-def test_rollouts_without_a_ground_are_refused_at_once(solo: RobotModel, log: Recording) -> None:
-    for asked in ({"rollout": (0.1,), "holdout": "last:0.4"}, {"refine": "rollout"}):
-        with pytest.raises(UsageError, match="solo touches the ground"):
-            identify(solo, log, **asked)
-    with pytest.raises(UsageError, match="compared by torques"):
-        roll_out_robot(solo, log, (0.1,))
-    with pytest.raises(RecordingError, match="no ground on which"):
-        add_base_coordinates(replace(log, torque_source="command"), solo)
+def test_a_refinement_on_the_ground_is_refused_at_once(solo: RobotModel, log: Recording) -> None:
+    with pytest.raises(UsageError, match="jumps where feet strike"):
+        identify(solo, log, refine="rollout")
+
+
+@pytest.mark.study
+def test_a_real_robot_is_simulated_under_its_torques(solo: RobotModel, log: Recording) -> None:
+    """Nothing holds it but its torques: errors grow, and those of the base are a millimetre."""
+    pytest.importorskip("mujoco")
+    short, long = (each.cad for each in roll_out_robot(solo, log, (0.03, 0.1)))
+    assert short is not None
+    assert short.base is not None
+    assert long is not None
+    assert long.base is not None
+    assert short.base[0] < 2e-4
+    assert short.base[1] < 5e-3
+    assert long.base[0] < 1.5e-3
+    assert long.diverged == 0
+    study = identify(solo, log, holdout="last:0.4", total_mass="2.50+-0.01", rollout=(0.05,))
+    (found,) = study.rollouts
+    assert found.cad is not None
+    assert found.as_built is not None
+    assert found.cad.base is not None
+    assert found.as_built.base is not None
+    assert found.as_built.rms_all < found.cad.rms_all
+    assert found.as_built.base[0] < found.cad.base[0]
+    assert found.as_built.base[1] < found.cad.base[1]
+
+
+def test_commands_and_forces_on_the_base_are_refused(solo: RobotModel, log: Recording) -> None:
+    n = log.n_joints - 6
+    joints = replace(
+        log.reordered(log.joint_names[6:]),
+        undriven=(),
+        contact=None,
+        servo=PositionServo(kp=(10.0,) * n, kd=(0.2,) * n),
+        extra={"base_fx": log.t},
+    )
+    with pytest.raises(RecordingError, match="forces on the base"):
+        add_base_coordinates(joints, solo)

@@ -61,12 +61,18 @@ def contact_basis(
     return basis
 
 
-def without_contact_forces(model: RobotModel, q: Array, contact: Array, tau: Array) -> Array:
-    """Return torques (N, n) less the part that forces at the closed contacts explain: `P tau`."""
+def without_contact_forces(
+    model: RobotModel, q: Array, contact: Array, tau: Array, noise: Sequence[float] = ()
+) -> Array:
+    """Return torques (N, n) less the part that forces at the closed contacts explain: `P tau`.
+
+    With the `noise` (n,) of the equations they are divided by it, as in `contact_basis`.
+    """
+    tau = tau / np.asarray(noise) if noise else tau
     found = np.empty(tau.shape)
     for start in range(0, len(q), SAMPLES_AT_ONCE):
         span = slice(start, start + SAMPLES_AT_ONCE)
         rows = np.ascontiguousarray(tau[span].T)
-        project(contact_basis(model, q[span], contact[span]), rows, rows.shape[1])
+        project(contact_basis(model, q[span], contact[span], noise), rows, rows.shape[1])
         found[span] = rows.T
     return found

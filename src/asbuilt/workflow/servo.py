@@ -238,7 +238,6 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
             fit.information,
             fit.estimate,
             found.slopes,
-            found.servo.kp,
             found.servo.delay or 0.0,
             found.errors.delay,
         )
@@ -268,10 +267,10 @@ def describe_servo_torque(model: RobotModel, found: ServoEstimate | None) -> tup
     """Return what the torque of a command rests on, as a sentence."""
     if found is None:
         return ()
-    servo, errors = found.servo, found.errors
+    servo, errors, free = found.servo, found.errors, model.n_floating
     gains = "; ".join(
         f"{name} {_format_estimate(kp, error)}"
-        for name, kp, error in zip(model.joint_names, servo.kp, errors.kp, strict=True)
+        for name, kp, error in [*zip(model.joint_names, servo.kp, errors.kp, strict=True)][free:]
     )
     late = f"{_format_estimate(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
     goal = ""
@@ -297,10 +296,10 @@ def report_servo(
     """Return what is worth knowing of an identified servo."""
     if found is None:
         return ()
-    errors, findings = found.errors, []
+    errors, findings, free = found.errors, [], model.n_floating
     names = np.array(model.joint_names)
     unknown = np.array([each != "given" for each in errors.scale])
-    relative = np.array(errors.kp) / np.array(found.servo.kp)
+    relative = np.array(errors.kp) / np.where(unknown, found.servo.kp, 1.0)
     # Relative standard error of a stiffness beyond which only ratios to it are determined.
     lost = unknown & ~(relative < 0.5)
     if np.any(lost):
@@ -321,8 +320,8 @@ def report_servo(
                 "servo_gain_from_cad",
                 "info",
                 f"The stiffness of the position servo was unknown: {one},"
-                f" {_format_estimate(found.servo.kp[0], errors.kp[0])} N m/rad for {names[0]},"
-                " from the"
+                f" {_format_estimate(found.servo.kp[free], errors.kp[free])} N m/rad for"
+                f" {names[unknown][0]}, from the"
                 f" {' and '.join(sources)} of CAD. All torques have its relative error",
                 Cure(
                     "give the stiffness if it is known, or find it from a payload of known mass",
@@ -376,14 +375,24 @@ def report_servo(
             )
         )
     if found.expected is None:
+        why, cure = (
+            (
+                "The robot as identified diverges or rests under the logged command",
+                "check the gains of the servo, and record more motion",
+            )
+            if not model.n_floating
+            else (
+                f"{model.name} has a free base, on which no motion can be replayed for long",
+                "log torques too, or record slow motion with a fine encoder",
+            )
+        )
         findings.append(
             Finding(
                 "servo_not_replayed",
                 "warning",
-                "The robot as identified diverges or rests under the logged command, so that errors"
-                " by noise of the positions and by friction at reversals are not corrected;"
-                " standard errors are too small",
-                Cure("check the gains of the servo, and record more motion"),
+                f"{why}, so that errors by noise of the positions and by friction at reversals are"
+                " not corrected; standard errors are too small",
+                Cure(cure),
             )
         )
     if found.unexplained:

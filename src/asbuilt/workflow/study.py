@@ -24,6 +24,7 @@ from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.virtual.physics import import_mujoco
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.determination import Determination, determination
@@ -240,7 +241,9 @@ def identify(
             base="free" if reading.free_base else "fixed",
             contacts=reading.contacts or "",
         )
-    refuse_ground(robot.name, robot.contacts, wanted.rollout or wanted.refine)
+    refuse_ground(robot.name, robot.contacts, wanted.refine)
+    if wanted.rollout:
+        import_mujoco("a rollout")  # before hours of work
     model, (trained, others) = read_fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_prior(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted

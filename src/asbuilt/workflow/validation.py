@@ -11,7 +11,6 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
 from asbuilt.experiment.command.servo_torque import drive_by_command
@@ -73,7 +72,6 @@ def validate(
     """
     options = options or ValidationOptions()
     result = result.result if isinstance(result, Study) else result
-    refuse_ground(result.robot, result.model.contacts, options.rollout)
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     found = []
@@ -136,7 +134,6 @@ def validate_robot(
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    refuse_ground(model.name, model.contacts, options.rollout)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
     for name in (each.source for each in logged if has_open_servo(each)):
         raise UsageError(

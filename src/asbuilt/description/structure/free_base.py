@@ -176,11 +176,16 @@ def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
         )
 
 
-def refuse_ground(robot: str, contacts: Sequence[object], asked: object) -> None:
-    """Raise `UsageError` where `asked` simulates a robot with contacts: no ground is simulated."""
-    if asked and contacts:
+def refuse_ground(robot: str, contacts: Sequence[object], refine: object) -> None:
+    """Raise `UsageError` where a robot with contacts shall be refined by trajectories.
+
+    A refinement follows how trajectories depend on parameters, which jumps where feet strike.
+    """
+    if refine and contacts:
         raise UsageError(
-            f"{robot} touches the ground, and rollouts simulate none on which it could stand; its"
-            " model is compared by torques",
-            cure=Cure("leave out rollouts and what refines by them"),
+            f"{robot} touches the ground, and a refinement by trajectories simulates none, since"
+            " how they depend on the parameters jumps where feet strike",
+            cure=Cure(
+                "leave the refinement out, and compare rollouts", {"rollout": "0.05,0.1,0.2"}
+            ),
         )

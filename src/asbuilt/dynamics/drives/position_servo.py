@@ -177,6 +177,14 @@ class PositionServo:
         }
         return replace(self, **own)
 
+    def behind_base(self, n: int) -> Self:
+        """Return the servo with `n` joints before its own that nothing drives."""
+        own: dict[str, Any] = {
+            name: ((np.inf if name in LIMITS else 0.0,) * n) + getattr(self, name)
+            for name in PER_JOINT
+        }
+        return replace(self, **own)
+
     @property
     def falling(self) -> Array:
         """How much the torque limit falls per speed (n,) [N m s/rad or N s/m]."""

@@ -197,8 +197,9 @@ def drive_by_command(recording: Recording, servo: PositionServo) -> Recording:
         kp=tuple(np.where(np.isfinite(servo.kp), servo.kp, 1.0)),
         kd=tuple(np.where(np.isfinite(servo.kd), servo.kd, 0.0)),
     )
-    held = hold_command(replace(recording, servo=servo), servo.delay or 0.0)
-    tau = known.torque(held, recording.q, differentiate_logged_positions(recording))
+    driven = replace(recording, servo=servo)
+    held = hold_command(driven, servo.delay or 0.0)
+    tau = known.torque(held, recording.q, differentiate_logged_positions(driven))
     extra = dict(recording.extra)
     if recording.servo is None and np.any(recording.tau):
         extra[LOGGED] = recording.tau
@@ -206,6 +207,14 @@ def drive_by_command(recording: Recording, servo: PositionServo) -> Recording:
 
 
 def differentiate_logged_positions(recording: Recording) -> Array:
-    """Return velocities by central differences of the positions as logged, shape (N, n)."""
+    """Return velocities by central differences of the positions as logged, shape (N, n).
+
+    They lack `T^2 / 6` times the third derivative, which the damping of a servo would turn into a
+    delay of its torque. Where it is known, the filter `[-1/6, 4/3, -1/6]` leaves errors of fourth
+    order.
+    """
+    damping = 0.0 if recording.servo is None else np.nan_to_num(recording.servo.kd)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.gradient(recording.q, recording.t, axis=0))
+        found = np.asarray(np.gradient(recording.q, recording.t, axis=0))
+        found[1:-1] -= np.where(np.asarray(damping) > 0.0, np.diff(found, 2, axis=0) / 6.0, 0.0)
+    return found

@@ -49,21 +49,20 @@ def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = 
     """Return a recording of the joints with the coordinates of the base before them.
 
     The columns of the base are among its `extra`. `sensor` is the link or frame of its inertial
-    sensor; "": `imu`, `imu_link` or the base.
+    sensor; "": `imu`, `imu_link` or the base. In a log of commands measured forces at contacts say
+    when these are closed, and are projected away.
 
     Raises
     ------
     RecordingError
         If a column is missing, a quaternion has not the length 1, the base pitches to 90 degrees,
-        or the log holds commands in place of torques.
+        or a log of commands has forces on the base.
     """
-    if recording.torque_source == "command":
+    if recording.servo is not None and "base_fx" in recording.extra:
         raise RecordingError(
-            f"{recording.source} has commands in place of torques; what its servos do is found by"
-            " simulation, which has no ground on which a robot with a free base could stand",
-            cure=Cure(
-                "log torques or motor currents too, or record it hung up, its base held still"
-            ),
+            f"{recording.source} has forces on the base (base_fx) and commands in place of torques,"
+            " to which measured forces are not added",
+            cure=Cure("log torques, or leave the forces out if nothing pushes the base"),
             file=recording.source,
         )
     if any(name.startswith("imu_") for name in recording.extra):
@@ -89,8 +88,10 @@ def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = 
         extra=select_force_columns(recording.extra),
         undriven=base,
         contact=contact,
+        command=None if recording.command is None else np.hstack([still, recording.command]),
+        servo=None if recording.servo is None else recording.servo.behind_base(len(base)),
     )
-    return with_measured_forces(found, model)
+    return with_measured_forces(found, model) if found.servo is None else found
 
 
 def _find_closed_contacts(recording: Recording, model: RobotModel) -> Array:

@@ -169,5 +169,7 @@ def _is_better(fall: Array, rows: ServoRows) -> bool:
 
 def _count_sigmas(parts: Array) -> float:
     """Return the sum of independent parts in its standard errors."""
+    if parts.size < 2:
+        return 0.0
     spread = float(np.sqrt(np.sum((parts - parts.mean()) ** 2) * parts.size / (parts.size - 1)))
-    return float(parts.sum()) / max(spread, 1e-300) if parts.size > 1 else 0.0
+    return float(parts.sum()) / max(spread, 1e-300)

@@ -24,7 +24,7 @@ from asbuilt.identification.servo.servo_rows import ServoRows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DelaySlopes:
-    """Hold `sum of W_k du/dt` of each joint's rows by parameter name, per sample.
+    """Hold `sum of W_k kp du/dt` of each joint's rows by parameter name, per sample.
 
     The torque `kp (u(t - d) - q)` falls by `kp du/dt` per delay.
     """
@@ -33,7 +33,9 @@ class DelaySlopes:
     means: tuple[Array, ...]
 
     @classmethod
-    def of(cls, rows: ServoRows, base: BaseParameters, counted: Sequence[bool]) -> DelaySlopes:
+    def of(
+        cls, rows: ServoRows, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
+    ) -> DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
         weight = np.array(counted, dtype=np.float64)
         names, means = [], []
@@ -41,7 +43,7 @@ class DelaySlopes:
         for k, support in enumerate(rows.support):
             gram = rows.total(k, weight)
             names.append(tuple(base.names[j] for j in support))
-            means.append(gram[: support.size, support.size + 1] / max(count, 1.0))
+            means.append(kp[k] * gram[: support.size, support.size + 1] / max(count, 1.0))
         return cls(tuple(names), tuple(means))
 
 
@@ -49,7 +51,6 @@ def estimate_servo_delay_errors(
     information: SquareRootInformation,
     estimate: Estimate,
     slopes: DelaySlopes,
-    kp: Sequence[float],
     delay: float,
     std_error: float,
 ) -> DelayErrors | None:
@@ -63,12 +64,10 @@ def estimate_servo_delay_errors(
     base = information.base
     place = {name: j for j, name in enumerate(base.names)}
     side = np.zeros(base.n_base)
-    for names, mean, stiffness, weight in zip(
-        slopes.names, slopes.means, kp, estimate.weights, strict=True
-    ):
+    for names, mean, weight in zip(slopes.names, slopes.means, estimate.weights, strict=True):
         for name, value in zip(names, mean, strict=True):
             if name in place:
-                side[place[name]] += weight**2 * stiffness * value * information.n_samples
+                side[place[name]] += weight**2 * value * information.n_samples
     root = estimate.solution.inverse_root
     follows = -root @ (root.T @ side)
     return DelayErrors(np.outer(follows, follows) * std_error**2, -follows * delay)
@@ -124,7 +123,8 @@ def fit_delay(
     Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
     everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933). It is at
     least that of the noise that was replayed; without a replay, or with too few blocks, that of
-    independent residuals. What is taken off has an error too (`DOUBT`).
+    independent residuals. Without a replay it is also at least what joints disagree by, the only
+    sign of what does not average out. What is taken off has an error too (`DOUBT`).
     """
     n, p = len(rows.support), base.n_standard
     prior = np.eye(p + 1) / RULES.drives**2
@@ -158,13 +158,15 @@ def fit_delay(
             scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
             weight[k] = own * scale[k]
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
-    scores, along, taken = np.zeros(len(rows.times)), [], 0.0
+    scores, along, by_joint, taken = np.zeros(len(rows.times)), [], [], 0.0
     for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True)):
         along.append(J[:-1, free] @ inverse)
-        scores += weight[k] * ((rows.grams[k] @ residual)[:, :-1] @ along[k])
+        own = weight[k] * ((rows.grams[k] @ residual)[:, :-1] @ along[k])
         if replayed is not None:
-            own = weight[k] * lengths * float(replayed.weighted[k] @ along[k])
-            scores, taken = scores - own, taken + float(np.sum(own))
+            less = weight[k] * lengths * float(replayed.weighted[k] @ along[k])
+            own, taken = own - less, taken + float(np.sum(less))
+        scores += own
+        by_joint.append(float(np.sum(own)))
     variance, together = float(inverse[-1]), sum_clusters(scores, rows)
     if together.size >= FEWEST_BLOCKS:
         least = variance
@@ -172,6 +174,8 @@ def fit_delay(
             least = replayed.variance([scale[k] * each for k, each in enumerate(along)])
         scatter = float(together @ together) * together.size / (together.size - 1)
         variance = max(least, scatter)
+    if replayed is None:
+        variance = max(variance, float(np.square(by_joint).sum()))
     variance += (DOUBT * taken) ** 2
     left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
     usual = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.inf for each in left])

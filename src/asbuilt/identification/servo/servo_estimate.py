@@ -12,12 +12,16 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import UsageError
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, fit_logged_magnitude_laws
+from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.errors.expected_scores import ExpectedScores
+from asbuilt.identification.information.equation_noise import with_equation_noise
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.deadband import estimate_deadband, with_deadband
 from asbuilt.identification.servo.goal_limit import (
@@ -78,6 +82,26 @@ class ServoEstimate:
         return replace(self.servo, goal_acceleration=tuple(found.tolist()))
 
 
+def _refuse_stiffness(model: RobotModel, servo: PositionServo, shared: bool) -> None:
+    """Raise `UsageError` where no stiffness is above zero, or contacts mix unknown ones."""
+    unknown = np.isnan(servo.kp)
+    if not np.any(servo.kp):
+        raise UsageError(
+            f"the stiffness of the position servo of {model.name} is 0 at every joint, so that no"
+            " command moves it; expected N m/rad above 0",
+            cure=Cure("state the stiffness that the servos have", {"kp": "LIST"}),
+            value=0.0,
+        )
+    if model.contacts and unknown.any() and not (shared and unknown[model.n_floating :].all()):
+        raise UsageError(
+            f"{model.name} touches the ground, whose forces mix the joints, so that a stiffness of"
+            f" each ({int(unknown.sum())} are unknown) does not follow from commands",
+            cure=Cure(
+                "state the gains, or that all joints have one stiffness", {"same_servos": True}
+            ),
+        )
+
+
 def estimate_servo(
     model: RobotModel,
     recordings: Sequence[Recording],
@@ -118,10 +142,17 @@ def estimate_servo(
         raise ValueError("the recordings have no servo")
     base, design = find_base_parameters(model, drive), build_cad_prior(model, drive)
     unknown = np.isnan(np.array(first.kp))
+    _refuse_stiffness(model, first, shared)
     stated, late = first, 0.0 if delay is None else delay
 
     filters = filters or MotionFilters()
-    motions = [CommandedMotion(model, base, each, chain, holdout, filters) for each in recordings]
+    driven = [drive_by_command(each, first) for each in recordings]
+    samples = [filters.prepare(each, chain).samples() for each in driven]
+    noise = samples if unknown.any() else with_equation_noise(model, samples)
+    motions = [
+        CommandedMotion(model, base, each, chain, holdout, filters, noise[0].noise)
+        for each in recordings
+    ]
 
     def goal_of(motion: CommandedMotion, recording: Recording) -> GoalLimit | None:
         plain = replace(recording, servo=limit_goal(stated, np.inf))
@@ -185,7 +216,7 @@ def estimate_servo(
             if excess > UNEXPLAINED
         ),
         goals,
-        DelaySlopes.of(at.rows, base, (found.excess <= UNEXPLAINED).tolist()),
+        DelaySlopes.of(at.rows, base, (found.excess <= UNEXPLAINED).tolist(), at.kp),
         fit_logged_magnitude_laws(recordings),
         None if replayed is None else replayed.scores,
     )

@@ -108,7 +108,8 @@ def replay(
 ) -> Replay | None:
     """Replay recordings by a robot and return what does not average out.
 
-    None if the robot diverges under the command, or rests. The columns are `[W_k, qd, du/dt]`.
+    None if the robot diverges under the command, or rests, or has a free base, whose fall and
+    balance over a whole recording no simulation repeats. The columns are `[W_k, qd, du/dt]`.
 
     Parameters
     ----------
@@ -127,6 +128,8 @@ def replay(
     roughly
         With one pair of noise and its negative alone.
     """
+    if model.n_floating:
+        return None
     total = sum(each.n_samples for each in recordings)
     pairs = 1 if roughly else min(max(round(RULES.samples / (2 * total)), 1), RULES.most_pairs)
     rng, beta = np.random.default_rng(0), base.values(parameters)

@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.contact import without_contact_forces
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
@@ -51,6 +52,9 @@ BLOCKS = BlockRules()
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoRows:
     """Hold Gram matrices of the rows `[W_k, qd, du/dt, u - q]` of each joint and time block.
+
+    Where forces at contacts are projected away, so are the signals, each times its gain: rows
+    `[P W, P kd qd, P kp du/dt, P kp (u - q)]`.
 
     `grams[k]` has shape (B, p_k + 3, p_k + 3) for B blocks, with p_k = `support[k].size`;
     `counts` (n, B) are the rows that count.
@@ -113,6 +117,8 @@ class CommandedMotion:
         A rule of `hold_out`: what to leave out.
     filters
         What filters the motion, once for all who share it.
+    noise
+        Noise (n,) of the equations of a robot with contacts.
     """
 
     model: RobotModel
@@ -121,6 +127,7 @@ class CommandedMotion:
     chain: SignalChain
     holdout: str | None = None
     filters: MotionFilters = field(default_factory=MotionFilters)
+    noise: tuple[float, ...] = ()
 
     @cached_property
     def support(self) -> tuple[Indices, ...]:
@@ -129,7 +136,7 @@ class CommandedMotion:
 
     def rate(self, recording: Recording, delay: float) -> Samples:
         """Return samples whose torques are the rate of what the servo of a recording follows."""
-        return self._filtered(command_rate(recording, delay, self._curve))
+        return self._filtered(self._gains[0] * command_rate(recording, delay, self._curve))
 
     def grams(
         self, recording: Recording, delay: float, rate: Samples | None = None
@@ -142,7 +149,7 @@ class CommandedMotion:
         error = hold_command(recording, delay, self._curve) - recording.q
         if recording.servo is not None:
             error = recording.servo.acting(error)
-        both = (rate or self.rate(recording, delay), self._filtered(error))
+        both = (rate or self.rate(recording, delay), self._filtered(self._gains[0] * error))
         for run in self._runs():
             signals = np.stack([run.whole.filtered(each.tau.__getitem__) for each in both])
             for b, (block, span) in enumerate(zip(run.blocks, run.spans(), strict=True)):
@@ -157,6 +164,17 @@ class CommandedMotion:
         return RegressorPlan.of(self.model, self.base.drive, self.base.columns, spare_rows=1)
 
     @cached_property
+    def _gains(self) -> Array:
+        """Stiffness and damping (2, n) by which signals are multiplied before the projection.
+
+        An unknown stiffness, the same for all joints, multiplies them as well afterwards.
+        """
+        servo = self.recording.servo
+        if servo is None or not self.model.contacts:
+            return np.ones((2, self.model.n_joints))
+        return np.stack([np.nan_to_num(servo.kp, nan=1.0), np.nan_to_num(servo.kd)])
+
+    @cached_property
     def _curve(self) -> CommandCurve:
         return CommandCurve.of(self.recording)
 
@@ -164,8 +182,8 @@ class CommandedMotion:
     def motion(self) -> PreparedMotion:
         """The filtered motion, with velocities in place of the torque."""
         finite = 0.0 * hold_command(replace(self.recording, servo=None), curve=self._curve)
-        moved = replace(self.recording, tau=differentiate_logged_positions(self.recording) + finite)
-        return self.filters.prepare(moved, self.chain)
+        speed = self._gains[1] * differentiate_logged_positions(self.recording)
+        return self.filters.prepare(replace(self.recording, tau=speed + finite), self.chain)
 
     @cached_property
     def _velocity(self) -> Samples:
@@ -174,12 +192,16 @@ class CommandedMotion:
         return drop_slow_rows(found, self.recording, self.chain.cutoff or np.inf)
 
     def _filtered(self, signal: Array) -> Samples:
-        """Return samples with a signal (N, n) in place of the torque."""
-        return self._divided(self.motion.with_torque(signal).samples())
+        """Return samples with a signal (N, n) in place of the torque, less forces at contacts."""
+        found = self._divided(self.motion.with_torque(signal).samples())
+        if found.contact is None:
+            return found
+        state = found.q, found.contact, found.tau, found.noise
+        return replace(found, tau=without_contact_forces(self.model, *state))
 
     def _divided(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
-        kept = drop_saturated(samples, self.recording)
+        kept = drop_saturated(replace(samples, noise=self.noise), self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 
     def _runs(self) -> Iterator[_Run]:

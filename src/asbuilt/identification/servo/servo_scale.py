@@ -108,9 +108,7 @@ def _estimate_own_scale(
     """Return c of a joint, its variance from time blocks, and what gives it."""
     own = rows.support[k]
     K = base.regrouping[own]
-    per = base.drive.columns_per_joint
-    first = 10 * base.n_links + per * k
-    drives = K[:, first : first + per][:, _find_varying_columns(base)]
+    drives = K[:, 10 * base.n_links :][:, _find_varying_columns(base)]
     parts = {
         "gravity": np.where(np.arange(base.n_standard) % 10 >= 6, design, 0.0),
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
@@ -143,6 +141,11 @@ def _estimate_own_scale(
 
 
 def _find_varying_columns(base: BaseParameters) -> list[int]:
-    """Return the drive columns of a joint that are no constant torque."""
+    """Return the drive columns that are no constant torque.
+
+    Rows have columns of other joints only where forces at contacts are projected away.
+    """
     symbols = [symbol for term in base.drive.terms for symbol in term.symbols]
-    return [i for i, symbol in enumerate(symbols) if symbol not in Offset.symbols]
+    per = len(symbols)
+    every = range(base.n_standard - 10 * base.n_links)
+    return [i for i in every if symbols[i % per] not in Offset.symbols]

@@ -44,13 +44,17 @@ USUAL_SLOPES = (0.3, 3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """Hold a servo with the standard error of its delay, and the fit that it rests on."""
+    """Hold a servo with the standard error of its delay, and the fit that it rests on.
+
+    `kp` (n,) multiply the signals of the rows: stiffnesses, or 1 where the rows hold them.
+    """
 
     servo: PositionServo
     error: float
     rows: ServoRows
     scale: ServoScale | None
     found: DelayFit
+    kp: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -121,7 +125,10 @@ class Settling:
         for _ in range(ITERATIONS.most):
             rows = reduce_servo_recordings(self.motions, self.recordings, late)
             kp, scale = self._gains(rows)
-            found = fit_delay(rows, self.base, self.design, kp.tolist(), kd, replayed)
+            own = kp.tolist(), kd
+            if self.model.contacts:
+                own = np.where(self.unknown, kp, 1.0).tolist(), [1.0] * len(kd)
+            found = fit_delay(rows, self.base, self.design, *own, replayed)
             if not self.free_delay:
                 break
             step, error = _take_secant_step(late, found.step, before), found.std_error
@@ -130,7 +137,7 @@ class Settling:
             if abs(step) < max(ITERATIONS.convergence, 0.05 * error):
                 break
         servo = replace(self.servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
-        return Settled(servo, error, rows, scale, found)
+        return Settled(servo, error, rows, scale, found, tuple(own[0]))
 
     def _gains(self, rows: ServoRows) -> tuple[Array, ServoScale | None]:
         """Return the stiffness of every joint, and how unknown ones were found."""
@@ -139,7 +146,8 @@ class Settling:
             return given, None
         links = self.design.parameters.copy()
         links[10 * self.model.n_links :] = 0.0
-        scale = find_scale(rows, self.base, links, self.servo.kd, unknown, shared=self.shared)
+        kd = (1.0,) * unknown.size if self.model.contacts else self.servo.kd
+        scale = find_scale(rows, self.base, links, kd, unknown, shared=self.shared)
         return np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), given), scale
 
 

@@ -14,6 +14,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.virtual.physics import Physics, import_mujoco
+from asbuilt.identification.trajectories.ground import add_ground
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import SLOWEST
 from asbuilt.identification.trajectories.windows import Windows
@@ -32,7 +33,8 @@ def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
     Rigid bodies, armature, viscous and dry friction and the position servo are MuJoCo's, with
     implicit damping. Terms that MuJoCo lacks are evaluated at each step: what opposes the motion
     acts as dry friction, so that it holds the joint at rest too, the rest as a torque. A robot
-    whose steps are `centred` starts with the velocity half a step before.
+    whose steps are `centred` starts with the velocity half a step before. Feet touch the `ground`
+    of the windows.
 
     Returns
     -------
@@ -46,7 +48,7 @@ def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
     InertiaError
         If the mass matrix of the robot is not positive definite.
     """
-    engine = _Engine(robot, windows.step)
+    engine = _Engine(robot, windows)
     simulate = engine.in_threads if engine.native else engine.in_step
     with engine.physics.quiet():
         if robot.step:
@@ -63,8 +65,8 @@ def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
 class _Engine:
     """A compiled robot with its servo and drive terms."""
 
-    def __init__(self, robot: SimulatedRobot, step: float) -> None:
-        self.mujoco = import_mujoco("a rollout")
+    def __init__(self, robot: SimulatedRobot, windows: Windows) -> None:
+        self.mujoco, step, ground = import_mujoco("a rollout"), windows.step, windows.ground
         self.robot, n = robot, robot.model.n_joints
         own = _read_values_by_key(robot)
         plain = {key: own.get(key, np.zeros(n)) for key in AT_JOINTS}
@@ -82,6 +84,8 @@ class _Engine:
                 _add_motor(spec, robot, int(k), {key: own.get(key) for key in AT_MOTORS})
             if robot.servo is not None:
                 _add_servo(self.mujoco, spec, robot)
+            if ground is not None:
+                add_ground(self.mujoco, spec, robot.model, ground, step)
 
         self.physics = Physics(
             robot.model,
@@ -97,7 +101,11 @@ class _Engine:
             self._take_away_what_steps_add()
         option, bits = self.compiled.opt, self.mujoco.mjtDisableBit
         option.timestep, option.integrator = step, self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        option.disableflags &= ~int(bits.mjDSBL_ACTUATION)
+        option.disableflags &= ~int(bits.mjDSBL_ACTUATION | bits.mjDSBL_CONTACT)
+        option.cone, option.impratio = self.mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+        self.floors = np.zeros((windows.n_windows, 0))
+        if ground is not None:
+            self.floors = ground.places(robot.model).reshape(windows.n_windows, -1)
         option.disableflags |= int(bits.mjDSBL_AUTORESET)
 
     def _take_away_what_steps_add(self) -> None:
@@ -122,7 +130,9 @@ class _Engine:
         start = np.zeros((windows.n_windows, size))
         moved = model.link_motion(windows.start_q, windows.start_qd)
         start[:, 1 + self.every], start[:, 1 + n + self.every] = moved.q, moved.qd
-        control = self._forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
+        forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
+        control = np.concatenate([forces, np.repeat(self.floors[:, None], steps, axis=1)], axis=2)
+        given = (state.mjSTATE_CTRL, state.mjSTATE_QFRC_APPLIED, state.mjSTATE_MOCAP_POS)
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
         with rollout.Rollout(nthread=len(data)) as pool:
             states, _ = pool.rollout(
@@ -130,7 +140,7 @@ class _Engine:
                 data,
                 start,
                 control,
-                control_spec=int(state.mjSTATE_CTRL | state.mjSTATE_QFRC_APPLIED),
+                control_spec=sum(map(int, given)),
             )
         return states[..., 1 + self.order], states[..., 1 + n + self.order]
 
@@ -140,8 +150,9 @@ class _Engine:
         n_controls = self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
-        for run, q, qd in zip(runs, moved.q, moved.qd, strict=True):
+        for run, q, qd, floors in zip(runs, moved.q, moved.qd, self.floors, strict=True):
             run.qpos[self.every], run.qvel[self.every] = q, qd
+            run.mocap_pos[:] = floors.reshape(-1, 3)
         shape = (windows.n_windows, steps, len(self.order))
         positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)

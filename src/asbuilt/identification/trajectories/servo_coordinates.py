@@ -84,7 +84,7 @@ class ServoCoordinates:
     def away(self, servo: PositionServo, start: PositionServo) -> Array:
         """Return the coordinates (size,) of a servo from another."""
         distance = {
-            "stiffness": np.log(servo.kp[0] / start.kp[0]),
+            "stiffness": np.log(max(servo.kp) / max(start.kp)),
             "delay": ((servo.delay or 0.0) - (start.delay or 0.0)) / TIME_SCALE,
             "lead": float(np.mean(servo.leads - start.leads)) / TIME_SCALE,
         }

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.trajectories.drive_signal import DrivenBy, DriveSignal
+from asbuilt.identification.trajectories.ground import Ground, measure_ground
 
 FEWEST = 3
 """Fewest samples of a window: the state at its start and two to compare."""
@@ -39,6 +41,8 @@ class Windows:
         Measured state at the start, filtered, shape (W, n).
     signal
         What drives the simulation.
+    ground
+        What is under the feet; None if nothing is.
     longest_step
         Longest step of the simulation [s].
     """
@@ -51,6 +55,7 @@ class Windows:
     start_q: Array
     start_qd: Array
     signal: DriveSignal
+    ground: Ground | None = None
     # Longest step of a simulation [s]; a period of the log is divided into equal steps.
     longest_step: float = 1e-3
 
@@ -92,6 +97,7 @@ class Windows:
             q=self.q[part],
             start_q=self.start_q[part],
             start_qd=self.start_qd[part],
+            ground=self.ground and replace(self.ground, heights=self.ground.heights[part]),
         )
 
     def inputs(self, delay: float = 0.0, lead: ArrayLike = 0.0) -> Array:
@@ -144,7 +150,11 @@ def choose_driving_signal(recording: Recording) -> DriveSignal:
 
 
 def cut_windows(
-    recording: Recording, samples: Samples, horizon: float, signal: DriveSignal | None = None
+    recording: Recording,
+    samples: Samples,
+    horizon: float,
+    signal: DriveSignal | None = None,
+    model: RobotModel | None = None,
 ) -> Windows:
     """Cut the segments of samples into windows, one after another; what is left over is dropped.
 
@@ -158,6 +168,8 @@ def cut_windows(
         Length of a window [s].
     signal
         What drives the simulation; None: `choose_driving_signal`.
+    model
+        The robot, whose feet the log shows to stand on a ground; None: there is none.
 
     Raises
     ------
@@ -197,6 +209,7 @@ def cut_windows(
         samples.q[first],
         samples.qd[first],
         signal or choose_driving_signal(recording),
+        None if model is None else measure_ground(model, recording, samples.t[first], horizon),
     )
 
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import AXES
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
+from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.identification.calibration.payload import choose_payload_frame
 
 TURN = 2.0 * np.pi
@@ -19,8 +21,8 @@ TURN = 2.0 * np.pi
 
 
 def position_unit(model: RobotModel) -> str:
-    """Return the unit of a thousandth of the joints' positions."""
-    kinds = {joint.is_revolute for joint in model.joints}
+    """Return the unit of a thousandth of the positions of the joints that have a drive."""
+    kinds = {joint.is_revolute for joint in model.joints[model.n_floating :]}
     return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
 
 
@@ -33,7 +35,7 @@ class RolloutErrors:
     rms
         Of each joint, over all samples after the start of all windows, shape (n,).
     rms_all
-        Of all joints together.
+        Of all joints with a drive together.
     final
         Of each joint at the end of the windows, shape (n,).
     tool
@@ -48,6 +50,9 @@ class RolloutErrors:
         As `rms` and `rms_all`, over the samples before that time; NaN if there are none.
     unit
         Of a thousandth of the positions, as `position_unit` has it.
+    base
+        Of a free base: root mean square distance [m] between its measured and simulated places, and
+        angle [rad] between its verticals; None of a root that is fixed, or moves in a plane.
     """
 
     rms: Array
@@ -59,6 +64,7 @@ class RolloutErrors:
     rms_until: Array
     rms_all_until: float
     unit: str
+    base: tuple[float, float] | None = None
 
     @property
     def text(self) -> str:
@@ -81,6 +87,8 @@ class RolloutErrors:
             "until": self.until,
             "rms_until": [_drop_infinite(x) for x in self.rms_until],
             "rms_all_until": _drop_infinite(self.rms_all_until),
+            "base": self.base
+            and dict(zip(("position", "tilt"), map(_drop_infinite, self.base), strict=True)),
         }
 
 
@@ -178,24 +186,42 @@ def measure_rollout_errors(
         until = min(map(diverges_after, times, simulated))
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
+    free = model.n_floating
     ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
     return RolloutErrors(
-        *_evaluate_rms(error),
+        *_evaluate_rms(error, free),
         np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),
         _measure_tool_distance(model, *ends),
         int(sum(np.sum(_find_diverged(each)) for each in simulated)),
         min(until, max(float(t[-1]) for t in times)),
-        *_evaluate_rms(early),
+        *_evaluate_rms(early, free),
         position_unit(model),
+        _measure_base(measured, simulated) if free == len(AXES) else None,
     )
 
 
-def _evaluate_rms(errors: Sequence[Array]) -> tuple[Array, float]:
-    """Return the root mean square of errors (W, L, n) by joint and of all; NaN of none."""
+def _measure_base(measured: Sequence[Array], simulated: Sequence[Array]) -> tuple[float, float]:
+    """Return the root mean square of distances and tilts between free bases (W, L, n)."""
+    q = [
+        np.concatenate([x[:, 1:].reshape(-1, x.shape[2]) for x in y]) for y in (measured, simulated)
+    ]
+    places, verticals = (
+        np.linalg.norm(np.subtract(*each), axis=1)
+        for each in ([x[:, :3] for x in q], [base_rotations(x)[:, 2] for x in q])
+    )
+    tilts = 2.0 * np.arcsin(np.clip(0.5 * verticals, 0.0, 1.0))
+    return float(np.sqrt(np.mean(places**2))), float(np.sqrt(np.mean(tilts**2)))
+
+
+def _evaluate_rms(errors: Sequence[Array], free: int) -> tuple[Array, float]:
+    """Return the root mean square of errors (W, L, n) by joint, and of all from `free` on.
+
+    NaN of none.
+    """
     every = np.concatenate([each.reshape(-1, each.shape[2]) for each in errors])
     if not len(every):
         return np.full(every.shape[1], np.nan), float("nan")
-    return np.sqrt(np.mean(every**2, axis=0)), float(np.sqrt(np.mean(every**2)))
+    return np.sqrt(np.mean(every**2, axis=0)), float(np.sqrt(np.mean(every[:, free:] ** 2)))
 
 
 def _find_diverged(q: Array) -> Mask:
@@ -206,7 +232,7 @@ def _find_diverged(q: Array) -> Mask:
 def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
     ends = set(range(model.n_links)) - set(model.parents)
-    if any(model.tool_link not in model.ancestors(end) for end in ends):
+    if model.n_floating or any(model.tool_link not in model.ancestors(end) for end in ends):
         return None
     try:
         _, link, placement = choose_payload_frame(model)

@@ -12,7 +12,8 @@ from asbuilt.validation.rollout.rollout import Rollout
 
 def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
-    unit, cad, built = position_unit(model), rollout.cad, rollout.as_built
+    unit = "mrad or mm" if model.n_floating else position_unit(model)
+    cad, built = rollout.cad, rollout.as_built
     errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
     ends = {"end, as built": built, "end, CAD": cad}
     values = {

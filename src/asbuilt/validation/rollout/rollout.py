@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -212,7 +212,7 @@ def _measure_floor(model: RobotModel, windows: Sequence[Windows]) -> RolloutErro
         return None
     length = pairs[0][0].shape[1]
     times = next(cut.times for cut in windows if cut.n_samples == length)
-    return measure_rollout_errors(model, [times], *pairs)
+    return replace(measure_rollout_errors(model, [times], *pairs), base=None)
 
 
 def _simulate_task(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | None:

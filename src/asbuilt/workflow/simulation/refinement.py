@@ -294,8 +294,8 @@ def _estimate_stiffness_spread(servo: ServoEstimate | None) -> float:
     """Return the relative standard error of a common stiffness by the fit to torques."""
     if servo is None:
         return STIFFNESS_SPREAD
-    relative = np.array(servo.errors.kp) / np.array(servo.servo.kp)
-    unknown = relative[np.array(servo.errors.scale) != "given"]
+    free = np.array(servo.errors.scale) != "given"
+    unknown = np.array(servo.errors.kp)[free] / np.array(servo.servo.kp)[free]
     known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
     return min(float(np.min(known)), STIFFNESS_SPREAD) if known.size else STIFFNESS_SPREAD
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.executor import Workers
 from asbuilt.experiment.logs.long_recordings import head_of
@@ -79,11 +78,8 @@ def roll_out_result(
         If no window fits into a recording, or nothing drives its simulation.
     MissingExtraError
         If MuJoCo is not installed.
-    UsageError
-        If the robot touches the ground.
     """
     options = options or ValidationOptions()
-    refuse_ground(result.robot, result.model.contacts, horizons)
     logged = as_recordings(result.model, recordings)
     parts = [
         _select_simulated_part(result, with_servo(item, result.servo), options.chain)
@@ -109,7 +105,6 @@ def roll_out_robot(
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    refuse_ground(model.name, model.contacts, horizons)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
     chain = options.chain or SignalChain()
     parts = [_prepare_whole(with_described_servo(model, item), chain) for item in logged]
@@ -120,7 +115,7 @@ def roll_out_robot(
     return tuple(
         roll_out(
             model,
-            [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
+            [cut_windows(one, samples, horizon, signal, model) for one, samples, signal in parts],
             described,
             [None] * len(parts),
             workers=workers,
@@ -150,7 +145,10 @@ def simulate_rollouts(
     return tuple(
         roll_out(
             results[0].model,
-            [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
+            [
+                cut_windows(one, samples, horizon, signal, results[0].model)
+                for one, samples, signal in parts
+            ],
             by_cad,
             built,
             workers=workers,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,6 +79,11 @@ def tabulate_rollouts(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
         Column("repeat", unit, "decimal", of=lambda each: _show_error(each.floor)),
         Column("tool, CAD", "mm", "decimal", of=lambda each: _show_tool_error(each.cad)),
         Column("tool, as built", "mm", "decimal", of=lambda each: _show_tool_error(each.as_built)),
+        *(
+            Column(f"{what}, {name}", unit, "decimal", of=partial(_show_base_error, robot, k))
+            for k, (what, unit) in enumerate((("base", "mm"), ("tilt", "mrad")))
+            for name, robot in (("CAD", "cad"), ("as built", "as_built"))
+        ),
         Column(
             "worst joint",
             width=16,
@@ -113,6 +119,11 @@ def _show_error(errors: RolloutErrors | None) -> Cell:
 
 def _show_tool_error(errors: RolloutErrors | None) -> Cell:
     return None if errors is None or errors.tool is None else format_in_milli(errors.tool)
+
+
+def _show_base_error(robot: str, k: int, rollout: Rollout) -> Cell:
+    errors: RolloutErrors | None = getattr(rollout, robot)
+    return None if errors is None or errors.base is None else format_in_milli(errors.base[k])
 
 
 def _name_worst_joint(model: RobotModel, errors: RolloutErrors | None) -> str:
