@@ -15,7 +15,13 @@ from asbuilt.experiment.signal.differentiation import (
     savitzky_golay_window,
     smoothing_spline,
 )
-from asbuilt.experiment.signal.lowpass import butterworth, decimate_chebyshev, settling_samples
+from asbuilt.experiment.signal.lowpass import (
+    butterworth,
+    decimate_chebyshev,
+    gaussian,
+    kernel_samples,
+    settling_samples,
+)
 from asbuilt.experiment.signal.parallel_filter import (
     STOP_BAND_EDGE,
     ParallelFilter,
@@ -28,6 +34,8 @@ from asbuilt.findings import Cure
 
 SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
 """t, q, qd, qdd, tau and the torque as recorded, of one segment."""
+DIFFERENCES = 2
+"""Samples to either side that an acceleration takes by central differences of velocities."""
 FilteredMotion = tuple[Array, Array, Array]
 """q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
 
@@ -93,6 +101,8 @@ class FilterPlan:
             )
         if chain.derivative == "savitzky-golay":
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
+        elif chain.derivative == "gaussian":
+            margin = exact = kernel_samples(cutoff, rate) + DIFFERENCES
         else:
             margin, exact = (
                 settling_samples(
@@ -158,14 +168,8 @@ class FilterPlan:
 
     def motion(self, segment: UniformSegment) -> FilteredMotion:
         """Return q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
-        chain, rate = self.chain, self.rate
+        chain, rate, smooth = self.chain, self.rate, self.smooth
         cutoff = chain.cutoff or 0.0
-
-        def smooth(x: Array) -> Array:
-            return butterworth(
-                x, cutoff=cutoff, rate=rate, order=chain.order, corrected=chain.corrected
-            )
-
         if chain.derivative == "savitzky-golay":
             q, qd, qdd = savitzky_golay(segment.q, rate, cutoff=cutoff)
         elif chain.derivative == "spline":
@@ -178,6 +182,17 @@ class FilterPlan:
             qd = smooth(segment.qd)
             qdd = central_differences(qd, rate) if segment.qdd is None else smooth(segment.qdd)
         return q, qd, qdd
+
+    def smooth(self, x: Array) -> Array:
+        """Return columns of x (L, n) after the low-pass of the positions."""
+        chain, cutoff = self.chain, self.chain.cutoff or 0.0
+        if chain.derivative == "gaussian":
+            # With the differences that follow the response ends at half a period.
+            differences = 0 if chain.velocity == "measured" else DIFFERENCES
+            return gaussian(x, cutoff=cutoff, rate=self.rate, shorter=differences)
+        return butterworth(
+            x, cutoff=cutoff, rate=self.rate, order=chain.order, corrected=chain.corrected
+        )
 
     def fits(self, segment: UniformSegment) -> bool:
         """Return whether a segment is long enough to be filtered and differentiated."""
@@ -197,6 +212,8 @@ class FilterPlan:
         returned, the filtered samples of the whole segment appear once each.
         """
         (q, qd, qdd), tau = motion, segment.tau
+        if self.chain.derivative == "gaussian":  # not flat in the band, so for both sides alike
+            tau = self.smooth(tau)
         n, speeds = self.thinning, self.chain.standstill
         first, last = self.late[0], segment.t.size - self.late[1]
         if first >= last:
