@@ -22,6 +22,7 @@ from asbuilt.experiment.signal.lowpass import (
     kernel_samples,
     settling_samples,
 )
+from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.parallel_filter import (
     STOP_BAND_EDGE,
     ParallelFilter,
@@ -34,6 +35,8 @@ from asbuilt.findings import Cure
 
 SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
 """t, q, qd, qdd, tau and the torque as recorded, of one segment."""
+SPECTRUM = 256
+"""Samples of the spectra whose upper quarter shows the noise of a pose."""
 DIFFERENCES = 2
 """Samples to either side that an acceleration takes by central differences of velocities."""
 FilteredMotion = tuple[Array, Array, Array]
@@ -193,6 +196,23 @@ class FilterPlan:
         return butterworth(
             x, cutoff=cutoff, rate=self.rate, order=chain.order, corrected=chain.corrected
         )
+
+    def pose_noise(self, q: Array) -> tuple[float, ...]:
+        """Return the variance of each filtered acceleration by white noise of positions q (N, n).
+
+        Empty where rates are logged, whose noise is another.
+        """
+        if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
+            return ()
+        reach, n = self.exact + DIFFERENCES + 1, self.thinning
+        impulse = np.zeros(2 * reach + 1)
+        impulse[reach] = 1.0
+        twice = central_differences(central_differences(self.smooth(impulse), self.rate), self.rate)
+        taps = np.zeros(n * (self.parallel.taps.size - 1) + 1)
+        taps[::n] = self.parallel.taps
+        power = power_density(q[np.isfinite(q).all(axis=1)], 2.0, SPECTRUM)
+        noise = np.median(power[-SPECTRUM // 8 :], axis=0)  # the upper quarter of the band
+        return tuple((noise * np.sum(np.convolve(twice, taps) ** 2)).tolist())
 
     def fits(self, segment: UniformSegment) -> bool:
         """Return whether a segment is long enough to be filtered and differentiated."""

@@ -196,7 +196,8 @@ def fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
     """
     if recording.contact is None or chain.derivative != "central":
         return chain
-    return replace(chain, derivative="gaussian")
+    closed = recording.contact > 0.5
+    return chain if np.all(closed == closed[0]) else replace(chain, derivative="gaussian")
 
 
 def plan_grid(
@@ -357,4 +358,5 @@ def assemble_samples(
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
         contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf)),
+        pose_noise=() if recording.contact is None else plan.pose_noise(recording.q),
     )
