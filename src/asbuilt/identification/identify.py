@@ -25,7 +25,7 @@ from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearPlace,
     estimate_nonlinear_errors,
 )
-from asbuilt.identification.errors.pose_noise import expect_pose_noise
+from asbuilt.identification.errors.pose_noise import PoseNoise, expect_pose_noise
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
@@ -224,10 +224,11 @@ def fit_samples(
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
-    of_pose: ExpectedScores | None = None
+    of_pose: PoseNoise | None = None
     if expected is None and any(any(each.pose_noise) for each in samples):
         seen = accumulate_stream(model, base, samples, block_seconds=block_seconds, threads=threads)
-        expected = of_pose = expect_pose_noise(model, base, samples, seen)[1]
+        of_pose = expect_pose_noise(model, base, samples, seen)
+        expected = of_pose.scores
 
     def reduced(loading: RobotModel) -> tuple[SquareRootInformation, tuple[Array, ...]]:
         seen = accumulate_stream(
@@ -277,9 +278,10 @@ def fit_samples(
         block_seconds=block_seconds,
     )
     uncertainty = _estimate_uncertainty(information, estimate, errors, automatic=method == "auto")
-    if of_pose is not None:
-        doubt = of_pose.doubt(information, estimate)
-        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + doubt)
+    if of_pose is not None and expected is not None:
+        grown = of_pose.growth @ uncertainty.covariance @ of_pose.growth.T
+        grown += expected.doubt(information, estimate)
+        uncertainty = replace(uncertainty, covariance=grown)
     first = samples[0]
     provenance = tuple(dict.fromkeys(line for batch in samples for line in batch.provenance))
     return Fit(

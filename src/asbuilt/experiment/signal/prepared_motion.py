@@ -339,6 +339,8 @@ def assemble_samples(
         np.concatenate(column) if len(parts) > 1 else column[0]
         for column in zip(*parts, strict=True)
     )
+    # Logged rates are differences by whoever logged them, which take a sample to either side.
+    logged = 1.0 / plan.rate if plan.chain.velocity == "measured" else 0.0
     return Samples(
         t=t,
         q=q,
@@ -357,6 +359,6 @@ def assemble_samples(
         delay=plan.chain.delays,
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
-        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf)),
+        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf) + logged),
         pose_noise=() if recording.contact is None else plan.pose_noise(recording.q),
     )

@@ -11,7 +11,7 @@ bias is many standard errors, and without it they tell the most.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,27 +34,42 @@ PASSES = 5
 """Most passes: each leaves the share of the bias that noise has of a direction."""
 
 
+class PoseNoise(NamedTuple):
+    """Base parameters (p,) of least squares, and what noise of the pose lends them.
+
+    `scores` is None where the noise is unknown. `growth` (p, p) multiplies errors: what takes back
+    a bias in a direction takes random errors along.
+    """
+
+    beta: Array
+    scores: ExpectedScores | None
+    growth: Array
+
+
 def expect_pose_noise(
     model: RobotModel,
     base: BaseParameters,
     samples: Sequence[Samples],
     information: SquareRootInformation,
-) -> tuple[Array, ExpectedScores | None]:
-    """Return base parameters (p,) of least squares, and the scores that pose noise lends them.
+) -> PoseNoise:
+    """Return least squares without the scores that noise of the pose lends the parameters.
 
-    The scores depend on the parameters, so both are found in turn. They are None where the noise of
-    the pose is unknown, as for robots without contacts.
+    The scores depend on the parameters, so both are found in turn, from `beta = (W^T W)^-1 W^T tau`
+    on by `beta + (W^T W)^-1 N S beta` with S the mean square of the noise in W.
     """
     prior = design_values(model, base)
     estimate = fit_least_squares(information, weights="joint", prior=prior)
     if not any(any(each.pose_noise) for each in samples):
-        return estimate.beta, None
+        return PoseNoise(estimate.beta, None, np.eye(base.n_base))
     total = sum(len(each.q) for each in samples)
     shares = [len(each.q) / total * _average_noise(model, base, each) for each in samples]
     grams = np.sum(shares, axis=0)
     names = tuple(tuple(base.names[j] for j in own) for own in information.support)
-    expected = None
+    squares = np.einsum("n,npr->pr", estimate.weights**2, grams) * information.n_samples
+    root = estimate.solution.inverse_root
+    step, growth, expected = root @ (root.T @ squares), np.eye(base.n_base), None
     for _ in range(PASSES):
+        growth = np.eye(base.n_base) + step @ growth
         means = [
             -(gram @ estimate.beta)[own]
             for gram, own in zip(grams, information.support, strict=True)
@@ -62,7 +77,7 @@ def expect_pose_noise(
         expected = ExpectedScores(names, tuple(means))
         corrected = information.less(expected.torques(information))
         estimate = fit_least_squares(corrected, weights=estimate.weights, prior=prior)
-    return estimate.beta, expected
+    return PoseNoise(estimate.beta, expected, growth)
 
 
 def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) -> Array:

@@ -63,7 +63,7 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
     )
     weighted, information = tuple(samples), seen
     for _ in range(RULES.fits):
-        beta, _scores = expect_pose_noise(model, base, weighted, information)
+        beta = expect_pose_noise(model, base, weighted, information).beta
         squares = seen.residual_energy(beta) / seen.n_samples
         variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
         noise = tuple(np.sqrt(variances / variances[2])[group].tolist())
