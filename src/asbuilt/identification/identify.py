@@ -279,6 +279,8 @@ def fit_samples(
     )
     uncertainty = _estimate_uncertainty(information, estimate, errors, automatic=method == "auto")
     if of_pose is not None and expected is not None:
+        taken = "What noise of the pose lends the parameters was taken away."
+        estimate = replace(estimate, notes=(*estimate.notes, taken))
         grown = of_pose.growth @ uncertainty.covariance @ of_pose.growth.T
         grown += expected.doubt(information, estimate)
         uncertainty = replace(uncertainty, covariance=grown)

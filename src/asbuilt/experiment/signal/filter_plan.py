@@ -35,10 +35,6 @@ from asbuilt.findings import Cure
 
 SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
 """t, q, qd, qdd, tau and the torque as recorded, of one segment."""
-SPECTRUM = 256
-"""Samples of the spectra whose upper quarter shows the noise of a pose."""
-DIFFERENCES = 2
-"""Samples to either side that an acceleration takes by central differences of velocities."""
 FilteredMotion = tuple[Array, Array, Array]
 """q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
 
@@ -63,6 +59,10 @@ class FilterRates:
     motion go."""
     output_rate_in_cutoffs: float = 4.0
     """Default rate after the parallel filter, in its cutoffs."""
+    differences: int = 2
+    """Samples to either side that an acceleration takes by central differences of velocities."""
+    spectrum: int = 256
+    """Samples of the spectra whose upper quarter shows the noise of a pose."""
     exact: float = 1e-12
     """Share of its peak below which the impulse response of the low-pass counts as zero."""
 
@@ -105,7 +105,7 @@ class FilterPlan:
         if chain.derivative == "savitzky-golay":
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
         elif chain.derivative == "gaussian":
-            margin = exact = kernel_samples(cutoff, rate) + DIFFERENCES
+            margin = exact = kernel_samples(cutoff, rate) + RATES.differences
         else:
             margin, exact = (
                 settling_samples(
@@ -191,7 +191,7 @@ class FilterPlan:
         chain, cutoff = self.chain, self.chain.cutoff or 0.0
         if chain.derivative == "gaussian":
             # With the differences that follow the response ends at half a period.
-            differences = 0 if chain.velocity == "measured" else DIFFERENCES
+            differences = 0 if chain.velocity == "measured" else RATES.differences
             return gaussian(x, cutoff=cutoff, rate=self.rate, shorter=differences)
         return butterworth(
             x, cutoff=cutoff, rate=self.rate, order=chain.order, corrected=chain.corrected
@@ -202,16 +202,17 @@ class FilterPlan:
 
         Empty where rates are logged, whose noise is another.
         """
-        if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
+        q = q[np.isfinite(q).all(axis=1)]
+        if self.chain.velocity == "measured" or self.parallel is None or len(q) < RATES.spectrum:
             return ()
-        reach, n = self.exact + DIFFERENCES + 1, self.thinning
+        reach, n = self.exact + RATES.differences + 1, self.thinning
         impulse = np.zeros(2 * reach + 1)
         impulse[reach] = 1.0
         twice = central_differences(central_differences(self.smooth(impulse), self.rate), self.rate)
         taps = np.zeros(n * (self.parallel.taps.size - 1) + 1)
         taps[::n] = self.parallel.taps
-        power = power_density(q[np.isfinite(q).all(axis=1)], 2.0, SPECTRUM)
-        noise = np.median(power[-SPECTRUM // 8 :], axis=0)  # the upper quarter of the band
+        power = power_density(q, 2.0, RATES.spectrum)
+        noise = np.median(power[-RATES.spectrum // 8 :], axis=0)  # the upper quarter of the band
         return tuple((noise * np.sum(np.convolve(twice, taps) ** 2)).tolist())
 
     def fits(self, segment: UniformSegment) -> bool:

@@ -191,8 +191,8 @@ def fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
     """Return the chain for a recording whose contacts open and close, if it is one.
 
     A touch-down is an acceleration without bound for the log. Wherever a low-pass spreads it, its
-    force has to be projected away, so the response must end; that of a Butterworth filter rings on
-    for 1.6 periods.
+    force has to be projected away, so the response must end; a Butterworth filter rings on for 1.6
+    periods.
     """
     if recording.contact is None or chain.derivative != "central":
         return chain

@@ -1,9 +1,10 @@
 """Bias by noise of the pose of a free base, and the scores that take it away.
 
 Accelerations by differences have the noise d of the pose, W = W_0 + dW with
-`dW_k = sum_c P dW_k/dqdd_c d_c`. Residuals at the true parameters are those of the torque less
-`dW beta`, so that the scores have the mean `E[W_k^T e_k] = -E[dW_k^T dW_k] beta`: least squares
-explain noise by bodies that are too light (Fuller, Measurement Error Models, 1987, section 2.2).
+`dW_k = sum_c P dW_k/dqdd_c d_c`. Residuals at the true parameters are noise of the torque
+less `dW beta`, so that the scores have the mean `E[W_k^T e_k] = -E[dW_k^T dW_k] beta`: least
+squares explain noise by bodies that are too light (Fuller, Measurement Error Models, 1987, section
+2.2).
 Nothing drives a base, so that its equations lose most. Where they weigh as their noise says the
 bias is many standard errors, and without it they tell the most.
 """
@@ -11,6 +12,7 @@ bias is many standard errors, and without it they tell the most.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,10 +30,18 @@ from asbuilt.identification.result.design_values import design_values
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-STATES = 400
-"""States of a recording over which the squares of its noise are averaged."""
-PASSES = 5
-"""Most passes: each leaves the share of the bias that noise has of a direction."""
+
+@dataclass(frozen=True, slots=True)
+class PoseNoiseRules:
+    """Say how the squares of noise are averaged, and how often scores are found: own choices."""
+
+    states: int = 400
+    """States of a recording over which the squares of its noise are averaged."""
+    passes: int = 5
+    """Passes: each leaves the share of the bias that noise has of a direction."""
+
+
+RULES = PoseNoiseRules()
 
 
 class PoseNoise(NamedTuple):
@@ -68,7 +78,7 @@ def expect_pose_noise(
     squares = np.einsum("n,npr->pr", estimate.weights**2, grams) * information.n_samples
     root = estimate.solution.inverse_root
     step, growth, expected = root @ (root.T @ squares), np.eye(base.n_base), None
-    for _ in range(PASSES):
+    for _ in range(RULES.passes):
         growth = np.eye(base.n_base) + step @ growth
         means = [
             -(gram @ estimate.beta)[own]
@@ -85,7 +95,7 @@ def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) ->
     found = np.zeros((model.n_joints, base.n_base, base.n_base))
     if not samples.pose_noise or samples.contact is None:
         return found
-    step = max(1, -(-len(samples.q) // STATES))
+    step = max(1, -(-len(samples.q) // RULES.states))
     q, contact = samples.q[::step], samples.contact[::step]
     still = np.zeros_like(q)
     scale = np.array(samples.noise) if samples.noise else np.ones(model.n_joints)

@@ -6,7 +6,7 @@ which is of another size. So there are three sizes of noise. The residual of `P 
 parts of all equations, `P e`, and for noise that is independent from equation to equation the mean
 square of row k is `sum_j <P_kj^2> sigma_j^2`.
 
-The residual is that of a fit without the bias by noise of the pose (`expect_pose_noise`), which
+The residual is taken with a fit without the bias by noise of the pose (`expect_pose_noise`), which
 depends on the weights in turn.
 """
 
