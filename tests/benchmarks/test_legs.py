@@ -40,8 +40,10 @@ def test_feet_roll_on_their_balls(robot: str, motion: str, radius: float) -> Non
     ("robot", "motion", "forces"),
     [
         ("solo12", "step", False),
+        ("solo12", "hop", False),
         ("solo12", "flight", False),
         ("go2", "step", False),
+        ("go2", "hop", False),
         ("go2", "step", True),
     ],
 )
