@@ -80,7 +80,7 @@ class Flyer(Regression):
             contact = closed_contacts(log["contact"], facts.rate, facts.cutoff)
             P = projections(facts, motion.q, contact)
             columns = P @ np.concatenate([self.bodies(motion), self.drive_columns(motion)], axis=2)
-            torque = np.einsum("tij,tj->ti", P[:, :, BASE:], log["tau"])
+            torque = np.einsum("tij,tj->ti", P[:, :, BASE:], motion.tau)
             rows = motion.inner()
             for x, found in ((columns, W), (torque, tau)):
                 smooth = low_pass(x.reshape(len(x), -1), facts.rate, facts.cutoff)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.signal import butter, filtfilt
 
 Array = Any
@@ -57,12 +57,22 @@ def plain_motion(t: Array, q: Array, tau: Array | None, rate: float, cutoff: flo
     return Motion(grid, position, qd, qdd, torque)
 
 
+def ending_low_pass(x: Array, rate: float, cutoff: float) -> Array:
+    """Return columns (N, n) after a Gaussian kernel, -3 dB at a cutoff [Hz], of finite width.
+
+    What a foot that touches down does is spread to `closed_contacts` and no further; `low_pass`
+    rings on.
+    """
+    sigma = np.sqrt(np.log(2.0)) * rate / (2.0 * np.pi * cutoff)
+    return gaussian_filter1d(np.asarray(x), sigma, axis=0, radius=int(0.5 * rate / cutoff))
+
+
 def logged_motion(log: dict[str, Array], rate: float, cutoff: float) -> Motion:
     """Return logged states of a free base and torques after the low-pass, quaternions of length 1.
 
     Rates of a base are no derivatives of its pose, so those of the log are taken.
     """
-    q, qd, qdd, tau = (low_pass(log[key], rate, cutoff) for key in ("q", "qd", "qdd", "tau"))
+    q, qd, qdd, tau = (ending_low_pass(log[key], rate, cutoff) for key in ("q", "qd", "qdd", "tau"))
     q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1)[:, None]
     return Motion(log["t"], q, qd, qdd, tau)
 

@@ -74,8 +74,10 @@ def test_one_unknown_stiffness_follows_from_the_weight() -> None:
     ("robot", "motion", "forces"),
     [
         ("solo12", "step", False),
+        ("solo12", "hop", False),
         ("solo12", "flight", False),
         ("go2", "step", False),
+        ("go2", "hop", False),
         ("go2", "step", True),
     ],
 )

@@ -25,6 +25,7 @@ from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearPlace,
     estimate_nonlinear_errors,
 )
+from asbuilt.identification.errors.pose_noise import PoseNoise, expect_pose_noise
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
@@ -224,6 +225,12 @@ def fit_samples(
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
+    of_pose: PoseNoise | None = None
+    if expected is None and any(any(each.pose_noise) for each in samples):
+        seen = accumulate_stream(model, base, samples, block_seconds=block_seconds, threads=threads)
+        of_pose = expect_pose_noise(model, base, samples, seen)
+        expected = of_pose.scores
+
     def reduced(loading: RobotModel | None = None) -> EstimationData:
         seen = accumulate_stream(
             loading or model, base, samples, block_seconds=block_seconds, threads=threads
@@ -264,15 +271,20 @@ def fit_samples(
         textbook=errors == "textbook",
         block_seconds=block_seconds,
     )
+    uncertainty = _estimate_uncertainty(information, estimate, errors, automatic=method == "auto")
+    if of_pose is not None and expected is not None:
+        taken = "What noise of the pose lends the parameters was taken away."
+        estimate = replace(estimate, notes=(*estimate.notes, taken))
+        grown = of_pose.growth @ uncertainty.covariance @ of_pose.growth.T
+        grown += expected.doubt(information, estimate)
+        uncertainty = replace(uncertainty, covariance=grown)
     first = samples[0]
     provenance = tuple(dict.fromkeys(line for batch in samples for line in batch.provenance))
     return Fit(
         model=model,
         information=information,
         estimate=estimate,
-        uncertainty=_estimate_uncertainty(
-            information, estimate, errors, automatic=method == "auto"
-        ),
+        uncertainty=uncertainty,
         nonlinear=nonlinear,
         delay=delay,
         design=design,

@@ -7,6 +7,7 @@ from asbuilt.experiment.signal.lowpass import (
     butterworth,
     butterworth_sections,
     decimate_chebyshev,
+    gaussian,
     settling_samples,
     single_pass_cutoff,
 )
@@ -38,6 +39,15 @@ def test_the_double_pass_has_minus_3_db_at_the_cutoff_and_no_phase(order):
             expected or 1 / (1 + (np.sqrt(2) - 1) * ratio ** (2 * order)), abs=2e-6
         )
         assert abs(phase) < 1e-6
+
+
+def test_a_gaussian_has_minus_3_db_at_the_cutoff_and_ends_after_half_a_period():
+    x = sine(10.0)
+    gain, phase = gain_and_phase(x, gaussian(x, cutoff=10.0, rate=RATE), 10.0)
+    assert gain == pytest.approx(np.sqrt(0.5), rel=2e-3)
+    assert abs(phase) < 1e-6
+    line = np.linspace(-1.0, 3.0, 400)
+    np.testing.assert_allclose(gaussian(line, cutoff=10.0, rate=RATE), line, atol=1e-12)
 
 
 def test_uncorrected_the_double_pass_has_minus_6_db_at_the_cutoff():

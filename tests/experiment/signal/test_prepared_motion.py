@@ -104,3 +104,29 @@ def test_a_study_filters_the_motion_of_a_recording_once(
     chain = SignalChain(delay=delay)  # type: ignore[arg-type]
     identify(model, log, options=StudyOptions(chain=chain, method="wls"))
     assert len(filtered) == 1
+
+
+@pytest.mark.parametrize("cutoff", [8.0, 28.0])
+def test_what_a_touch_down_spreads_to_is_closed(cutoff: float) -> None:
+    """A body falls evenly and stops at once, where its contact closes."""
+    t = np.arange(0.0, 8.0, 0.002)
+    q = np.maximum(4.0 - t, 0.0)[:, None]
+    recording = Recording(t=t, q=q, tau=np.ones_like(q), contact=(q <= 0.0).astype(float))
+    samples = prepare_samples(recording, SignalChain(cutoff=cutoff, rests=True))
+    assert samples.contact is not None
+    acceleration, is_open = np.abs(samples.qdd[:, 0]), samples.contact[:, 0] == 0.0
+    assert acceleration.max() > 10.0
+    assert acceleration[is_open].max() < 1e-6
+    assert samples.t[is_open].max() > 4.0 - 0.55 / cutoff - 0.01
+
+
+@pytest.mark.parametrize("changes", [True, False])
+def test_noise_of_a_pose_is_that_of_the_filtered_accelerations(changes: bool) -> None:
+    t = np.arange(0.0, 60.0, 0.002)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((t.size, 8))
+    contact = (np.sin(t) > 0.0)[:, None] * float(changes)
+    recording = Recording(t=t, q=noise, tau=np.ones_like(noise), contact=contact)
+    samples = prepare_samples(recording, SignalChain(cutoff=8.0, rests=True))
+    assert samples.parallel is not None
+    seen = samples.parallel.apply(np.ascontiguousarray(samples.qdd.T)).var(axis=1)
+    assert np.mean(seen / np.array(samples.pose_noise)) == pytest.approx(1.0, abs=0.08)

@@ -15,7 +15,14 @@ from asbuilt.experiment.signal.differentiation import (
     savitzky_golay_window,
     smoothing_spline,
 )
-from asbuilt.experiment.signal.lowpass import butterworth, decimate_chebyshev, settling_samples
+from asbuilt.experiment.signal.lowpass import (
+    butterworth,
+    decimate_chebyshev,
+    gaussian,
+    kernel_samples,
+    settling_samples,
+)
+from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.parallel_filter import (
     STOP_BAND_EDGE,
     ParallelFilter,
@@ -52,6 +59,10 @@ class FilterRates:
     motion go."""
     output_rate_in_cutoffs: float = 4.0
     """Default rate after the parallel filter, in its cutoffs."""
+    differences: int = 2
+    """Samples to either side that an acceleration takes by central differences of velocities."""
+    spectrum: int = 256
+    """Samples of the spectra whose upper quarter shows the noise of a pose."""
     exact: float = 1e-12
     """Share of its peak below which the impulse response of the low-pass counts as zero."""
 
@@ -93,6 +104,8 @@ class FilterPlan:
             )
         if chain.derivative == "savitzky-golay":
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
+        elif chain.derivative == "gaussian":
+            margin = exact = kernel_samples(cutoff, rate) + RATES.differences
         else:
             margin, exact = (
                 settling_samples(
@@ -158,14 +171,8 @@ class FilterPlan:
 
     def motion(self, segment: UniformSegment) -> FilteredMotion:
         """Return q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
-        chain, rate = self.chain, self.rate
+        chain, rate, smooth = self.chain, self.rate, self.smooth
         cutoff = chain.cutoff or 0.0
-
-        def smooth(x: Array) -> Array:
-            return butterworth(
-                x, cutoff=cutoff, rate=rate, order=chain.order, corrected=chain.corrected
-            )
-
         if chain.derivative == "savitzky-golay":
             q, qd, qdd = savitzky_golay(segment.q, rate, cutoff=cutoff)
         elif chain.derivative == "spline":
@@ -178,6 +185,35 @@ class FilterPlan:
             qd = smooth(segment.qd)
             qdd = central_differences(qd, rate) if segment.qdd is None else smooth(segment.qdd)
         return q, qd, qdd
+
+    def smooth(self, x: Array) -> Array:
+        """Return columns of x (L, n) after the low-pass of the positions."""
+        chain, cutoff = self.chain, self.chain.cutoff or 0.0
+        if chain.derivative == "gaussian":
+            # With the differences that follow the response ends at half a period.
+            differences = 0 if chain.velocity == "measured" else RATES.differences
+            return gaussian(x, cutoff=cutoff, rate=self.rate, shorter=differences)
+        return butterworth(
+            x, cutoff=cutoff, rate=self.rate, order=chain.order, corrected=chain.corrected
+        )
+
+    def pose_noise(self, q: Array) -> tuple[float, ...]:
+        """Return the variance of each filtered acceleration by white noise of positions q (N, n).
+
+        Empty where rates are logged, whose noise is another.
+        """
+        q = q[np.isfinite(q).all(axis=1)]
+        if self.chain.velocity == "measured" or self.parallel is None or len(q) < RATES.spectrum:
+            return ()
+        reach, n = self.exact + RATES.differences + 1, self.thinning
+        impulse = np.zeros(2 * reach + 1)
+        impulse[reach] = 1.0
+        twice = central_differences(central_differences(self.smooth(impulse), self.rate), self.rate)
+        taps = np.zeros(n * (self.parallel.taps.size - 1) + 1)
+        taps[::n] = self.parallel.taps
+        power = power_density(q, 2.0, RATES.spectrum)
+        noise = np.median(power[-RATES.spectrum // 8 :], axis=0)  # the upper quarter of the band
+        return tuple((noise * np.sum(np.convolve(twice, taps) ** 2)).tolist())
 
     def fits(self, segment: UniformSegment) -> bool:
         """Return whether a segment is long enough to be filtered and differentiated."""
@@ -197,6 +233,8 @@ class FilterPlan:
         returned, the filtered samples of the whole segment appear once each.
         """
         (q, qd, qdd), tau = motion, segment.tau
+        if self.chain.derivative == "gaussian":  # not flat in the band, so for both sides alike
+            tau = self.smooth(tau)
         n, speeds = self.thinning, self.chain.standstill
         first, last = self.late[0], segment.t.size - self.late[1]
         if first >= last:

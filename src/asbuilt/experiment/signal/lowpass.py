@@ -10,7 +10,10 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.parallel_filter import filter_rows
 
+SPREAD = 0.5
+"""Half the width of a Gaussian kernel, in periods of its cutoff: 3.8 standard deviations."""
 AT_ONCE = 4
 """Columns that are filtered together."""
 
@@ -61,6 +64,33 @@ def butterworth(
         values.shape[0] - 1,
     )
     return _filter_both_ways(values, sections, padding)
+
+
+def gaussian(x: ArrayLike, *, cutoff: float, rate: float, shorter: int = 0) -> Array:
+    """Low-pass the columns of x (N,) or (N, m) with a Gaussian kernel of finite width.
+
+    The amplitude is `exp(-2 (pi sigma f)^2)`, 1 / sqrt(2) at `cutoff` [Hz]. The kernel ends
+    `shorter` samples before half a period of the cutoff (3.8 sigma), so that what happens once is
+    seen in a known time about it and nowhere else. The ends are extended by odd reflection.
+
+    >>> x = np.zeros(101)
+    >>> x[50] = 1.0
+    >>> np.flatnonzero(gaussian(x, cutoff=5.0, rate=100.0))[[0, -1]].tolist()
+    [40, 60]
+    """
+    values = np.asarray(x, dtype=np.float64)
+    half = kernel_samples(cutoff, rate, shorter)
+    sigma = np.sqrt(np.log(2.0)) * rate / (2.0 * np.pi * cutoff)
+    taps = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
+    columns = np.ascontiguousarray(values.reshape(len(values), -1).T)
+    rows = np.pad(columns, ((0, 0), (half, half)), "reflect", reflect_type="odd")
+    kept = filter_rows(rows, taps / taps.sum()).T
+    return kept[:, 0] if values.ndim == 1 else kept
+
+
+def kernel_samples(cutoff: float, rate: float, shorter: int = 0) -> int:
+    """Return the samples of the kernel of `gaussian` to either side of its middle, at least one."""
+    return max(1, int(SPREAD * rate / cutoff + 1e-9) - shorter)
 
 
 @lru_cache(maxsize=256)

@@ -15,6 +15,7 @@ from asbuilt.experiment.signal.prepared_motion import (
     MotionFilters,
     advance_torque,
     assemble_samples,
+    fit_contacts,
     plan_grid,
     settle_chain,
 )
@@ -44,7 +45,8 @@ def resolve_chain(
     for recording in recordings:
         grid = plan_grid(recording, chain)
         commanded = recording.torque_source == "command"
-        chains.append(settle_chain(chain, grid.uniform(), grid.rate, filters, commanded)[0])
+        asked = fit_contacts(chain, recording)
+        chains.append(settle_chain(asked, grid.uniform(), grid.rate, filters, commanded)[0])
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
 
 
@@ -113,6 +115,7 @@ def stream_samples(
         segments, rate, notes = grid.uniform(), grid.rate, grid.notes
         if plan is None:
             commanded = joined.torque_source == "command"
+            chain = fit_contacts(chain, joined)
             chain, chosen, clock_bound = settle_chain(chain, segments, rate, filters, commanded)
             plan = FilterPlan.of(chain, rate)
             if plan.parallel is None and plan.thinning > 1:

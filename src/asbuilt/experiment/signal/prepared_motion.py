@@ -14,7 +14,7 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.filter_plan import FilteredMotion, FilterPlan, SegmentArrays
-from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.lowpass import SPREAD, butterworth, settling_samples
 from asbuilt.experiment.signal.noise.band_choice import choose_band
 from asbuilt.experiment.signal.noise.spikes import without_spikes
 from asbuilt.experiment.signal.noise.velocity_choice import VelocityVerdict, compare_velocities
@@ -32,12 +32,6 @@ from asbuilt.findings import Cure
 UNRESOLVED = 0.25
 """Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
 quarter.
-"""
-SPREAD = 0.5
-"""How far a low-pass spreads a step to either side, in periods of its cutoff: the half width of its
-impulse response. There a contact counts as closed. Until the response has settled to 1 %, 1.6
-periods, intervals of virtual robots that hop hold more (72 % for 58), but nearly nothing is left of
-the swing of a real Solo12: its other motion is predicted to 3.7 % in place of 3.1.
 """
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
@@ -59,7 +53,7 @@ class MotionFilters:
         UsageError
             If a cutoff or rate is impossible for this recording.
         """
-        asked = replace(chain or SignalChain(), delay=None)
+        asked = replace(fit_contacts(chain or SignalChain(), recording), delay=None)
         grid = plan_grid(recording, asked)
         segments, commanded = grid.uniform(), recording.torque_source == "command"
         settled, notes, bound = settle_chain(asked, segments, grid.rate, self, commanded)
@@ -191,6 +185,19 @@ class PreparedMotion:
         at = np.searchsorted(np.concatenate([t for t, _ in parts]), samples.t)
         moved = np.concatenate([each for _, each in parts], axis=1)
         return replace(samples, encoder=moved[:, at], encoder_at=side)
+
+
+def fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
+    """Return the chain for a recording whose contacts open and close, if it is one.
+
+    A touch-down is an acceleration without bound for the log. Wherever a low-pass spreads it, its
+    force has to be projected away, so the response must end; a Butterworth filter rings on for 1.6
+    periods.
+    """
+    if recording.contact is None or chain.derivative != "central":
+        return chain
+    closed = recording.contact > 0.5
+    return chain if np.all(closed == closed[0]) else replace(chain, derivative="gaussian")
 
 
 def plan_grid(
@@ -332,6 +339,8 @@ def assemble_samples(
         np.concatenate(column) if len(parts) > 1 else column[0]
         for column in zip(*parts, strict=True)
     )
+    # Logged rates are differences by whoever logged them, which take a sample to either side.
+    logged = 1.0 / plan.rate if plan.chain.velocity == "measured" else 0.0
     return Samples(
         t=t,
         q=q,
@@ -350,5 +359,6 @@ def assemble_samples(
         delay=plan.chain.delays,
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
-        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf)),
+        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf) + logged),
+        pose_noise=() if recording.contact is None else plan.pose_noise(recording.q),
     )

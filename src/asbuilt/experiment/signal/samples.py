@@ -66,6 +66,9 @@ class Samples:
     noise
         Noise of the equation of each joint in units of a common one, by which its rows are divided
         before forces at contacts are projected away; empty: the same for all.
+    pose_noise
+        Variance of the acceleration of each joint, after all filters, by white noise of the
+        positions, of robots with contacts; empty: unknown.
     encoder, encoder_at
         Position, velocity and acceleration by a second encoder of each joint, (3, N, n), and its
         side of the drive train, "motor" or "link"; None: joints have one encoder.
@@ -105,6 +108,7 @@ class Samples:
     clock_bound: float = np.inf
     contact: Array | None = None
     noise: tuple[float, ...] = ()
+    pose_noise: tuple[float, ...] = ()
     encoder: Array | None = None
     encoder_at: EncoderSide = "link"
 

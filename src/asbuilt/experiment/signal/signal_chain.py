@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.errors import UsageError
 
-Derivative = Literal["central", "savitzky-golay", "spline"]
+Derivative = Literal["central", "gaussian", "savitzky-golay", "spline"]
 Velocity = Literal["auto", "measured", "derived"]
 Delay = float | tuple[float, ...] | Literal["auto"] | None
 LONGEST_DELAY = 1.0
@@ -31,7 +31,8 @@ class SignalChain:
     rate
         Rate [Hz] to which the recording is resampled.
     derivative
-        How velocity and acceleration follow from positions.
+        How velocity and acceleration follow from positions. Where contacts open and close,
+        "central" is "gaussian": differences as well, by a low-pass whose response ends.
     velocity
         Whether logged velocities are used; "auto" compares them with the derivative.
     parallel
@@ -94,7 +95,7 @@ class SignalChain:
         if self.order < 1:
             raise UsageError(f"the order of the low-pass must be 1 or more, got {self.order}")
         for name, known in (
-            ("derivative", ("central", "savitzky-golay", "spline")),
+            ("derivative", ("central", "gaussian", "savitzky-golay", "spline")),
             ("velocity", ("auto", "measured", "derived")),
         ):
             if getattr(self, name) not in known:

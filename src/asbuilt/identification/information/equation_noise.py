@@ -6,8 +6,8 @@ which is of another size. So there are three sizes of noise. The residual of `P 
 parts of all equations, `P e`, and for noise that is independent from equation to equation the mean
 square of row k is `sum_j <P_kj^2> sigma_j^2`.
 
-The residual is taken with the description. Noise of a pose is in the regressor too, where a fit to
-it explains the noise by bodies that are too light.
+The residual is taken with a fit without the bias by noise of the pose (`expect_pose_noise`), which
+depends on the weights in turn.
 """
 
 from __future__ import annotations
@@ -23,11 +23,8 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.information.square_root_information import (
-    SquareRootInformation,
-    accumulate_stream,
-)
-from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.errors.pose_noise import expect_pose_noise
+from asbuilt.identification.information.square_root_information import accumulate_stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +33,8 @@ class EquationRules:
 
     updates: int = 100
     """Multiplicative updates, of which each brings the variances closer."""
+    fits: int = 3
+    """Fits, each with the noise by the residual of the one before: the last changes 1 %."""
     largest_ratio: float = 1e3
     """Largest noise of an equation in units of the least."""
     samples: int = 2000
@@ -55,7 +54,6 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
         return tuple(samples)
     base = find_base_parameters(model, choose_usual_drive(model, samples[0].torque_source))
     seen = accumulate_stream(model, base, samples)
-    squares = seen.residual_energy(_complete_description(model, seen)) / seen.n_samples
     shares = np.mean([_average_squared_projection(model, each) for each in samples], axis=0)
     group = np.array(
         [
@@ -63,20 +61,15 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
             for k in range(len(shares))
         ]
     )
-    variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
-    noise = np.sqrt(variances / variances[2])[group]
-    return tuple(replace(each, noise=tuple(noise.tolist())) for each in samples)
-
-
-def _complete_description(model: RobotModel, seen: SquareRootInformation) -> Array:
-    """Return base parameters (p,) as described; what the description lacks is fitted."""
-    values, factor = design_values(model, seen.base), seen.stacked()
-    unknown = np.isnan(values)
-    values[unknown] = 0.0
-    rest = factor[:, -1] - factor[:, :-1] @ values
-    columns = factor[:, :-1][:, unknown]
-    values[unknown] = np.linalg.lstsq(columns, rest, rcond=None)[0]
-    return values
+    weighted, information = tuple(samples), seen
+    for _ in range(RULES.fits):
+        beta = expect_pose_noise(model, base, weighted, information).beta
+        squares = seen.residual_energy(beta) / seen.n_samples
+        variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
+        noise = tuple(np.sqrt(variances / variances[2])[group].tolist())
+        weighted = tuple(replace(each, noise=noise) for each in samples)
+        information = accumulate_stream(model, base, weighted)
+    return weighted
 
 
 def solve_equation_variances(shares: Array, squares: Array) -> Array:
