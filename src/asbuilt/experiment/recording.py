@@ -362,8 +362,9 @@ class Recording:
         """
         if self.contact is None:
             return None
-        first = np.searchsorted(self.t, t - margin - 0.5 / self.rate)
-        last = np.searchsorted(self.t, t + margin + 0.5 / self.rate)
+        # A sample at the very edge counts, however the clock is rounded.
+        reach = margin + (0.5 + 1e-6) / self.rate
+        first, last = np.searchsorted(self.t, t - reach), np.searchsorted(self.t, t + reach)
         counts = np.cumsum(np.nan_to_num(self.contact, nan=1.0) > 0.5, axis=0, dtype=np.float64)
         counts = np.vstack([np.zeros((1, counts.shape[1])), counts])
         return np.asarray(counts[last] - counts[first] > 0.0, dtype=np.float64)
