@@ -165,10 +165,19 @@ def test_projection_takes_contact_forces_away(walker: RobotModel) -> None:
         np.einsum("sij,si->sj", J, force)
         for J, force in zip(contact_jacobians(walker, q), forces, strict=True)
     )
-    left = without_contact_forces(walker, q, np.ones((50, 2)), np.asarray(torque))
+    torque = np.asarray(torque)
+    left = without_contact_forces(walker, q, np.ones((50, 2)), torque)
     assert np.abs(left).max() < 1e-13 * np.abs(torque).max() * 100
     again = without_contact_forces(walker, q, np.ones((50, 2)), left)
     assert np.allclose(again, left, atol=1e-14)
+    kept = np.array(torque)
+    torque.setflags(write=False)
+    for k in (0, 7):  # the torques of one sample lie in one piece of memory
+        one = without_contact_forces(walker, q[k : k + 1], np.ones((1, 2)), torque[k : k + 1])
+        assert np.allclose(one, left[k], atol=1e-14)
+    columns = without_contact_forces(walker, q, np.ones((50, 2)), np.asfortranarray(torque))
+    assert np.array_equal(columns, left)
+    assert np.array_equal(torque, kept)
 
 
 def test_a_flat_contact_takes_moments_too(path: Path) -> None:
