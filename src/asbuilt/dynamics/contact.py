@@ -72,7 +72,8 @@ def without_contact_forces(
     found = np.empty(tau.shape)
     for start in range(0, len(q), SAMPLES_AT_ONCE):
         span = slice(start, start + SAMPLES_AT_ONCE)
-        rows = np.array(tau[span].T, order="C")  # one sample alone would be a view, and projected in place
+        # A copy: the transpose of one sample is the sample itself, and rows are projected in place.
+        rows = np.array(tau[span].T, order="C")
         project(contact_basis(model, q[span], contact[span], noise), rows, rows.shape[1])
         found[span] = rows.T
     return found
