@@ -65,8 +65,11 @@ def test_the_true_robot_moves_as_it_did(robot: str, motion: str) -> None:
     assert cad is not None
     assert true.base is not None
     assert cad.base is not None
-    assert true.base[0] < (4.0 if motion == "hop" else 2.0) * np.sqrt(3.0) * PLACE_NOISE
-    assert true.base[1] < 1.2e-3
+    # The low-pass of logs with impacts ends, and droops: it takes some of the rates at the start.
+    droop = 2.0 if motion == "hop" else 1.0
+    assert true.base[0] < 2.0 * droop * np.sqrt(3.0) * PLACE_NOISE
+    assert true.base[1] < droop * 1.2e-3
+    assert true.base[1] < cad.base[1]
     assert true.rms_all < 0.1 * found.no_physics.rms_all
     assert true.rms_all < 0.8 * cad.rms_all
     assert true.base[0] < cad.base[0]

@@ -115,6 +115,7 @@ def find_layout(
         groups[quantity, kind] = _group_listed_columns(
             source, names, order, quantity, listed, sheet
         )
+    groups = {key: group for key, group in groups.items() if group}
     measured = next((key for key in _TORQUES if key in groups), None)
     position, command = groups.get(("position", "")), groups.get(("command", ""))
     torque = None if measured is None else groups[measured]
