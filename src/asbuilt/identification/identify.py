@@ -275,7 +275,7 @@ def fit_samples(
     if of_pose is not None and expected is not None:
         taken = "What noise of the pose lends the parameters was taken away."
         estimate = replace(estimate, notes=(*estimate.notes, taken))
-        grown = of_pose.growth @ uncertainty.covariance @ of_pose.growth.T
+        grown = uncertainty.covariance * np.outer(of_pose.growth, of_pose.growth)
         grown += expected.doubt(information, estimate)
         uncertainty = replace(uncertainty, covariance=grown)
     first = samples[0]

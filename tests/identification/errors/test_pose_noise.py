@@ -66,8 +66,10 @@ def test_masses_keep_their_size_where_the_pose_is_noisy(tmp_path: Path) -> None:
         information.stacked()[:, :-1], information.stacked()[:, -1], rcond=None
     )[0]
     assert expected is not None
-    np.testing.assert_allclose(growth @ plain, corrected, atol=0.02 * np.abs(true).max())
+    assert np.all((growth >= 1.0) & (growth <= 6.0))
     assert error(corrected) < 0.3 * error(plain)
     total = base.names.index(next(name for name in base.names if name.startswith("m6")))
     assert plain[total] < 0.97 * true[total]
     assert corrected[total] == pytest.approx(true[total], rel=0.01)
+    # Scaled back, a random error of the mass grows as the mass does.
+    assert growth[total] == pytest.approx(corrected[total] / plain[total], rel=0.02)

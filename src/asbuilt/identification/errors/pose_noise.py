@@ -47,8 +47,8 @@ RULES = PoseNoiseRules()
 class PoseNoise(NamedTuple):
     """Base parameters (p,) of least squares, and what noise of the pose lends them.
 
-    `scores` is None where the noise is unknown. `growth` (p, p) multiplies errors: what takes back
-    a bias in a direction takes random errors along.
+    `scores` is None where the noise is unknown. `growth` (p,) multiplies standard errors: what
+    takes back a bias in a direction takes random errors along.
     """
 
     beta: Array
@@ -70,16 +70,24 @@ def expect_pose_noise(
     prior = design_values(model, base)
     estimate = fit_least_squares(information, weights="joint", prior=prior)
     if not any(any(each.pose_noise) for each in samples):
-        return PoseNoise(estimate.beta, None, np.eye(base.n_base))
+        return PoseNoise(estimate.beta, None, np.ones(base.n_base))
     total = sum(len(each.q) for each in samples)
     shares = [len(each.q) / total * _average_noise(model, base, each) for each in samples]
     grams = np.sum(shares, axis=0)
     names = tuple(tuple(base.names[j] for j in own) for own in information.support)
     squares = np.einsum("n,npr->pr", estimate.weights**2, grams) * information.n_samples
     root = estimate.solution.inverse_root
-    step, growth, expected = root @ (root.T @ squares), np.eye(base.n_base), None
+    # No direction holds more noise than all that was observed of it: where rows are next to zero,
+    # rounding would say thousands.
+    share, axes = np.linalg.eigh(root.T @ squares @ root)
+    kept = 1.0 / np.maximum(share, 1.0)
+    along, of = root @ axes, axes.T @ np.linalg.pinv(root)
+    grams = grams @ (np.eye(base.n_base) + (along * (kept - 1.0)) @ of)
+    taken = sum(((kept * share) ** k for k in range(1, RULES.passes + 1)), np.zeros(len(share)))
+    own, grown = (np.linalg.norm(each, axis=1) for each in (along, along * (1.0 + taken)))
+    growth = np.divide(grown, own, out=np.ones(base.n_base), where=own > 0.0)
+    expected: ExpectedScores | None = None
     for _ in range(RULES.passes):
-        growth = np.eye(base.n_base) + step @ growth
         means = [
             -(gram @ estimate.beta)[own]
             for gram, own in zip(grams, information.support, strict=True)
