@@ -39,6 +39,9 @@ class PoseNoiseRules:
     """States of a recording over which the squares of its noise are averaged."""
     passes: int = 5
     """Passes: each leaves the share of the bias that noise has of a direction."""
+    possible: float = 2.0
+    """Share of noise in what was observed of a direction, up to which chance explains that it
+    exceeds 1; beyond, rows are next to zero there, and least squares say nothing of bodies."""
 
 
 RULES = PoseNoiseRules()
@@ -47,8 +50,8 @@ RULES = PoseNoiseRules()
 class PoseNoise(NamedTuple):
     """Base parameters (p,) of least squares, and what noise of the pose lends them.
 
-    `scores` is None where the noise is unknown. `growth` (p,) multiplies standard errors: what
-    takes back a bias in a direction takes random errors along.
+    `scores` is None where the noise is unknown, or rows of a direction are next to zero. `growth`
+    (p,) multiplies standard errors: what takes back a bias takes random errors along.
     """
 
     beta: Array
@@ -69,17 +72,20 @@ def expect_pose_noise(
     """
     prior = design_values(model, base)
     estimate = fit_least_squares(information, weights="joint", prior=prior)
+    uncorrected = PoseNoise(estimate.beta, None, np.ones(base.n_base))
     if not any(any(each.pose_noise) for each in samples):
-        return PoseNoise(estimate.beta, None, np.ones(base.n_base))
+        return uncorrected
     total = sum(len(each.q) for each in samples)
     shares = [len(each.q) / total * _average_noise(model, base, each) for each in samples]
     grams = np.sum(shares, axis=0)
     names = tuple(tuple(base.names[j] for j in own) for own in information.support)
     squares = np.einsum("n,npr->pr", estimate.weights**2, grams) * information.n_samples
     root = estimate.solution.inverse_root
-    # No direction holds more noise than all that was observed of it: where rows are next to zero,
-    # rounding would say thousands.
     share, axes = np.linalg.eigh(root.T @ squares @ root)
+    if np.abs(share).max() > RULES.possible:
+        return uncorrected
+    # No direction holds more noise than all that was observed of it.
+    share = np.maximum(share, 0.0)
     kept = 1.0 / np.maximum(share, 1.0)
     along, of = root @ axes, axes.T @ np.linalg.pinv(root)
     grams = grams @ (np.eye(base.n_base) + (along * (kept - 1.0)) @ of)
