@@ -225,16 +225,18 @@ def fit_samples(
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
+    def accumulated(loading: RobotModel) -> SquareRootInformation:
+        return accumulate_stream(
+            loading, base, samples, block_seconds=block_seconds, threads=threads
+        )
+
+    seen = accumulated(model)
     of_pose: PoseNoise | None = None
     if expected is None and any(any(each.pose_noise) for each in samples):
-        seen = accumulate_stream(model, base, samples, block_seconds=block_seconds, threads=threads)
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
 
-    def reduced(loading: RobotModel | None = None) -> EstimationData:
-        seen = accumulate_stream(
-            loading or model, base, samples, block_seconds=block_seconds, threads=threads
-        )
+    def reduced(seen: SquareRootInformation, loading: RobotModel | None = None) -> EstimationData:
         less = () if expected is None else expected.torques(seen)
         return EstimationData(
             model,
@@ -247,9 +249,9 @@ def fit_samples(
             less=less,
         )
 
-    data = reduced()
+    data = reduced(seen)
     if base.drive.needs_load:
-        data = _settle_own_load(data, reduced)
+        data = _settle_own_load(data, lambda loading: reduced(accumulated(loading), loading))
     information, estimate = data.information, estimator.estimate(data)
     nonlinear = None
     if fitted_nonlinear:

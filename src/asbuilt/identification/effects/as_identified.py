@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asbuilt.arrays import Indices
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.drive_prior import with_drive_scale
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
+from asbuilt.identification.effects.gathering import find_places
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.information.held_out import (
     divide_into_folds,
@@ -33,9 +35,9 @@ def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffe
     effect = EFFECTS.get(found.effect)
     if not (found.in_model and isinstance(effect, DriveEffect)) or found.joint is None:
         return found
-    k, names = result.joint_names.index(found.joint), result.base.names
-    own = [names.index(f"{s}{k + 1}") for s in effect.term.symbols if f"{s}{k + 1}" in names]
-    if not own:
+    k = result.joint_names.index(found.joint)
+    own = find_places(result.base, found.effect, k)
+    if not own.size:
         return found
     values, covariance = result.estimates[own], result.covariance[np.ix_(own, own)]
     revolute = result.model.joints[k].is_revolute
@@ -54,6 +56,8 @@ def describe_stated(
     The torque error without and with each is that on held-out groups of different motion, each
     predicted from the others and CAD.
     """
+    if not drive.terms:
+        return
     information, estimate = fit.information, fit.estimate
     prior = with_drive_scale(build_cad_prior(fit.model, fit.base.drive), information)
     P = design_effect(information, estimate) * prior_information(information, prior)
@@ -61,7 +65,7 @@ def describe_stated(
     groups = group_different_motions(information, estimate.weights)
     folds = list(divide_into_folds(information, groups)) or [(information, information)]
 
-    def error(left_out: list[int]) -> float:
+    def error(left_out: Indices) -> float:
         kept, shares = np.setdiff1d(np.arange(information.base.n_base), left_out), []
         for training, held in folds:
             factor = training.stacked(estimate.weights)
@@ -73,13 +77,12 @@ def describe_stated(
             shares.append(held.residual_energy(beta).sum() / held.torque_energy.sum())
         return float(np.exp(0.5 * np.mean(np.log(shares))))
 
-    after = error([])
+    after = error(np.zeros(0, dtype=np.int64))
     for term in drive.terms:
         effect = EFFECTS.get(term.key)
         for k, joint in enumerate(result.joint_names if effect else ()):
-            names = [f"{symbol}{k + 1}" for symbol in term.symbols]
-            own = [j for j, name in enumerate(information.base.names) if name in names]
-            if effect is None or not own:
+            own = find_places(information.base, term.key, k)
+            if effect is None or not own.size:
                 continue
             acts = np.isin(information.support[k], own)
             added = information.joint_factors[k][:, :-1][:, acts] @ estimate.beta[own]

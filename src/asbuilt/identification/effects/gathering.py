@@ -191,7 +191,7 @@ def _place_candidates(
                 simpler = variant.term.stands_for if variant.term else None
                 candidates.append(
                     Candidate(
-                        variant.effect, k, places, variant.term, _find_places(base, simpler, k)
+                        variant.effect, k, places, variant.term, find_places(base, simpler, k)
                     )
                 )
                 own[k].extend(places.tolist())
@@ -201,7 +201,7 @@ def _place_candidates(
     return candidates, [np.array(each, dtype=np.int64) for each in own], size
 
 
-def _find_places(base: BaseParameters, key: str | None, k: int) -> Indices:
+def find_places(base: BaseParameters, key: str | None, k: int) -> Indices:
     """Return the positions of a drive term's base parameters at a joint."""
     symbols = [s for term in base.drive.terms if term.key == key for s in term.symbols]
     names = {f"{symbol}{k + 1}" for symbol in symbols}

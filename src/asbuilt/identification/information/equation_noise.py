@@ -61,14 +61,14 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
             for k in range(len(shares))
         ]
     )
-    weighted, information = tuple(samples), seen
+    plain = weighted = tuple(samples)
     for _ in range(RULES.fits):
+        information = seen if weighted is plain else accumulate_stream(model, base, weighted)
         beta = expect_pose_noise(model, base, weighted, information).beta
         squares = seen.residual_energy(beta) / seen.n_samples
         variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
         noise = tuple(np.sqrt(variances / variances[2])[group].tolist())
         weighted = tuple(replace(each, noise=noise) for each in samples)
-        information = accumulate_stream(model, base, weighted)
     return weighted
 
 
