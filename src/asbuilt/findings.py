@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
+
+from asbuilt.tables import WIDTH
 
 Severity = Literal["error", "warning", "info"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "info")
@@ -55,6 +58,8 @@ class Finding:
         What to do.
     joint
         Name of the joint concerned.
+    link
+        Name of the link concerned.
     time
         First affected time [s].
     torque
@@ -67,11 +72,16 @@ class Finding:
     message: str
     cure: Cure | None = None
     joint: str | None = None
+    link: str | None = None
     time: float | None = None
     torque: float | None = None
 
     def __str__(self) -> str:
-        return f"{self.severity.upper()} {self.code}: {self.text}"
+        return self.as_line()
+
+    def as_line(self, cure_text: Callable[[Cure], str] = str) -> str:
+        """Return severity, code, message and cure; `cure_text` writes the cure."""
+        return f"{self.severity.upper()} {self.code}: {self.advised(cure_text)}"
 
     def brief(self, room: int, cure_text: Callable[[Cure], str] = str) -> str:
         """Return the message, up to the end of a clause that fits the room, and a cure that fits.
@@ -114,6 +124,7 @@ class Finding:
             "settings": {} if self.cure is None else dict(self.cure.settings),
             "call": "" if self.cure is None else self.cure.call,
             "joint": self.joint,
+            "link": self.link,
             "time": self.time,
             "torque": self.torque,
         }
@@ -141,6 +152,60 @@ def _cut_to_clauses(text: str, room: int) -> str:
 def rank_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Sort findings by severity, errors first; equal severities keep their order."""
     return tuple(sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)))
+
+
+MOST_LISTED, MOST_INFOS = 10, 3
+"""Number of findings, and of those for information, that are listed unless all are."""
+
+
+def list_findings(
+    findings: Sequence[Finding], cure_text: Callable[[Cure], str] = str, *, full: bool = False
+) -> list[str]:
+    """Return findings as lines of 80 columns, one paragraph each.
+
+    Parameters
+    ----------
+    findings
+        Findings; errors are listed first.
+    cure_text
+        Function that writes a cure, for an interface that adds the names of its options.
+    full
+        List every finding; by default findings of one code at several joints or links are one
+        paragraph, which names the others, and ten paragraphs are listed, three of severity "info".
+    """
+
+    def name_kind(finding: Finding) -> tuple[str, bool, str]:
+        place = finding.joint or finding.link
+        alone = "" if place and finding.severity != "error" else finding.message
+        return finding.code, place is None, alone
+
+    ranked = rank_findings(findings)
+    groups = [[finding] for finding in ranked]
+    hidden = 0
+    if not full:
+        merged: dict[tuple[str, bool, str], list[Finding]] = {}
+        for finding in ranked:
+            merged.setdefault(name_kind(finding), []).append(finding)
+        serious = [group for group in merged.values() if group[0].severity != "info"]
+        infos = [group for group in merged.values() if group[0].severity == "info"]
+        groups = [*serious, *infos[:MOST_INFOS]][:MOST_LISTED]
+        hidden = len(ranked) - sum(map(len, groups))
+    lines = [line for group in groups for line in _write_paragraph(group, cure_text)]
+    return [*lines, *([f"... {hidden} more finding{'s' * (hidden > 1)}"] if hidden else [])]
+
+
+def _write_paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
+    """Return the lines of findings of one code: the first message, the other places by name."""
+    first = group[0]
+    names = [place for each in group[1:] if (place := each.joint or each.link)]
+    others = f"; the same holds for {join_names(names)}" if names else ""
+    return textwrap.wrap(
+        replace(first, message=first.message + others).as_line(cure_text),
+        WIDTH,
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def join_names(names: Sequence[str], most: int = 7) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from asbuilt import compilation
-from asbuilt.cli.answers import COMPILING, Screen, describe_cure, format_finding
+from asbuilt.cli.answers import COMPILING, Screen, describe_cure
 from asbuilt.findings import Cure, Finding
 
 
@@ -28,8 +28,8 @@ def test_cures_name_options_and_commands() -> None:
     assert describe_cure(Cure("record longer")) == "record longer"
     assert describe_cure(None) == ""
     finding = Finding("flipped_torque", "error", "the torque of A2 has the other sign", cure)
-    assert format_finding(finding).startswith("ERROR flipped_torque: the torque of A2 has")
-    assert format_finding(finding).endswith("asbuilt gains).")
+    assert finding.as_line(describe_cure).startswith("ERROR flipped_torque: the torque of A2 has")
+    assert finding.as_line(describe_cure).endswith("asbuilt gains).")
 
 
 def test_a_bar_pulses_until_a_fraction_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,6 @@ from asbuilt.findings import Cure
 if TYPE_CHECKING:
     from asbuilt.cli.arguments.spread import Common
     from asbuilt.compilation import Kernel
-    from asbuilt.findings import Finding
 
 COMPILING = "compiling the dynamics: once per installation, about 20 s"
 COMPILING_EACH_TIME = (
@@ -173,11 +172,6 @@ def describe_cure(cure: Cure | str | None) -> str:
         f"asbuilt {name}" for name, entry in EVERY_COMMAND.items() if cure.call == entry.call != ""
     ]
     return f"{cure.text} ({', '.join(spelled)})" if spelled else cure.text
-
-
-def format_finding(finding: Finding) -> str:
-    """Return a finding as one line: severity, code, message and cure."""
-    return f"{finding.severity.upper()} {finding.code}: {finding.advised(describe_cure)}"
 
 
 def _format_option(name: str, value: Any) -> str:

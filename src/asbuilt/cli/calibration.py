@@ -10,7 +10,7 @@ import typer
 
 import asbuilt
 from asbuilt import ChannelOptions, GainOptions, PayloadOptions, ReadingOptions, writers
-from asbuilt.cli.answers import answer, format_finding, list_files, show_progress
+from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Carrier,
@@ -30,7 +30,7 @@ from asbuilt.cli.arguments.options import (
     require_distinct_logs,
 )
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.tables import wrap_text
+from asbuilt.findings import list_findings
 from asbuilt.writers.files import with_files
 
 
@@ -105,7 +105,8 @@ def channels(
     )
     with show_progress() as report:
         found = asbuilt.identify_channels(model, sensors, motors, options=options, progress=report)
-    messages = "".join(f"\n{wrap_text(format_finding(each))}" for each in found.findings)
+    listed = list_findings(found.findings, describe_cure, full=full)
+    messages = "".join(f"\n{line}" for line in listed)
     answer(
         as_json,
         lambda: writers.channels_document(found),

@@ -19,7 +19,7 @@ from asbuilt import (
     workflow,
     writers,
 )
-from asbuilt.cli.answers import answer, describe_cure, format_finding, list_files, show_progress
+from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
@@ -119,7 +119,7 @@ def _answer_addition(done: workflow.Addition, full: bool, as_json: bool) -> None
     answer(
         as_json,
         lambda: writers.addition_document(done),
-        lambda: writers.addition_text(done, format_finding, describe_cure, full=full),
+        lambda: writers.addition_text(done, describe_cure, full=full),
     )
     if done.failed:
         raise typer.Exit(FAILED)
@@ -170,9 +170,7 @@ def show(
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
     seen = asbuilt.fleet_overview(asbuilt.open_ledger(ledger), thorough=thorough)
-    answer(
-        as_json, seen.as_document, lambda: writers.overview_text(seen, format_finding, full=full)
-    )
+    answer(as_json, seen.as_document, lambda: writers.overview_text(seen, describe_cure, full=full))
 
 
 def identify(
@@ -254,7 +252,7 @@ def drift(
         found = asbuilt.fleet_drift(
             opened, since=_parse_date(since), options=options, progress=report
         )
-    answer(as_json, found.as_document, lambda: writers.drift_text(found, format_finding, full=full))
+    answer(as_json, found.as_document, lambda: writers.drift_text(found, describe_cure, full=full))
 
 
 def report(
@@ -289,5 +287,5 @@ def report(
     answer(
         as_json,
         lambda: found.as_document() | {"files": {"report": str(files["report"])}},
-        lambda: writers.drift_text(found, format_finding, full=full) + list_files(files),
+        lambda: writers.drift_text(found, describe_cure, full=full) + list_files(files),
     )

@@ -9,7 +9,7 @@ import typer
 
 import asbuilt
 from asbuilt import ReadingOptions, UsageError, excitation, workflow, writers
-from asbuilt.cli.answers import answer, describe_cure, format_finding, list_files, show_progress
+from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     FixedBase,
@@ -67,7 +67,7 @@ def check(
     ]
     document, files = writers.check_document(model, checks, carried), {}
     if out is not None:
-        files = writers.write_check_page(out, recordings, checks, format_finding)
+        files = writers.write_check_page(out, recordings, checks, describe_cure)
     answer(
         as_json,
         lambda: writers.with_files(document, files) if files else document,

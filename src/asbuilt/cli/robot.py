@@ -19,7 +19,7 @@ from asbuilt import (
     experiment,
     writers,
 )
-from asbuilt.cli.answers import answer, format_finding, list_files, show_progress
+from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -41,7 +41,8 @@ from asbuilt.codec import format_json
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.experiment.logs.options import parse_gravity
-from asbuilt.tables import stack_tables, wrap_text
+from asbuilt.findings import list_findings
+from asbuilt.tables import stack_tables
 
 
 def robots(full: Full = False, as_json: AsJson = False) -> None:
@@ -340,10 +341,7 @@ def masses(
     if out is not None:
         files["robot"], note = writers.write_masses(out, found)
         notes["robot"] = note
-    shown = found.findings if full else found.findings[:10]
-    lines = [wrap_text(format_finding(finding)) for finding in shown]
-    if len(found.findings) > len(shown):
-        lines.append(f"{len(found.findings) - len(shown)} more findings: --full")
+    lines = list_findings(found.findings, describe_cure, full=full)
     answer(
         as_json,
         lambda: writers.with_files(writers.masses_document(found), files),

@@ -22,8 +22,6 @@ from asbuilt import (
 from asbuilt.cli.answers import (
     answer,
     describe_cure,
-    fold_text,
-    format_finding,
     list_files,
     show_progress,
 )
@@ -49,6 +47,7 @@ from asbuilt.cli.arguments.options import (
     share_workers,
 )
 from asbuilt.cli.arguments.spread import find_given_options
+from asbuilt.findings import list_findings
 from asbuilt.tables import wrap_text
 from asbuilt.workflow.options import (
     BLOCKS,
@@ -370,7 +369,7 @@ def review(
             else writers.review_document(found)
         ),
         lambda: (
-            writers.review_text(found, full=full, finding_text=format_finding).rstrip("\n")
+            writers.review_text(found, full=full, cure_text=describe_cure).rstrip("\n")
             + list_files(files)
         ),
     )
@@ -427,9 +426,10 @@ def watch(
         files |= timelines.write(
             lambda: [writers.timeline_of_watched(identified.model, watched, logged)]
         )
-    messages = "".join(fold_text(format_finding(each)) + "\n" for each in watched.findings)
+    listed = list_findings(watched.findings, describe_cure, full=full)
+    messages = "".join(f"\n{line}" for line in listed)
     answer(
         as_json,
         lambda: writers.with_files(watched.as_document(), files),
-        lambda: watched.as_text(full) + ("\n" + messages if messages else "") + list_files(files),
+        lambda: watched.as_text(full) + messages + list_files(files),
     )

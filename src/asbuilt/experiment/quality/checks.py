@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import groupby
 from pathlib import PurePath
 
 import numpy as np
@@ -48,8 +46,8 @@ from asbuilt.experiment.quality.torque.signal_checks import (
 )
 from asbuilt.experiment.quality.torque.torque_checks import check_torques
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
-from asbuilt.findings import Cure, Finding, join_names, rank_findings, undesigned
-from asbuilt.tables import WIDTH, preformat, wrap_text
+from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
+from asbuilt.tables import preformat, wrap_text
 
 TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
@@ -71,8 +69,6 @@ OF_MODEL_TORQUES = (
 """Codes of findings about a robot that is held: on legs contacts push it, and excite it."""
 _HEADLINE = 160
 """Characters of the first finding in the headline."""
-_MOST_INFOS = 3
-"""Findings of severity "info" in the short text."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -160,12 +156,8 @@ class RecordingCheck:
             wrap_text(self.headline),
             wrap_text(f"{self.source} on {self.robot}, {self.n_samples} samples"),
         ]
-        groups = [[finding] for finding in self.findings] if full else self._merged()
-        infos = [group for group in groups if group[0].severity == "info"]
-        hidden = infos[_MOST_INFOS:] if not full else []
-        lines = [line for g in groups if g not in hidden for line in _write_paragraph(g, cure_text)]
-        more = [f"{len(hidden)} more findings of severity info"] if hidden else []
-        return "\n".join([*head, *([""] if lines else []), *lines, *more])
+        found = list_findings(self.findings, cure_text, full=full)
+        return "\n".join([*head, *([""] if found else []), *found])
 
     def __repr__(self) -> str:
         found = ", ".join(self.codes) or "nothing"
@@ -198,28 +190,6 @@ class RecordingCheck:
                 file=self.source,
                 findings=tuple(errors),
             )
-
-    def _merged(self) -> list[list[Finding]]:
-        def kind(finding: Finding) -> tuple[str, bool, str]:
-            alone = "" if finding.joint and finding.severity != "error" else finding.message
-            return finding.code, finding.joint is None, alone
-
-        return [list(group) for _, group in groupby(self.findings, kind)]
-
-
-def _write_paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
-    """Return the lines of findings of one code: the first message, the other joints by name."""
-    first = group[0]
-    names = [finding.joint for finding in group[1:] if finding.joint]
-    others = f"; the same holds for {join_names(names)}" if names else ""
-    cure = None if first.cure is None else Cure(cure_text(first.cure))
-    return textwrap.wrap(
-        str(replace(first, message=first.message + others, cure=cure)),
-        WIDTH,
-        subsequent_indent="  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:

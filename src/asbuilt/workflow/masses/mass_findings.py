@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.cad.meshes import PLAUSIBLE_SIZE
 from asbuilt.description.cad.solids import LinkSolid
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import SEVERITIES, Cure, Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,15 +208,16 @@ def make_link_finding(
     cure: Cure | None = None,
 ) -> Finding:
     """Return a finding whose message begins with the link."""
-    return Finding(code, severity, f"link {link}: {message}", cure)
+    return Finding(code, severity, f"link {link}: {message}", cure, link=link)
 
 
 def sort_by_plausibility(links: list[LinkMass], findings: list[Finding]) -> tuple[LinkMass, ...]:
     """Sort links by their worst finding, then by the change of mass, both descending."""
     worst = {each.name: 3 for each in links}
     for finding in findings:
-        name = finding.message.removeprefix("link ").partition(":")[0]
-        worst[name] = min(worst[name], ("error", "warning", "info").index(finding.severity))
+        if finding.link is not None:
+            severity = SEVERITIES.index(finding.severity)
+            worst[finding.link] = min(worst[finding.link], severity)
     return tuple(
         sorted(links, key=lambda each: (worst[each.name], -np.nan_to_num(abs(each.mass_change))))
     )

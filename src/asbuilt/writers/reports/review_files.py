@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 
 from asbuilt.codec import format_json, make_plain
-from asbuilt.findings import Finding, join_names
+from asbuilt.findings import Cure, join_names, list_findings
 from asbuilt.identification.screen import format_effects
 from asbuilt.tables import (
     Cell,
@@ -68,19 +68,15 @@ def review_document(review: Review) -> dict[str, Any]:
 
 
 def review_text(
-    review: Review, *, full: bool = False, finding_text: Callable[[Finding], str] | None = None
+    review: Review, *, full: bool = False, cure_text: Callable[[Cure], str] = str
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
-    findings = [
-        wrap_text(finding_text(each))
-        for each in review.findings
-        if finding_text is not None and (full or each.code.startswith("servo_"))
-    ]
+    shown = [each for each in review.findings if full or each.code.startswith("servo_")]
     return "\n".join(
         [
             wrap_text(review_headline(review)),
             *compose_letter(review),
-            *findings,
+            *list_findings(shown, cure_text, full=full),
             *format_effects(review.result.effects),
             review_table(review).as_text(full),
         ]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from asbuilt.codec import format_json
 from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.watching.watched_log import WatchedLog, format_duration, format_thresholds
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
@@ -87,11 +87,11 @@ def write_check_page(
     folder: Path,
     recordings: Sequence[Recorded],
     checks: Sequence[RecordingCheck],
-    finding_text: Callable[[Finding], str] = str,
+    cure_text: Callable[[Cure], str] = str,
 ) -> dict[str, Path]:
     """Write check.html, which draws each recording with its findings; return its path by kind.
 
-    Of a long recording the beginning is drawn. `finding_text` writes a finding, for an interface
+    Of a long recording the beginning is drawn. `cure_text` writes a cure, for an interface
     that adds the names of its options.
     """
     blocks = []
@@ -99,7 +99,7 @@ def write_check_page(
         mood = "bad" if check.errors else "" if check.warnings else "good"
         parts = [
             paragraph_markup(check.headline, f"verdict {mood}"),
-            list_markup((each.severity, finding_text(each)) for each in check.findings),
+            list_markup((each.severity, each.as_line(cure_text)) for each in check.findings),
         ]
         if not isinstance(recording, Samples):
             address = encode_figure(draw_recording(head_of(recording), check))

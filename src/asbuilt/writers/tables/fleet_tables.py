@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, list_findings
 from asbuilt.tables import Column, Table, format_share, wrap_text
 from asbuilt.validation.comparison.significance import format_probability
 from asbuilt.workflow import Addition, FleetDrift, LogReport, Overview
 
 MOST = 10
-"""Failed logs, robots and findings shown without `full`."""
+"""Failed logs and robots shown without `full`."""
 MOST_CHANGED = 12
 """Robots that changed shown without `full`."""
 CHANGED = (
@@ -58,7 +58,6 @@ def addition_document(done: Addition) -> dict[str, Any]:
 
 def addition_text(
     done: Addition,
-    finding_text: Callable[[Finding], str],
     cure_text: Callable[[Cure], str],
     *,
     full: bool = False,
@@ -81,12 +80,10 @@ def addition_text(
         cure = f"; {cure_text(each.cure)}" if each.cure else ""
         lines.append(wrap_text(f"FAILED {_with_name(each)}{cure}"))
     lines += _count_hidden(done.failed, full, "failed logs")
-    return "\n".join([*lines, *format_first_findings(done.findings, finding_text, full)]) + "\n"
+    return "\n".join([*lines, *_set_off(list_findings(done.findings, cure_text, full=full))]) + "\n"
 
 
-def overview_text(
-    seen: Overview, finding_text: Callable[[Finding], str], *, full: bool = False
-) -> str:
+def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: bool = False) -> str:
     """Return what `asbuilt fleet show` prints."""
     logs = sum(each.n_logs for each in seen.robots)
     lines = [f"{seen.ledger}: {_word_count(seen.robots, 'robot')}, {logs} logs", ""]
@@ -112,7 +109,7 @@ def overview_text(
             f" {each.torque_source}",
             wrap_text(f"fixed: {each.chosen[0]}"),
         ]
-    return "\n".join([*lines, *format_first_findings(seen.findings, finding_text, full)]) + "\n"
+    return "\n".join([*lines, *_set_off(list_findings(seen.findings, cure_text, full=full))]) + "\n"
 
 
 def describe_drift_outcome(drift: FleetDrift) -> str:
@@ -125,9 +122,7 @@ def describe_drift_outcome(drift: FleetDrift) -> str:
     )
 
 
-def drift_text(
-    drift: FleetDrift, finding_text: Callable[[Finding], str], *, full: bool = False
-) -> str:
+def drift_text(drift: FleetDrift, cure_text: Callable[[Cure], str], *, full: bool = False) -> str:
     """Return what `asbuilt fleet drift` prints."""
     lines = [wrap_text(f"{drift.ledger}: {describe_drift_outcome(drift)}")]
     changed = drift.changed if full else drift.changed[:MOST_CHANGED]
@@ -148,21 +143,13 @@ def drift_text(
                     f" {kind.torque_units[most]} RMS (joint {most + 1})"
                 ),
             ]
-    return "\n".join([*lines, *format_first_findings(drift.findings, finding_text, full)]) + "\n"
+    findings = _set_off(list_findings(drift.findings, cure_text, full=full))
+    return "\n".join([*lines, *findings]) + "\n"
 
 
-def format_first_findings(
-    findings: Sequence[Finding], finding_text: Callable[[Finding], str], full: bool
-) -> list[str]:
-    """Return findings as wrapped lines, an empty one before; the first `MOST` unless `full`."""
-    if not findings:
-        return []
-    shown = findings if full else findings[:MOST]
-    return [
-        "",
-        *(wrap_text(finding_text(each)) for each in shown),
-        *_count_hidden(findings, full, "findings"),
-    ]
+def _set_off(lines: list[str]) -> list[str]:
+    """Return lines with an empty one before them, if there are any."""
+    return ["", *lines] if lines else []
 
 
 def _with_name(report: LogReport) -> str:
