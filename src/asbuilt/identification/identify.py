@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,20 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
 from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
     NonlinearPlace,
     estimate_nonlinear_errors,
 )
-from asbuilt.identification.errors.pose_noise import PoseNoise, expect_pose_noise
+from asbuilt.identification.errors.pose_noise import ExpectedScores, PoseNoise, expect_pose_noise
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
@@ -33,20 +34,19 @@ from asbuilt.identification.errors.uncertainty import (
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
+from asbuilt.identification.information.estimate import Estimate, EstimationData, Undetermined
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
 from asbuilt.identification.result.conclusion import conclude
-from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import predict_torque, set_link_parameters
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.result.torque_prediction import (
+    TorqueMetrics,
+    TorqueTally,
+    predict_torque,
+    set_link_parameters,
+)
 
 
 @dataclass(frozen=True, slots=True)

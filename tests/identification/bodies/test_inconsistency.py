@@ -11,7 +11,7 @@ import pytest
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.identification.bodies.body_bounds import bound_passive_drives
 from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
-from asbuilt.identification.bodies.inconsistency import find_inconsistency
+from asbuilt.identification.bodies.consistency import find_inconsistency
 from asbuilt.identification.information.triangular import triangular_factor
 
 

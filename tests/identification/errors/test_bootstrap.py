@@ -15,19 +15,18 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior, design_values
 from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
 )
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.summary import summarise
 
 MODEL, DRIVE = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")

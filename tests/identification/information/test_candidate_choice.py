@@ -8,7 +8,7 @@ from scipy.stats import ttest_rel
 from three_links import DRIVE, recording
 
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.identification.information.candidate_choice import (
+from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
     choose_candidate,
 )

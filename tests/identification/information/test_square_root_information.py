@@ -21,13 +21,17 @@ from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.errors.expected_scores import ExpectedScores
+from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
-from asbuilt.identification.information.columns_beside import ColumnsBeside
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
+from asbuilt.identification.information.rows import (
+    ColumnsBeside,
+    Rows,
+    TimeBlock,
+    divide_into_blocks,
+)
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     SquareRootInformation,

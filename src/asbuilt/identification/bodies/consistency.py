@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import clarabel
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import (
     IDENTITY_SVEC,
     PSEUDO_INERTIA_SVEC,
+    CadPrior,
     find_non_negative_columns,
+    smat,
 )
-from asbuilt.identification.bodies.cone_program import solve_cone_program
+from asbuilt.identification.bodies.conic_fit import scale_near_one, solve_cone_program
+from asbuilt.tables import SIGNIFICANT_SIGMAS, format_plus_minus, round_significant
 
 ROUNDING_OF_DRIVES = 1e-9
 """Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
@@ -100,3 +107,218 @@ def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]
         base.columns, find_non_negative_columns(base.n_links, base.n_joints, base.drive)
     )
     return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))
+
+
+FEW = 3
+"""Parameters of a combination that is short enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShortestRules:
+    """Hold how the shortest inconsistent combination is searched."""
+
+    rounds: int = 6
+    """Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008)."""
+    dearest: float = 100.0
+    """Largest l1 weight of a parameter, relative to its standard error."""
+    solved: float = 1e-9
+    """Negative part of a coefficient that is rounding."""
+    rounding: float = 1e-4
+    """Coefficient, in standard errors relative to the largest, that is left out."""
+
+
+RULES = ShortestRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inconsistency:
+    """Hold a proof that base parameters beta (p,) are physically inconsistent.
+
+    `y^T beta >= 0` for all consistent links and passive drives, yet here `value = y^T beta < 0`.
+
+    Parameters
+    ----------
+    names, ids, coefficients
+        Parameters with nonzero y, and y.
+    value, std_error
+        `y^T beta` and its standard error.
+    sigmas
+        Distance of beta from the nearest consistent one in standard errors of all parameters,
+        `min |L^-1 (beta - K chi)|` with `C = L L^T`.
+    """
+
+    names: tuple[str, ...]
+    ids: tuple[int, ...]
+    coefficients: Array
+    value: float
+    std_error: float
+    sigmas: float
+
+    @property
+    def sentence(self) -> str:
+        """What is inconsistent, and by how much."""
+        total = " ".join(
+            f"{'-' if c < 0 else '+'}"
+            f" {'' if (size := round_significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
+            for c, name in zip(self.coefficients.tolist(), self.names, strict=True)
+        )
+        alone = self.value / self.std_error if self.std_error > 0 else -np.inf
+        return (
+            f"{total.removeprefix('+ ')} is {format_plus_minus(self.value, self.std_error)} (base"
+            f" parameter{'s' if len(self.ids) > 1 else ''} {', '.join(map(str, self.ids))}),"
+            f" {round_significant(-alone, 2)} standard errors below zero, but at least zero for"
+            " every"
+            " physically consistent robot; all parameters together are"
+            f" {round_significant(self.sigmas, 2)} standard errors from the nearest consistent ones"
+        )
+
+
+def find_inconsistency(
+    base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
+) -> Inconsistency | None:
+    """Return a proof with few parameters that beta is inconsistent; None if it is consistent.
+
+    The cone of consistent base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and
+    only if some y is non-negative on all of it and negative at beta (Farkas' lemma for cones: Boyd
+    & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T
+    beta|` is one over the distance from beta to the cone in standard errors; an added
+    `sum |y_j| sqrt(C_jj)` keeps y short. Clarabel solves second-order and semidefinite programs.
+    """
+    problem = _Separation(
+        base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    )
+    with use_one_blas_thread():
+        surest = problem.solve(np.zeros(base.n_base))
+        if surest is None:
+            return None
+        proof = problem.plainest()
+        if proof is None:
+            proof = problem.shortened(surest)
+    share = np.abs(proof) * problem.size
+    order = np.argsort(-share, kind="stable")[: np.count_nonzero(proof)]
+    y = proof / np.abs(proof[order[0]])
+    return Inconsistency(
+        names=tuple(base.names[j] for j in order),
+        ids=tuple(int(base.ids[j]) for j in order),
+        coefficients=y[order],
+        value=float(y @ problem.beta),
+        std_error=problem.error(y),
+        sigmas=-float(surest @ problem.beta)
+        / max(problem.error(surest), np.finfo(np.float64).tiny),
+    )
+
+
+class _Separation:
+    """The program for y, in units of the standard errors.
+
+    `images` (n_standard, p) is what a unit of each parameter does to bodies near 1 and to drives.
+    """
+
+    def __init__(
+        self, base: BaseParameters, prior: CadPrior, beta: Array, covariance: Array
+    ) -> None:
+        self.beta = beta
+        size = np.sqrt(np.diag(covariance))
+        self.size = np.where(size > 0, size, size[size > 0].min(initial=1.0))
+        bodies, _ = scale_near_one(prior)
+        self.images = (base.regrouping @ bodies).T / self.size
+        self.inertial = 10 * prior.n_links
+        drives = np.arange(self.inertial, len(prior.parameters))
+        self.passive = np.intersect1d(drives, prior.non_negative)
+        self.free = np.setdiff1d(drives, prior.non_negative)
+        eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(self.size, self.size))
+        self.root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+
+    def error(self, y: Array) -> float:
+        """Return the standard error of `y^T beta`."""
+        return float(np.linalg.norm(self.root.T @ (y * self.size)))
+
+    def plainest(self) -> Array | None:
+        """Return y (p,) with the most significant single negative parameter; None if none is."""
+        bodies = np.array(
+            [
+                [smat(part) for part in column.reshape(-1, 10)]
+                for column in self.images[: self.inertial].T
+            ]
+        )
+        size = np.abs(self.images).max(axis=0)
+        eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
+        drives = self.images[self.passive].min(axis=0, initial=0.0)
+        proof = (np.minimum(eigenvalues, drives) >= -RULES.solved * size) & ~np.any(
+            self.images[self.free], axis=0
+        )
+        sigmas = np.where(proof, -self.beta / self.size, 0.0)
+        surest = int(np.argmax(sigmas))
+        return (
+            None
+            if sigmas[surest] < SIGNIFICANT_SIGMAS
+            else np.where(np.arange(len(self.beta)) == surest, 1.0, 0.0)
+        )
+
+    def shortened(self, surest: Array) -> Array:
+        """Return a proof with few parameters, starting from the most significant."""
+        proof, prices = surest, np.ones(len(surest))
+        for _ in range(RULES.rounds):
+            found = self.solve(prices)
+            if found is None:
+                break
+            proof = found
+            if np.count_nonzero(proof) <= FEW:
+                break
+            share = np.abs(proof) * self.size
+            prices = np.minimum(
+                RULES.dearest, share.max() / np.maximum(share, share.max() / RULES.dearest)
+            )
+        return proof
+
+    def solve(self, prices: Array) -> Array | None:
+        """Return y (p,), or None if there is no proof.
+
+        With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta =
+        -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
+        """
+        p = len(self.beta)
+        at = self.beta / self.size
+        length = float(np.linalg.norm(at))
+        if length == 0.0:
+            return None
+        identity = np.eye(p)
+
+        def alone(rows: Array) -> Array:
+            return np.hstack([rows, np.zeros((len(rows), p + 1))])
+
+        equal = alone(np.vstack([at / length, self.images[self.free]]))
+        bounded = np.hstack(
+            [
+                np.vstack([identity, -identity]),
+                np.vstack([-identity, -identity]),
+                np.zeros((2 * p, 1)),
+            ]
+        )
+        cone = np.vstack([np.append(np.zeros(2 * p), -1.0), alone(-self.root.T)])
+        constraints = np.vstack(
+            [
+                equal,
+                bounded,
+                alone(-self.images[self.passive]),
+                cone,
+                alone(-self.images[: self.inertial]),
+            ]
+        )
+        right = np.zeros(len(constraints))
+        right[0] = -1.0
+        cones = [
+            clarabel.ZeroConeT(len(equal)),
+            clarabel.NonnegativeConeT(2 * p + self.passive.size),
+            clarabel.SecondOrderConeT(p + 1),
+        ]
+        cones += [clarabel.PSDTriangleConeT(4)] * (self.inertial // 10)
+        goal = np.concatenate([np.zeros(p), prices, [1.0]])
+        nothing = sparse.csc_matrix((len(goal), len(goal)))
+        solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
+        if not solution.is_solved:
+            return None
+        u = solution.x[:p]
+        return np.asarray(
+            np.where(np.abs(u) > RULES.rounding * np.abs(u).max(), u, 0.0) / self.size
+        )

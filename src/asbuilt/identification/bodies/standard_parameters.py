@@ -23,14 +23,14 @@ from asbuilt.identification.bodies.body_bounds import (
     bound_widely,
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.bodies.conic_fit import (
     SMALLEST_PART,
     fit_consistent_bodies,
     scale_near_one,
+    solve_cone_program,
 )
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
-from asbuilt.identification.bodies.plausible import find_plausible_parameters
+from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
 from asbuilt.identification.information.random_motion import build_random_motion_rows
 from asbuilt.identification.information.triangular import triangular_factor
 

@@ -18,12 +18,13 @@ from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.entropic_fit import Coordinates
-from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
-from asbuilt.identification.bodies.plausible import WEAKEST
+from asbuilt.identification.bodies.entropic_path import DESCENT, WEAKEST, EntropicPath
 from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_degrees, widening
-from asbuilt.identification.information.known_information import find_determined_directions
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.identification.result.as_built_parameters import (
+    as_built_parameters,
+    find_determined_directions,
+)
 from asbuilt.identification.result.result import IdentificationResult
 
 FAITHFUL = 0.1

@@ -13,17 +13,18 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.body_bounds import bound_generously, bound_with_certainty
-from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
+from asbuilt.identification.bodies.cad_prior import (
+    USUAL_DESIGN_EFFECT,
+    CadPrior,
+    build_cad_prior,
+    with_drive_rows,
+    with_drive_scale,
+)
 from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
     margin_is_consistent,
     non_passive_drives,
-)
-from asbuilt.identification.bodies.drive_prior import (
-    USUAL_DESIGN_EFFECT,
-    with_drive_rows,
-    with_drive_scale,
 )
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
@@ -37,6 +38,11 @@ from asbuilt.identification.estimators.consistent_fit import (
     fit_toward_cad,
     quietest_noise,
 )
+from asbuilt.identification.estimators.held_out_choice import (
+    Candidate,
+    MotionChoice,
+    choose_candidate,
+)
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.estimators.robust import (
@@ -45,13 +51,7 @@ from asbuilt.identification.estimators.robust import (
     huber_loss,
     reweight,
 )
-from asbuilt.identification.information.candidate_choice import (
-    Candidate,
-    MotionChoice,
-    choose_candidate,
-)
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
 from asbuilt.identification.information.random_motion import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -17,25 +17,27 @@ from asbuilt.identification.bodies.body_bounds import (
     bound_generously,
     bound_with_certainty,
 )
-from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, build_cad_prior
+from asbuilt.identification.bodies.cad_prior import (
+    CadPrior,
+    body_metric_root,
+    build_cad_prior,
+    with_drive_scale,
+)
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
-from asbuilt.identification.bodies.drive_prior import with_drive_scale
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
+from asbuilt.identification.estimators.held_out_choice import choose_weight
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
-from asbuilt.identification.estimators.prior_weight import choose_weight
 from asbuilt.identification.information.estimate import (
     Estimate,
+    EstimationData,
     Refit,
     noise_floor,
     residual_deviation,
 )
 from asbuilt.identification.information.factor_solution import FactorSolution
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-
-if TYPE_CHECKING:
-    from asbuilt.identification.information.estimation_data import EstimationData
 
 Metric = Literal["entropic", "euclidean"]
 

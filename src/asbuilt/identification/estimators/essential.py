@@ -13,8 +13,7 @@ from asbuilt.findings import join_names
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.triangular import triangular_factor
 

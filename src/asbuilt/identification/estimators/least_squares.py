@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,12 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.information.estimate import Estimate, noise_floor, residual_deviation
+from asbuilt.identification.information.estimate import (
+    Estimate,
+    EstimationData,
+    noise_floor,
+    residual_deviation,
+)
 from asbuilt.identification.information.factor_solution import (
     NEGLIGIBLE_COEFFICIENT,
     FactorSolution,
@@ -20,9 +25,6 @@ from asbuilt.identification.information.factor_solution import (
     solve_fast,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-
-if TYPE_CHECKING:
-    from asbuilt.identification.information.estimation_data import EstimationData
 
 Weighting = Literal["joint"]
 

@@ -14,8 +14,7 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
 )
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.information.estimate import Estimate, noise_floor
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
 from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.rows import RowBlock
 from asbuilt.identification.information.square_root_information import reduce_rows

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.bodies.drive_prior import with_drive_rows, with_drive_scale
+from asbuilt.identification.bodies.cad_prior import (
+    build_cad_prior,
+    with_drive_rows,
+    with_drive_scale,
+)
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.factor_solution import Weighted
 from asbuilt.identification.information.held_out import divide_into_folds
 from asbuilt.identification.information.square_root_information import SquareRootInformation

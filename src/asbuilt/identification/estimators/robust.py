@@ -11,8 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
-from asbuilt.identification.information.estimate import Estimate, noise_floor
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 

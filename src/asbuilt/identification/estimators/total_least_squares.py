@@ -9,8 +9,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.factor_solution import rank_tolerance
 from asbuilt.identification.information.triangular import triangular_factor
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +15,13 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.rows import JointFactors, SampleBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import (
     pack_triangle,
     unpack_triangle,
     widen_factor,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 TILT = "tilt"
 """Column of the torque that a tilt which was found adds to the weight of the links by design."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +10,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import observation_matrix
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.samples import Samples
 
 RANDOM_STATES = 500
 RANDOM_RATE = 2.0

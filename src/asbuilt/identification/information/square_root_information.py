@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
 import numpy as np
@@ -22,9 +21,10 @@ from asbuilt.dynamics.batches import choose_threads, count_cores
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
-from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.rows import (
+    ColumnsBeside,
     RowBlock,
     SampleBlock,
     TimeBlock,
@@ -35,10 +35,6 @@ from asbuilt.identification.information.triangular import (
     GrowingFactor,
     triangular_factor,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 MOST_BLOCKS = 128
 """Half the number of blocks at which neighbours are merged, which bounds memory."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +16,9 @@ from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.as_built_parameters import known_information
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import format_share, round_significant
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True)

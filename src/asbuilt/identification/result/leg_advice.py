@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.motions.on_legs import leg_motions
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
     LIMITS,
     Advice,
@@ -20,10 +20,7 @@ from asbuilt.identification.result.determination import (
     sample_information,
     weak_parameters,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-    from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.result import IdentificationResult
 
 MOTIONS, NAMES = 2, 4
 """Motions that are advised, and parameters that are named of each."""

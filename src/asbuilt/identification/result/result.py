@@ -28,9 +28,8 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.errors.block_scatter import BlockScatter, ErrorBasis
+from asbuilt.identification.errors.uncertainty import FreeValues
 from asbuilt.identification.information.cause_data import CauseData
-from asbuilt.identification.result.free_values import FreeValues
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.stored_document import (
     AGAIN,
@@ -40,6 +39,7 @@ from asbuilt.identification.result.stored_document import (
 )
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
+    TorqueMetrics,
     expand_parameters,
     predict_torque,
 )

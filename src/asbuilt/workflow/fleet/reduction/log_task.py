@@ -22,8 +22,7 @@ from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.information.columns_beside import ColumnsBeside
-from asbuilt.identification.information.rows import LONGEST_BLOCK
+from asbuilt.identification.information.rows import LONGEST_BLOCK, ColumnsBeside
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
