@@ -15,7 +15,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix
-from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
@@ -262,7 +262,7 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
     alike = information.stacked() @ np.append(-beta, 1.0)
     assert alike @ alike == pytest.approx(energies.sum(), rel=1e-11)
     parts = [
-        information.block_stacked(b, weights) @ np.append(-beta, 1.0)
+        information.stacked(weights, b) @ np.append(-beta, 1.0)
         for b in range(information.n_blocks)
     ]
     assert sum(part @ part for part in parts) == pytest.approx(weights**2 @ energies, rel=1e-11)
@@ -377,29 +377,6 @@ def test_a_long_stream_keeps_a_bounded_number_of_blocks_and_all_the_information(
     assert max(lengths) < 4 * np.median(lengths)
     energy = sum((piece.tau**2).sum(axis=0) for piece in pieces)
     assert np.allclose(information.torque_energy, energy, rtol=1e-11)
-
-
-def test_bytes_round_trip_to_the_last_bit(robot):
-    model, base = robot
-    information = accumulate(model, base, recording(model, 400), block_seconds=1.0)
-    again = type(information).from_bytes(base, information.to_bytes())
-    assert again.blocks == information.blocks
-    assert again.joint_names == information.joint_names
-    assert np.array_equal(again.torque_sum, information.torque_sum)
-    for k in range(information.n_joints):
-        assert np.array_equal(again.factors[k], information.factors[k])
-        assert np.array_equal(again.support[k], information.support[k])
-
-
-def test_bytes_of_something_else_are_refused(robot):
-    model, base = robot
-    content = accumulate(model, base, recording(model, 400)).to_bytes()
-    kind = type(accumulate(model, base, recording(model, 400)))
-    for damaged in (b"", b"garbage", content[: len(content) // 2]):
-        with pytest.raises(ResultError, match="cannot be read"):
-            kind.from_bytes(base, damaged)
-    with pytest.raises(ResultError, match="viscous"):
-        kind.from_bytes(find_base_parameters(model), content)
 
 
 def test_values_that_are_not_numbers_are_refused(robot):

@@ -139,7 +139,7 @@ def _step_estimates(
 def _refit_draws(
     information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]
 ) -> list[Array]:
-    blocks = [information.block_stacked(b, weights) for b in range(information.n_blocks)]
+    blocks = [information.stacked(weights, b) for b in range(information.n_blocks)]
     estimates = []
     for times in counts:
         with suppress(AsbuiltError):

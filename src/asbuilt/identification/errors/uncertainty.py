@@ -213,7 +213,7 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
     scores = np.empty((information.n_blocks, root.shape[1]))
     with use_one_blas_thread():
         for b in range(information.n_blocks):
-            factor = information.block_stacked(b, estimate.weights)
+            factor = information.stacked(estimate.weights, b)
             whitened = factor[:, :-1] @ root
             grams[b], scores[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
     return grams, scores

@@ -25,6 +25,7 @@ from asbuilt.identification.information.triangular import (
     GrowingFactor,
     triangular_factor,
 )
+from asbuilt.identification.result.torque_prediction import expand_parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +73,7 @@ def estimate_iv(data: EstimationData) -> Estimate:
     below w remains. Rows are weighted joint by joint. Simulation and estimation alternate to
     convergence.
     """
-    information, base = data.information, data.base
-    start = estimate_wls(data)
+    base, start = data.base, estimate_wls(data)
     estimate, moves, iterations = start, np.inf, 0
     hertz = max(
         RULES.lowest,
@@ -84,34 +84,19 @@ def estimate_iv(data: EstimationData) -> Estimate:
             follow(data.model, base, estimate.beta, samples, hertz) for samples in data.batches
         ]
         renewed = _fit_two_stages(data, start, data.rows_of(simulated))
-        moves = float(
-            np.max(
-                np.abs(renewed.beta - estimate.beta)
-                / np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)
-            )
-        )
+        errors = np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)
+        moves = float(np.max(np.abs(renewed.beta - estimate.beta) / errors))
         estimate, iterations = renewed, iterations + 1
-    determined = estimate.std_errors > 0
-    shift = np.where(
-        determined,
-        np.abs(estimate.beta - start.beta) / np.where(determined, estimate.std_errors, 1.0),
-        0.0,
-    )
+    shift, errors = np.abs(estimate.beta - start.beta), estimate.std_errors
+    shift = np.divide(shift, errors, out=np.zeros_like(shift), where=errors > 0)
     largest = int(np.argmax(shift))
     note = (
         f"Instruments from {iterations} simulations that follow the recorded positions up to"
         f" {hertz:.3g} Hz. The largest change from wls is that of {base.names[largest]},"
         f" {shift[largest]:.2g} textbook standard errors."
     )
-    return estimate.renewed(
-        "iv",
-        estimate.information or information,
-        estimate.solution,
-        sigma=estimate.sigma,
-        own_information=estimate.information,
-        iterations=iterations,
-        converged=moves <= 1.0,
-        notes=(note,),
+    return replace(
+        estimate, method="iv", iterations=iterations, converged=moves <= 1.0, notes=(note,)
     )
 
 
@@ -142,13 +127,11 @@ def follow(
         counts = (step >= lead) & (step < lead + length)
         acceleration = np.zeros_like(state)
         for part in range(substeps if step else 1):
-            target = samples.q[before] + (samples.q[index] - samples.q[before]) * (
-                (part + 1) / substeps
+            target, wanted = (
+                x[before] + (x[index] - x[before]) * ((part + 1) / substeps)
+                for x in (samples.q, samples.qd)
             )
             mass = mass_matrix(model, state, parameters=links) + armature * identity
-            wanted = samples.qd[before] + (samples.qd[index] - samples.qd[before]) * (
-                (part + 1) / substeps
-            )
             force = inertia * (
                 w**2 * (target - state - (h * rate if step else 0.0)) + 2.0 * w * (wanted - rate)
             )
@@ -157,11 +140,8 @@ def follow(
             if step:
                 rate = rate + h * acceleration
                 state = state + h * rate
-        q[index[counts]], qd[index[counts]], qdd[index[counts]] = (
-            state[counts],
-            rate[counts],
-            acceleration[counts],
-        )
+        for own, found in ((q, state), (qd, rate), (qdd, acceleration)):
+            own[index[counts]] = found[counts]
     return replace(samples, q=q, qd=qd, qdd=qdd)
 
 
@@ -169,8 +149,7 @@ def _estimate_inertia(
     model: RobotModel, base: BaseParameters, beta: Array, postures: Array
 ) -> tuple[Array, Array, Array]:
     """Return inertial parameters, armatures and mean joint inertias of the simulated robot."""
-    chi = np.zeros(base.n_standard)
-    chi[base.columns] = beta
+    chi = expand_parameters(base, beta)
     found = dict(zip(base.standard_names, chi, strict=True))
     armature = np.array([found.get(f"Ia{k + 1}", 0.0) for k in range(model.n_joints)])
     for links, rotors in (
@@ -193,27 +172,23 @@ def _split_segments(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return first sample, length and lead-in of each segment, none across a gap."""
     longest = max(1, -(-samples.n_samples // RULES.segments))
-    first, length, lead = [], [], []
-    for start, stop in samples.segments:
-        for a in range(start, stop, longest):
-            first.append(a)
-            length.append(min(longest, stop - a))
-            lead.append(min(a - start, round(RULES.led_in * samples.rate)))
-    return np.array(first), np.array(length), np.array(lead)
+    parts = [
+        (a, min(longest, stop - a), min(a - start, round(RULES.led_in * samples.rate)))
+        for start, stop in samples.segments
+        for a in range(start, stop, longest)
+    ]
+    first, length, lead = np.array(parts).T
+    return first, length, lead
 
 
 def _measure_bandwidth(samples: Samples) -> float:
     """Return the frequency [Hz] below which 95 % of the velocity's power lies (longest segment)."""
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
-    power = np.sum(
-        np.abs(np.fft.rfft(velocity / np.maximum(velocity.std(axis=0), 1e-9), axis=0)) ** 2, axis=1
-    )
-    return float(
-        np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[
-            np.searchsorted(np.cumsum(power), 0.95 * power.sum())
-        ]
-    )
+    scaled = velocity / np.maximum(velocity.std(axis=0), 1e-9)
+    power = np.sum(np.abs(np.fft.rfft(scaled, axis=0)) ** 2, axis=1)
+    place = np.searchsorted(np.cumsum(power), 0.95 * power.sum())
+    return float(np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[place])
 
 
 def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
@@ -225,11 +200,7 @@ def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) ->
         for z, block in zip(instruments, rows, strict=True):
             for k, support in enumerate(rows.support):
                 both = np.zeros((2 * p + 1, block.time.n_samples))
-                both[support], both[p + support], both[-1] = (
-                    z.rows[k][:-1],
-                    block.rows[k][:-1],
-                    block.rows[k][-1],
-                )
+                both[support], both[np.append(p + support, -1)] = z.rows[k][:-1], block.rows[k]
                 growing.append(weights[k] * both)
         factor = growing.factor()
         zz, zw = factor[:p, :p], factor[:p, p:]

@@ -80,11 +80,7 @@ class RecursiveIdentification:
                 "the strength of the prior must be a number of samples and not negative, got"
                 f" {prior_strength}"
             )
-        toward = (
-            np.zeros(p)
-            if prior is None
-            else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
-        )
+        toward = np.nan_to_num(np.zeros(p) if prior is None else np.array(prior, float), nan=0.0)
         if toward.shape != (p,):
             raise UsageError(
                 f"the prior of {base.robot} needs {p} base parameters, got shape {toward.shape}"
@@ -98,8 +94,7 @@ class RecursiveIdentification:
     @property
     def factor(self) -> Array:
         """The triangular factor (p + 1, p + 1) of the weighted, forgotten stack."""
-        p = self.base.n_base
-        return np.triu(self._rows[: p + 1])
+        return np.triu(self._rows[: self.base.n_base + 1])
 
     def update(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, tau: ArrayLike

@@ -15,7 +15,7 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import Weighted
+from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 from asbuilt.identification.information.held_out import divide_into_folds
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
@@ -41,19 +41,17 @@ def estimate_ridge(data: EstimationData) -> Estimate:
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
-    prior = data.prior_values
     drives = with_drive_scale(build_cad_prior(data.model, base.drive), information)
 
-    def weighted_rows(part: SquareRootInformation) -> Weighted:
+    def fit(part: SquareRootInformation, ridge: float) -> FactorSolution:
         factor = with_drive_rows(part.stacked(start.weights), base, drives)
-        return Weighted.factored(factor, part.n_rows, prior)
+        return solve_factor(factor, part.n_rows, data.prior_values, ridge)
 
     errors = np.zeros(len(RIDGES))
     with use_one_blas_thread():
         for training, held in divide_into_folds(information):
-            weighted, test = weighted_rows(training), held.stacked(start.weights)
             for i, ridge in enumerate(RIDGES):
-                error = test @ np.append(-weighted.solve(ridge).x, 1.0)
+                error = held.stacked(start.weights) @ np.append(-fit(training, ridge).x, 1.0)
                 errors[i] += error @ error
         chosen = float(RIDGES[int(np.argmin(errors))]) if errors.any() else 0.0
         note = f"Ridge weight {chosen:.3g} of the squared column length, chosen on held-out blocks"
@@ -63,6 +61,6 @@ def estimate_ridge(data: EstimationData) -> Estimate:
         return start.renewed(
             "ridge",
             information,
-            replace(weighted_rows(information).solve(chosen), rank=start.rank),
+            replace(fit(information, chosen), rank=start.rank),
             notes=(f"{note}.",),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -143,15 +143,9 @@ def reweight(
         while not converged and iterations < ROBUST.most_iterations:
             residuals = _evaluate_residuals(parts(), support, beta)
             if scale is None and iterations < ROBUST.scale_iterations:
-                sigma = np.array(
-                    [
-                        max(
-                            ROBUST.mad_to_sigma * float(np.median(np.abs(_drop_uncounted(e)))),
-                            floor,
-                        )
-                        for e in residuals
-                    ]
-                ) + np.where(information.has_torque, 0.0, np.inf)
+                medians = np.array([np.median(np.abs(_drop_uncounted(e))) for e in residuals])
+                sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
+                sigma[~information.has_torque] = np.inf
             gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
             sums = [np.zeros((own.size, own.size + 1)) for own in support]
             for b, rows in enumerate(parts()):
@@ -188,14 +182,8 @@ def _fit_robust(
                 made = []
                 for k, columns in enumerate(block.rows):
                     e = residuals[k][b]
-                    made.append(
-                        np.vstack(
-                            [
-                                columns[:-1],
-                                columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k],
-                            ]
-                        )
-                    )
+                    torque = columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]
+                    made.append(np.vstack([columns[:-1], torque]))
                 yield RowBlock(tuple(made), block.time, block.seconds)
 
         solved = reduce_rows(data.base, information.joint_names, rows.support, pseudo())
@@ -211,14 +199,13 @@ def _fit_robust(
         if outlying.any()
         else f"No torque is beyond {ROBUST.outlying:g} robust standard deviations."
     )
-    return fitted.renewed(
-        name,
-        solved,
-        fitted.solution,
+    return replace(
+        fitted,
+        method=name,
         sigma=sigma,
         iterations=reached.iterations,
         converged=reached.converged,
-        own_information=solved,
+        information=solved,
         notes=(note,),
     )
 

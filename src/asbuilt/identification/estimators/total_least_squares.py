@@ -41,16 +41,15 @@ def estimate_total(data: EstimationData) -> Estimate:
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
-    prior = data.prior_values
     with use_one_blas_thread():
         factor = information.stacked(start.weights)
-        length = np.linalg.norm(factor[:, :-1], axis=0)
-        scale = np.where(length > 0, length, 1.0)
+        scale = np.linalg.norm(factor[:, :-1], axis=0)
+        scale[scale == 0.0] = 1.0
         exact = np.array([name.rstrip("0123456789") in EXACT_TERMS for name in base.names])
         order = np.concatenate([np.flatnonzero(exact), np.flatnonzero(~exact)])
         first = int(exact.sum())
         size = float(np.linalg.norm(factor[:, -1])) or 1.0
-        toward = prior[order] * scale[order] / size
+        toward = data.prior_values[order] * scale[order] / size
         r = triangular_factor(
             np.column_stack([factor[:, order] / scale[order], factor[:, -1] / size])
         )
@@ -60,12 +59,8 @@ def estimate_total(data: EstimationData) -> Estimate:
         u, s, v = u[:, kept], s[kept], vt[kept].T
         z = u.T @ r[first:-1, -1]
         left = np.hypot(np.linalg.norm(r[first:-1, -1] - u @ z), r[-1, -1])
-        smallest = float(
-            np.linalg.svd(
-                np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)]),
-                compute_uv=False,
-            )[-1]
-        )
+        both = np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)])
+        smallest = float(np.linalg.svd(both, compute_uv=False)[-1])
         # Ratio of the smallest singular values with and without torque above which no solution is
         # given. At 1 the problem has no solution (Golub & Van Loan, 1980).
         if len(s) and smallest > 0.9 * s[-1]:

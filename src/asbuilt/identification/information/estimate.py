@@ -96,10 +96,7 @@ class Estimate:
         *,
         beta: Array | None = None,
         inverse_root: Array | None = None,
-        sigma: Array | None = None,
         own_information: SquareRootInformation | None = None,
-        iterations: int | None = None,
-        converged: bool | None = None,
         notes: tuple[str, ...] = (),
         dropped: Mask | None = None,
     ) -> Estimate:
@@ -113,14 +110,8 @@ class Estimate:
             method=method,
             beta=found,
             covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
-            sigma=(
-                residual_deviation(information, found, solution.inverse_root, self.weights)
-                if sigma is None
-                else sigma
-            ),
+            sigma=residual_deviation(information, found, solution.inverse_root, self.weights),
             solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
-            iterations=self.iterations if iterations is None else iterations,
-            converged=self.converged if converged is None else converged,
             information=own_information,
             notes=notes,
             dropped=dropped,

@@ -41,20 +41,9 @@ def build_random_motion_rows(
 
 def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
     """Return positions (N, n) that are uniform within the limits."""
-    limits = [joint.limits for joint in model.joints]
-    reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
-    low = np.array(
-        [
-            limit.lower if np.isfinite(limit.lower) else -far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
-    high = np.array(
-        [
-            limit.upper if np.isfinite(limit.upper) else far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
+    limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in model.joints]).T
+    far = np.array([np.pi if joint.is_revolute else 1.0 for joint in model.joints])
+    low, high = np.where(np.isfinite(limits), limits, [-far, far])
     return np.asarray(rng.uniform(low, high, (RANDOM_STATES, model.n_joints)))
 
 

@@ -19,7 +19,6 @@ from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.information.triangular import ROWS_AT_ONCE, GrowingFactor
 
 
 @dataclass(slots=True, eq=False)
@@ -125,13 +124,16 @@ class SampleBlock:
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
         span = slice(self.start + self.first * step, self.start + (self.last - 1) * step + width)
-        rows, speed = values(span).T, samples.qd[span].T
-        if parallel:
-            rows = parallel.apply(np.ascontiguousarray(rows))
+        rows = self._filter(values(span))
         if samples.slowest:
-            speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)
-            rows = np.where(speed < np.array(samples.slowest)[:, None], 0.0, rows)
+            slow = np.abs(self._filter(samples.qd[span])) < np.array(samples.slowest)[:, None]
+            rows = np.where(slow, 0.0, rows)
         return rows
+
+    def _filter(self, values: Array) -> Array:
+        """Return filtered values (n, n_outputs) of those of consecutive samples (m, n)."""
+        parallel = self.samples.parallel
+        return parallel.apply(np.ascontiguousarray(values.T)) if parallel else values.T
 
     def chunks(
         self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
@@ -168,8 +170,7 @@ class SampleBlock:
                 parallel.apply(buffer[:, : span.stop - span.start], out=output[:, : last - first])
                 filtered = plan.joint_rows(output, last - first)
             if samples.slowest:
-                speed = samples.qd[span].T
-                speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)
+                speed = np.abs(self._filter(samples.qd[span]))
                 for columns, own, slowest in zip(filtered, speed, samples.slowest, strict=True):
                     columns[:, own < slowest] = 0.0
             yield filtered
@@ -190,53 +191,15 @@ def divide_into_blocks(
                 " model=..., which matches joints by name"
             )
         rate = samples.parallel.output_rate if samples.parallel else samples.rate
-        runs = [
-            (
-                start,
-                stop,
-                samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start,
-            )
-            for start, stop in samples.segments
-        ]
-        seconds = block_seconds
-        if seconds is None:
-            seconds = float(
-                np.clip(
-                    sum(n for _, _, n in runs) / rate / ROWS.usual_blocks,
-                    ROWS.shortest_block,
-                    LONGEST_BLOCK,
-                )
-            )
-        for start, stop, n in runs:
+        usual = samples.n_filtered / rate / ROWS.usual_blocks
+        seconds = block_seconds or float(np.clip(usual, ROWS.shortest_block, LONGEST_BLOCK))
+        for start, stop in samples.segments:
+            n = samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start
             if n < 1:
                 continue
             edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
             for first, last in pairwise(edges.tolist()):
                 yield SampleBlock(samples, start, stop, first, last, seconds)
-
-
-class JointFactors:
-    """Reduce rows, and further columns, to one factor of each joint for all time blocks."""
-
-    def __init__(self, plan: RegressorPlan) -> None:
-        self._plan = plan
-        self._growing = [
-            GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support
-        ]
-        self.n_samples = 0
-
-    def add(
-        self, part: SampleBlock, beside: Callable[[slice], Sequence[Array]] | None = None
-    ) -> None:
-        """Add the rows of a time block, with `beside` as in `SampleBlock.chunks`."""
-        self.n_samples += part.n_outputs
-        for chunk in part.chunks(self._plan, beside):
-            for growing, rows in zip(self._growing, chunk, strict=True):
-                growing.append(rows)
-
-    def factors(self) -> tuple[Array, ...]:
-        """Return the factor of each joint's rows so far."""
-        return tuple(growing.factor() for growing in self._growing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,14 +245,17 @@ class Rows:
         own = tuple(self._samples)
         if self._held is None or self._less or not all(map(_same_motion, own, samples)):
             return False
-        parts = divide_into_blocks(self._plan.model, samples, self._block_seconds)
-        for part, block in zip(islice(parts, 0, None, self._every), self._held, strict=True):
-            for rows, torque in zip(
-                block.rows, part.filtered(part.samples.tau.__getitem__), strict=True
-            ):
+        for part, block in zip(self._divide(samples), self._held, strict=True):
+            torques = part.filtered(part.samples.tau.__getitem__)
+            for rows, torque in zip(block.rows, torques, strict=True):
                 rows[-1] = torque
         self._samples, self._parts = samples, None
         return True
+
+    def _divide(self, samples: Iterable[Samples]) -> Iterator[SampleBlock]:
+        """Return the time blocks that are used."""
+        blocks = divide_into_blocks(self._plan.model, samples, self._block_seconds)
+        return islice(blocks, 0, None, self._every)
 
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
@@ -307,14 +273,8 @@ class Rows:
         if self._held is not None:
             yield from self._held
             return
-        kept: list[RowBlock] | None = []
-        size = 0
-        for part in islice(
-            divide_into_blocks(self._plan.model, self._samples, self._block_seconds),
-            0,
-            None,
-            self._every,
-        ):
+        kept, size = list[RowBlock](), 0
+        for part in self._divide(self._samples):
             chunks = [tuple(rows.copy() for rows in chunk) for chunk in part.chunks(self._plan)]
             block = RowBlock(
                 tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
@@ -323,13 +283,10 @@ class Rows:
             )
             for rows, x in zip(block.rows, self._less, strict=False):
                 rows[-1] -= x @ rows[:-1]
-            if kept is not None:
-                size += sum(rows.nbytes for rows in block.rows)
-                kept.append(block)
-                if size > ROWS.most_held:
-                    kept = None
+            size += sum(rows.nbytes for rows in block.rows)
+            kept = [*kept, block] if size <= ROWS.most_held else []
             yield block
-        self._held = kept
+        self._held = kept if size <= ROWS.most_held else None
 
 
 def _same_motion(one: Samples, other: Samples) -> bool:

@@ -15,8 +15,13 @@ ROWS_AT_ONCE = 1024
 
 def triangular_factor(rows: Array) -> Array:
     """Return the upper triangular R (p, p), diagonal >= 0, with `R^T R = rows^T rows`."""
-    growing = GrowingFactor(rows.shape[1], len(rows))
-    growing.append(np.ascontiguousarray(rows.T))
+    return reduce_columns(np.ascontiguousarray(rows.T), len(rows))
+
+
+def reduce_columns(columns: Array, capacity: int = ROWS_AT_ONCE) -> Array:
+    """Return the factor of rows given as columns (p, m), at most `capacity` at a time."""
+    growing = GrowingFactor(len(columns), min(capacity, columns.shape[1]))
+    growing.append(columns)
     return growing.factor()
 
 
