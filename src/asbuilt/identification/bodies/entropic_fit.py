@@ -110,7 +110,7 @@ class EntropicProblem:
 
     D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi`
     stays what it is at the start, exactly. Bounds enter with a logarithmic barrier. The variables
-    are the same as in `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`.
+    are the same as in `ConicProblem`, `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`.
     Newton's method on a self-concordant function with a line search; the Hessian of a link is taken
     as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the link and its dual `Z -> weight Q^-1`; so is
     the Hessian of a bound, to anticipate boundaries far from the start (Nesterov & Todd, SIAM J.

@@ -14,7 +14,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds, bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior
-from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
+from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.entropic_fit import (
     BARRIER,
     Coordinates,
@@ -99,9 +99,7 @@ def _find_inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     nothing = np.zeros((p + 1, p + 1))
     for part in START_PARTS:
         with suppress(IdentifiabilityError):
-            return fit_consistent_bodies(
-                prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=part
-            ).chi
+            return ConicProblem(prior, np.eye(p), tighter, smallest_part=part).fit(nothing, 1.0)
     raise IdentifiabilityError(
         f"the bounds on masses, centres of mass and drives of {prior.robot} are infeasible",
         cure=Cure("widen the bounds"),

@@ -25,7 +25,7 @@ from asbuilt.identification.bodies.body_bounds import (
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.bodies.conic_fit import (
     SMALLEST_PART,
-    fit_consistent_bodies,
+    ConicProblem,
     scale_near_one,
     solve_cone_program,
 )
@@ -222,7 +222,7 @@ def find_standard_parameters(
         consistent = exact or nearest
         if not exact and nearest:
             factor = _factor_distance(asked, motion, information)
-            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=passive).chi
+            chi = ConicProblem(cad, base.regrouping, passive).fit(factor)
             least = (
                 RULES.least_share * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             )

@@ -293,11 +293,11 @@ def _fit_candidates(
             partial(np.matmul, rough[weight][:-1], K.T),
             partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
         )
-    conic = ConicProblem.of(prior, K, bound_generously(prior))
+    conic = ConicProblem(prior, K, bound_generously(prior))
     candidates.add(
         "consistent",
         WEAKEST_BELIEF,
-        lambda: np.array([K @ conic.fit(each.stacked(of_joints)).chi for each in trainings()]),
+        lambda: np.array([K @ conic.fit(each.stacked(of_joints)) for each in trainings()]),
         lambda: consistent,
     )
     candidates.add(

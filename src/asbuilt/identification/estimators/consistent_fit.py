@@ -129,10 +129,10 @@ def fit_consistent(
     """
     limits = bound_generously(prior) if bounds is None else bounds
     with use_one_blas_thread():
-        problem = ConicProblem.of(prior, information.base.regrouping, limits)
+        problem = ConicProblem(prior, information.base.regrouping, limits)
         w, rounds = _fit_joint_weights(information, problem, weights)
-        fit = problem.fit(information.stacked(w))
-        near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
+        chi = problem.fit(information.stacked(w))
+        near = np.flatnonzero(limits.slack(chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
         active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
         note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
         return _estimate(
@@ -140,11 +140,11 @@ def fit_consistent(
             information,
             prior,
             w,
-            fit.chi,
+            chi,
             TINY_WEIGHT,
             rounds,
             (f"{note}{active}",),
-            lambda factor: problem.fit(factor).chi,
+            problem.fit,
         )
 
 
@@ -176,7 +176,7 @@ def fit_toward_cad(
     )
 
     with use_one_blas_thread():
-        conic = ConicProblem.of(prior, base.regrouping, limits)
+        conic = ConicProblem(prior, base.regrouping, limits)
         w, rounds = _fit_joint_weights(information, conic, weights)
         path = EntropicPath.of(prior, Coordinates.of(base), limits)
 
@@ -184,14 +184,12 @@ def fit_toward_cad(
             return (
                 path.roughly(factors, weight)
                 if metric == "entropic"
-                else np.array([conic.fit(factor, weight, rough=True).chi for factor in factors])
+                else np.array([conic.fit(factor, weight, rough=True) for factor in factors])
             )
 
         def exactly(factor: Array) -> Array:
             return (
-                path.exactly(factor, chosen)
-                if metric == "entropic"
-                else conic.fit(factor, chosen).chi
+                path.exactly(factor, chosen) if metric == "entropic" else conic.fit(factor, chosen)
             )
 
         if weight is None:
@@ -241,7 +239,7 @@ def _fit_joint_weights(
         quietest,
     )
     for _ in range(REWEIGHTINGS):
-        chi = problem.fit(information.stacked(w)).chi
+        chi = problem.fit(information.stacked(w))
         w = 1.0 / np.maximum(
             np.sqrt(
                 information.residual_energy(information.base.regrouping @ chi)
