@@ -114,9 +114,11 @@ class CadPrior:
         if not self.drive_scale.size:
             stated = np.abs(self.parameters[10 * self.n_links :])
             object.__setattr__(self, "drive_scale", np.where(stated > 0, stated, 1.0))
-        for values in (self.parameters, self.strength, self.reach, self.non_negative):
+        for values in (
+            *(self.parameters, self.strength, self.reach),
+            *(self.non_negative, self.drive_scale),
+        ):
             values.setflags(write=False)
-        self.drive_scale.setflags(write=False)
 
     @property
     def n_links(self) -> int:
@@ -130,8 +132,13 @@ class CadPrior:
 
     @property
     def metric(self) -> Array:
-        """Hessian of the divergence at CAD with the strength of each link, shape (n, 10, 10)."""
-        return body_metric(self.parameters[: 10 * self.n_links], self.strength)
+        """Hessian of the divergence at CAD with the strength of each link, shape (n, 10, 10).
+
+        `strength_i tr(P_i^-1 B_a P_i^-1 B_b)`, B_a the pseudo-inertias of unit parameters (Lee &
+        Park, IEEE RA-L 3, 2018).
+        """
+        root = body_metric_root(self.parameters[: 10 * self.n_links], self.strength)
+        return np.asarray(root.transpose(0, 2, 1) @ root)
 
     def divergence(self, parameters: Array) -> Array:
         """Return `tr(P0^-1 P) - log det(P0^-1 P) - 4` of every link, shape (n,).
@@ -167,16 +174,6 @@ class CadPrior:
             found[links] - self.parameters[links]
         )
         return found
-
-
-def body_metric(parameters: Array, strength: Array) -> Array:
-    """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10).
-
-    The Hessian of -log det; B_a are the pseudo-inertias of unit parameters (Lee & Park, IEEE RA-L
-    3, 2018).
-    """
-    root = body_metric_root(parameters, strength)
-    return np.asarray(root.transpose(0, 2, 1) @ root)
 
 
 def body_metric_root(parameters: Array, strength: Array) -> Array:

@@ -21,37 +21,33 @@ from asbuilt.identification.bodies.entropic_fit import (
     EntropicFits,
     EntropicProblem,
 )
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import factor_distance
 
 DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
+TO_THE_DATA: tuple[float, ...] = (*DESCENT, 1e-2, 1e-3, 1e-4)
+"""Weights on the way to where the data alone decide."""
 START_PARTS = (1e-2, 1e-3, 1e-4)
 """Least pseudo-inertias of the start relative to CAD; later ones for masses far below CAD."""
 
 
 class EntropicPath:
-    """Fits from the strongest weight to weaker ones, each from the one before."""
+    """Fits from the strongest weight to weaker ones, each from the one before.
 
-    def __init__(self, problem: EntropicProblem, start: Array) -> None:
-        self._problem, self._start = problem, start
+    The path begins at CAD, or next to it within the bounds.
+    """
+
+    def __init__(self, prior: CadPrior, base: BaseParameters, bounds: BodyBounds) -> None:
+        self._problem = EntropicProblem(prior, Coordinates.of(base), bounds)
+        self._start = _find_inside(prior, bounds)
         self._reached: dict[float, EntropicFits] = {}
-
-    @classmethod
-    def of(cls, prior: CadPrior, coordinates: Coordinates, bounds: BodyBounds) -> EntropicPath:
-        """Return the path of a robot, which begins at CAD or next to it within the bounds."""
-        return cls(EntropicProblem(prior, coordinates, bounds), _find_inside(prior, bounds))
 
     def descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
-        wanted = set(weights)
-        fits = {}
-        for weight in sorted(wanted | set(DESCENT), reverse=True):
-            if weight < min(wanted):
-                break
-            try:
+        wanted, fits = set(weights), dict[float, Array]()
+        for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
+            with suppress(IdentifiabilityError):
                 fits[weight] = self.roughly(factors, weight)
-            except IdentifiabilityError:
-                continue
         return {weight: fit for weight, fit in fits.items() if weight in wanted}
 
     def roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
@@ -81,7 +77,7 @@ class EntropicPath:
                     self.roughly(factor[None], each)
             self.roughly(factor[None], weight)
         return np.asarray(
-            self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0]
+            self._problem.fit(factor[None], weight, self._reached[weight].last).chi[0]
         )
 
 
@@ -113,8 +109,6 @@ def _measure_widths(bounds: BodyBounds) -> Array:
     return np.asarray(np.min(np.where(opposite, width, np.inf), axis=1, initial=np.inf))
 
 
-WEAKEST = 1e-4
-"""Weight of CAD below which no parameters are within the uncertainty."""
 CLOSE = 0.01
 """Relative distance of the chi-square from its limit at which the search for the weight ends."""
 MOST_HALVINGS = 20
@@ -145,35 +139,29 @@ def find_plausible_parameters(
     tuple or None
         Standard parameters (n_standard,) and their chi-square; None if none are found.
     """
-    p = len(beta)
-    rows = np.column_stack([information_root, information_root @ beta])
-    factor = triangular_factor(np.vstack([rows, np.zeros((1, p + 1))]))
+    factor = factor_distance(information_root, beta)
 
-    def chi_square(chi: Array) -> float:
-        return float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
+    def fit(weight: float) -> tuple[Array, float]:
+        (chi,) = path.unbarred(factor[None], weight)
+        return chi, float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
 
-    with use_one_blas_thread():
-        try:
-            path = EntropicPath.of(cad, Coordinates.of(base), bound_generously(cad))
-            above, weight, found = np.inf, DESCENT[0], None
-            while weight >= WEAKEST:
-                (chi,) = path.unbarred(factor[None], weight)
-                if chi_square(chi) <= limit:
-                    found = chi
-                    break
-                above, weight = weight, weight / 10.0
-            if found is None:
-                return None
-            below = weight
-            for _ in range(MOST_HALVINGS if np.isfinite(above) else 0):
-                if chi_square(found) >= (1.0 - CLOSE) * limit:
-                    break
-                weight = float(np.sqrt(above * below))
-                (chi,) = path.unbarred(factor[None], weight)
-                if chi_square(chi) <= limit:
-                    below, found = weight, chi
-                else:
-                    above = weight
-        except IdentifiabilityError:
+    with use_one_blas_thread(), suppress(IdentifiabilityError):
+        path, above = EntropicPath(cad, base, bound_generously(cad)), np.inf
+        for weight in TO_THE_DATA:
+            below, found = weight, fit(weight)
+            if found[1] <= limit:
+                break
+            above = weight
+        else:
             return None
-    return found, chi_square(found)
+        for _ in range(MOST_HALVINGS if np.isfinite(above) else 0):
+            if found[1] >= (1.0 - CLOSE) * limit:
+                break
+            weight = float(np.sqrt(above * below))
+            tried = fit(weight)
+            if tried[1] <= limit:
+                below, found = weight, tried
+            else:
+                above = weight
+        return found
+    return None

@@ -32,7 +32,7 @@ from asbuilt.identification.bodies.conic_fit import (
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
 from asbuilt.identification.information.random_motion import build_random_motion_rows
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import factor_distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,16 +221,20 @@ def find_standard_parameters(
         exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
         consistent = exact or nearest
         if not exact and nearest:
-            factor = _factor_distance(asked, motion, information)
-            chi = ConicProblem(cad, base.regrouping, passive).fit(factor)
-            least = (
-                RULES.least_share * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
-            )
+            distance = factor_distance(_find_root(asked, motion, information), asked)
+            chi = ConicProblem(cad, base.regrouping, passive).fit(distance)
+            scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
+            least = RULES.least_share * scale * moving
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         plausible = None
-        if exact and uncertainty_root is not None and not np.any(alone < 0.0):
-            plausible = _fit_within_uncertainty(cad, base, asked, uncertainty_root)
+        # A beta that is sharper than rounding is kept exactly, as in simulations.
+        if (
+            (exact and uncertainty_root is not None and not np.any(alone < 0.0))
+            and len(uncertainty_root)
+            and np.linalg.norm(uncertainty_root @ asked) <= RULES.sharpest
+        ):
+            plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
         chi = (
             plausible[0]
             if plausible is not None
@@ -254,17 +258,8 @@ def find_standard_parameters(
         nearest_in="random motion" if information is None else "the data used",
         notes=cad.notes,
         chi_square=0.0 if plausible is None else plausible[1],
-        limit=0.0 if plausible is None or uncertainty_root is None else LIMIT,
+        limit=0.0 if plausible is None else LIMIT,
     )
-
-
-def _fit_within_uncertainty(
-    cad: CadPrior, base: BaseParameters, beta: Array, root: Array
-) -> tuple[Array, float] | None:
-    """Return parameters within the uncertainty, or None if that is as good as none."""
-    if not len(root) or np.linalg.norm(root @ beta) > RULES.sharpest:
-        return None
-    return find_plausible_parameters(cad, base, beta, root, LIMIT)
 
 
 def find_deepest_inside(
@@ -329,20 +324,15 @@ def _find_closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array
     return np.asarray(coordinates.kept @ beta + coordinates.dependent @ d)
 
 
-def _factor_distance(beta: Array, motion: Array, information: ArrayLike | None) -> Array:
-    """Return the triangular factor [R R beta] (p + 1, p + 1) of the distance from beta."""
-    p = len(beta)
+def _find_root(beta: Array, motion: Array, information: ArrayLike | None) -> Array:
+    """Return the root R (r, p) of the distance from beta."""
     if information is None:
         torque = float(np.sqrt(np.mean((motion @ beta) ** 2)))
-        root = motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
-    else:
-        A = np.asarray(information, dtype=np.float64)
-        size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
-        eigenvalues, axes = np.linalg.eigh(A / np.outer(size, size))
-        root = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * axes.T * size
-    return triangular_factor(
-        np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))])
-    )
+        return motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
+    A = np.asarray(information, dtype=np.float64)
+    size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
+    eigenvalues, axes = np.linalg.eigh(A / np.outer(size, size))
+    return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * axes.T * size)
 
 
 def _measure_joint_rms(torque: Array, n_joints: int) -> Array:

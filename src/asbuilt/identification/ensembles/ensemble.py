@@ -17,10 +17,9 @@ from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.bodies.entropic_fit import Coordinates
-from asbuilt.identification.bodies.entropic_path import DESCENT, WEAKEST, EntropicPath
+from asbuilt.identification.bodies.entropic_path import TO_THE_DATA, EntropicPath
 from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_degrees, widening
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     find_determined_directions,
@@ -88,14 +87,11 @@ def _fit_draws(
     cad: CadPrior, base: BaseParameters, information_root: Array, drawn: Array
 ) -> tuple[Array, Array]:
     """Return the consistent parameters next to the draws of a part, and their chi-squares."""
-    factors = np.stack([_build_factor(information_root, beta) for beta in drawn])
-    weights = [*DESCENT]
-    while weights[-1] > WEAKEST * 1.5:
-        weights.append(weights[-1] / 10.0)
+    factors = np.stack([factor_distance(information_root, beta) for beta in drawn])
     fits, distances = list[Array](), list[Array]()
     with use_one_blas_thread():
-        path = EntropicPath.of(cad, Coordinates.of(base), bound_generously(cad))
-        for weight in weights:
+        path = EntropicPath(cad, base, bound_generously(cad))
+        for weight in TO_THE_DATA:
             try:
                 chi = path.unbarred(factors, weight)
             except IdentifiabilityError:
@@ -114,12 +110,6 @@ def _fit_draws(
     first = np.argmax(distance <= nearest + FAITHFUL * np.maximum(nearest, 1.0), axis=0)
     every = np.arange(len(drawn))
     return np.stack(fits)[first, every], distance[first, every] ** 2
-
-
-def _build_factor(root: Array, beta: Array) -> Array:
-    """Return the triangular factor of [R | R beta], shape (p + 1, p + 1)."""
-    rows = np.column_stack([root, root @ beta])
-    return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,6 @@ from asbuilt.identification.bodies.consistency import (
     margin_is_consistent,
     non_passive_drives,
 )
-from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
@@ -272,7 +271,7 @@ def _fit_candidates(
             yield each
 
     if weights:
-        path = EntropicPath.of(prior, Coordinates.of(information.base), bound_with_certainty(prior))
+        path = EntropicPath(prior, information.base, bound_with_certainty(prior))
         factors = np.array(
             [each.stacked(of_joints) for each in (*(t for t, _ in parts), information)]
         )

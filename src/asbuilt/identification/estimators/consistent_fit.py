@@ -178,7 +178,7 @@ def fit_toward_cad(
     with use_one_blas_thread():
         conic = ConicProblem(prior, base.regrouping, limits)
         w, rounds = _fit_joint_weights(information, conic, weights)
-        path = EntropicPath.of(prior, Coordinates.of(base), limits)
+        path = EntropicPath(prior, base, limits)
 
         def roughly(factors: Array, weight: float) -> Array:
             return (

@@ -18,6 +18,12 @@ def triangular_factor(rows: Array) -> Array:
     return reduce_columns(np.ascontiguousarray(rows.T), len(rows))
 
 
+def factor_distance(root: Array, beta: Array) -> Array:
+    """Return the factor (p + 1, p + 1) of the distance `|R (x - beta)|^2` with the root R."""
+    rows = np.column_stack([root, root @ beta])
+    return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
+
+
 def reduce_columns(columns: Array, capacity: int = ROWS_AT_ONCE) -> Array:
     """Return the factor of rows given as columns (p, m), at most `capacity` at a time."""
     growing = GrowingFactor(len(columns), min(capacity, columns.shape[1]))
