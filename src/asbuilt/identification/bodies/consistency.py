@@ -93,6 +93,15 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     return float(solution.x[-1])
 
 
+def decide_consistency(base: BaseParameters, beta: ArrayLike) -> tuple[float | None, bool | None]:
+    """Return the margin and whether links are consistent, None where the solver cannot decide."""
+    try:
+        margin = consistency_margin(base, beta)
+    except IdentifiabilityError:
+        return None, None
+    return margin, margin_is_consistent(margin, beta)
+
+
 def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
     """Return whether a margin is non-negative up to the solver's rounding."""
     scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))

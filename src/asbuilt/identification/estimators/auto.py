@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
@@ -22,8 +23,7 @@ from asbuilt.identification.bodies.cad_prior import (
 )
 from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.consistency import (
-    consistency_margin,
-    margin_is_consistent,
+    decide_consistency,
     non_passive_drives,
 )
 from asbuilt.identification.bodies.entropic_path import EntropicPath
@@ -127,16 +127,15 @@ def estimate_auto(data: EstimationData) -> Estimate:
     else:
         estimate, why, notes = _choose_closest_to_cad(data, estimate)
         reasons.append(why)
-    said = (f"Chosen automatically: {'; '.join(reasons)}.", *notes)
-    return replace(estimate, notes=(*said, *estimate.notes))
+    choice = f"Chosen automatically: {'; '.join(reasons)}."
+    return replace(estimate, notes=(choice, *notes, *estimate.notes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Hold candidates, the fit of each to all blocks, and the names of those that failed."""
+    """Hold candidates, and the names of those that failed."""
 
     known: list[Candidate] = field(default_factory=list)
-    fits: list[Callable[[], Estimate]] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
 
     def add(
@@ -149,11 +148,16 @@ class _Candidates:
     ) -> None:
         """Add a candidate, or its name to those that failed."""
         try:
-            self.known.append(Candidate(name, weight, held_out(), certain))
+            self.known.append(Candidate(name, weight, held_out(), certain, fit))
         except AsbuiltError:
             self.failed.append(name)
-        else:
-            self.fits.append(fit)
+
+    @property
+    def note(self) -> tuple[str, ...]:
+        """A note that names the candidates that did not converge."""
+        if not self.failed:
+            return ()
+        return (f"Left out, since the fit did not converge: {', '.join(self.failed)}",)
 
 
 def _choose_closest_to_cad(
@@ -172,10 +176,8 @@ def _choose_closest_to_cad(
         masses = data.model.has_masses
         weights = [effect * each for each in RULES.beliefs] if masses else []
         groups = group_different_motions(information, consistent.weights)
-        parts = [
-            (used.together(), held.together())
-            for used, held in divide_into_folds(information, groups)
-        ]
+        folds = divide_into_folds(information, groups)
+        parts = [(used.together(), held.together()) for used, held in folds]
         if len(parts) < RULES.fewest_folds:
             return _fit_usual_weight(information, prior, free, consistent, masses)
         candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
@@ -205,16 +207,9 @@ def _with_drive_prior(
 ) -> Estimate:
     """Return least squares with the prior of drive parameters, alike where they are determined."""
     solved = _with_drive_rows(information, free.weights, prior)
-    of_data = replace(
-        solved,
-        rank=free.rank,
-        open_directions=free.solution.open_directions,
-        singular_values=free.solution.singular_values,
-        condition_number=free.solution.condition_number,
-        scaled_condition_number=free.solution.scaled_condition_number,
-    )
+    solution = replace(free.solution, x=solved.x, inverse_root=solved.inverse_root)
     return free.renewed(
-        free.method, information, of_data, own_information=free.information, notes=free.notes
+        free.method, information, solution, own_information=free.information, notes=free.notes
     )
 
 
@@ -238,8 +233,7 @@ def design_effect(information: SquareRootInformation, estimate: Estimate) -> flo
     if information.n_blocks < FEWEST_BLOCKS:
         return RULES.design_effect
     found = estimate_block_uncertainty(information, estimate)
-    effective = found.effective_samples * found.shared
-    return max(1.0, information.n_samples / max(effective, 1.0))
+    return max(1.0, information.n_samples / max(found.effective_samples * found.shared, 1.0))
 
 
 def prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
@@ -283,15 +277,11 @@ def _fit_candidates(
         )
     for weight in weights:
         name = f"entropic (weight {weight:.3g})"
-        if weight not in rough:
+        fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
+        if weight in rough:
+            candidates.known.append(Candidate(name, weight, rough[weight][:-1] @ K.T, fit=fit))
+        else:
             candidates.failed.append(name)
-            continue
-        candidates.add(
-            name,
-            weight,
-            partial(np.matmul, rough[weight][:-1], K.T),
-            partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
-        )
     conic = ConicProblem(prior, K, bound_generously(prior))
     candidates.add(
         "consistent",
@@ -304,7 +294,7 @@ def _fit_candidates(
         0.0,
         lambda: np.array([_with_drive_rows(each, of_joints, prior).x for each in trainings()]),
         lambda: free,
-        certain=not free.undetermined and _is_consistent(information, free),
+        certain=not free.undetermined and _is_consistent(information.base, free),
     )
     return candidates
 
@@ -342,38 +332,34 @@ def _choose_converging(
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
-    while True:
+    fit: Estimate | None = None
+    while fit is None:
         if not candidates.known:
-            return free, f"{free.method}: no other fit converged", _name_failures(candidates)
+            return free, f"{free.method}: no other fit converged", candidates.note
         choice = choose()
+        chosen = candidates.known[choice.chosen]
         try:
-            fit = candidates.fits[choice.chosen]()
-            break
+            fit = chosen.fit() if chosen.fit else free
         except AsbuiltError:
             candidates.failed.append(candidates.known.pop(choice.chosen).name)
-            candidates.fits.pop(choice.chosen)
     n_folds = choice.errors.shape[1]
-    name, error = choice.candidates[choice.chosen].name, choice.sentence(choice.chosen)
-    why = f"{name} has the least error on other motion"
+    error = choice.sentence(choice.chosen)
+    why = f"{chosen.name} has the least error on other motion"
     if choice.chosen != choice.best:
         nearest = "the fit closest to CAD" if masses else "the first consistent fit"
         why = (
-            f"{name} is {nearest} whose error on other motion is within one standard error of the"
-            " least"
+            f"{chosen.name} is {nearest} whose error on other motion is within one standard error"
+            " of the least"
         )
         error += f", least {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", {choice.sentence(len(choice.candidates) - 1)}"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
-    notes = (
-        choice.motion_note,
-        *_name_failures(candidates),
-        *(() if masses else (SCALE_OF_TORQUE,)),
-    )
+    notes = (choice.note, *candidates.note, *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
         return _join_notes(information, fit, free), why, notes
-    if _is_consistent(information, free):
+    if _is_consistent(information.base, free):
         return free, why, notes
     finding = Finding(
         "consistent_fit_rejected",
@@ -405,13 +391,6 @@ def _fit_usual_weight(
     return _join_notes(information, consistent, free), f"consistent: {why}", ()
 
 
-def _name_failures(candidates: _Candidates) -> tuple[str, ...]:
-    """Return a note that names the candidates that did not converge."""
-    if not candidates.failed:
-        return ()
-    return (f"Left out, since the fit did not converge: {', '.join(candidates.failed)}",)
-
-
 def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimate) -> Estimate:
     """Return a fit with notes and findings of the free one, and a finding if it fits far worse."""
     fit = replace(
@@ -422,10 +401,8 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         findings=(*free.findings, *fit.findings),
     )
     energy, n = information.residual_energy(free.beta), information.n_samples
-    sigma = np.maximum(
-        np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
-        quietest_noise(information),
-    )
+    noise = np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0))
+    sigma = np.maximum(noise, quietest_noise(information))
     ratio = (information.residual_energy(fit.beta) / n / sigma**2)[information.has_torque]
     rise = float(np.sqrt(np.mean(ratio))) - 1.0
     if rise <= RULES.costly:
@@ -440,12 +417,7 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
     return replace(fit, findings=(*fit.findings, finding))
 
 
-def _is_consistent(information: SquareRootInformation, estimate: Estimate) -> bool:
+def _is_consistent(base: BaseParameters, estimate: Estimate) -> bool:
     """Return whether an estimate is physically consistent; True if that cannot be decided."""
-    base = information.base
-    if non_passive_drives(base, estimate.beta):
-        return False
-    try:
-        return margin_is_consistent(consistency_margin(base, estimate.beta), estimate.beta)
-    except AsbuiltError:
-        return True
+    passive = not non_passive_drives(base, estimate.beta)
+    return passive and decide_consistency(base, estimate.beta)[1] is not False

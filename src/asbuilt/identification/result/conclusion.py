@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.bodies.consistency import (
-    consistency_margin,
-    margin_is_consistent,
+    decide_consistency,
     non_passive_drives,
 )
 from asbuilt.identification.errors.bias import OmittedBias
@@ -117,11 +115,7 @@ def conclude(
             ),
         )
     parameters = _list_parameters(information, estimate, uncertainty, design)
-    try:
-        margin: float | None = consistency_margin(base, estimate.beta)
-    except IdentifiabilityError:
-        margin = None
-    consistent = None if margin is None else margin_is_consistent(margin, estimate.beta)
+    margin, consistent = decide_consistency(base, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
     estimation = report_estimation(
         parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
