@@ -85,19 +85,22 @@ def estimate_common_growth(
     if data.variance <= 0.0 or not np.any(moves):
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
-    pairs = _Pairs.of(moves, absorbed, leverage)
     after = _find_successive(data.blocks)
     again = np.triu(_extend_to_successors(find_repetitions(data), after), 1) & ~after
     alike = _pair_like_motion(data.alike, len(moves)) & ~after & ~again
-    parts = [pairs.sum(each) for each in (after, again, alike)]
-    spread = sum(each.spread for each in parts) / rank
-    lasting, *shared = parts
-    of_noise = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
-    along = of_noise + sum(each.beyond_chance(rank) for each in shared)
+    products, taken, spreads = _add_pairs(moves, absorbed, leverage, (after, again, alike))
+    parts = products + taken
+    of_noise = 1.0 + float(np.clip(parts[0], 0.0, 1.0))
+    # Of what blocks share beyond chance the fit takes its part too. Least part that it leaves: of
+    # few motions it absorbs almost all.
+    left = np.maximum(1.0 - taken[1:], 0.3)
+    x, v = parts[1:] / left, spreads[1:] / rank / left**2
+    beyond = x - np.divide(v, x, out=np.zeros_like(x), where=x > 0.0)
+    along = of_noise + float(np.maximum(beyond, 0.0).sum())
     share = leverage / max(data.n_rows, 1)
     seen = float(np.sum(moves**2)) / (moves.shape[1] * data.variance)
     grown, steep = _evaluate_absorption(share, along * seen)
-    spread /= along**2
+    spread = spreads.sum() / rank / along**2
     of_moves = 2.0 / (rank * freedom)
     return CommonGrowth(
         along * grown,
@@ -113,9 +116,8 @@ def effective_rank(moves: Array) -> float:
     2010).
     """
     products, n = moves @ moves.T, len(moves)
-    own = np.diag(products)
+    own, trace = np.diag(products), float(np.trace(products))
     across = float((products**2).sum() - (own**2).sum()) * n / max(n - 1, 1)
-    trace = float(own.sum())
     return float(np.clip(trace**2 / max(across, 1e-12 * trace**2), 1.0, moves.shape[1]))
 
 
@@ -137,66 +139,30 @@ def find_repetitions(data: BlockScores) -> Mask:
     samples = np.array([block.n_samples for block in data.blocks], dtype=np.float64)
     features = (data.grams / samples[:, None, None]).reshape(len(samples), -1)
     products = features @ features.T
-    size = np.diag(products)
-    total = size[:, None] + size
+    total = np.add.outer(np.diag(products), np.diag(products))
     apart = np.maximum(total - 2.0 * products, 0.0)
     # Relative distance of the information per sample below which blocks repeat a motion: 0.01 to
     # 0.05 in one motion recorded twice, over 0.18 between other blocks of six real robots.
     return np.asarray(np.triu(apart < 0.1**2 * total, 1))
 
 
-@dataclass(frozen=True, slots=True)
-class _Shared:
-    """Hold twice the sum of products of pairs of blocks over that of each with itself.
+def _add_pairs(
+    moves: Array, absorbed: Array, leverage: float, masks: Sequence[Mask]
+) -> tuple[Array, Array, Array]:
+    """Return twice the sum of products over pairs of blocks, over that of each with itself.
 
-    `absorbed` is what the fit takes from that sum where residuals are independent, `spread` its
-    variance for independent blocks with moves of one column.
+    For each mask of pairs: that sum, what the fit takes from it where residuals are independent,
+    and its variance for independent blocks with moves of one column.
     """
-
-    products: float
-    absorbed: float
-    spread: float
-
-    @property
-    def part(self) -> float:
-        """What pairs share beyond independent residuals."""
-        return self.products + self.absorbed
-
-    def beyond_chance(self, rank: float) -> float:
-        """Return `x - v / x` for the part x and its variance v, 0 where that is negative.
-
-        The fit takes its share of what is shared too, by which x is divided.
-        """
-        # Least part of what blocks share that a fit leaves: of few motions it absorbs almost all.
-        left = max(1.0 - self.absorbed, 0.3)
-        x, v = self.part / left, self.spread / rank / left**2
-        return max(x - v / x, 0.0) if x > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """Hold products of the moves of blocks, (n_blocks, n_blocks), and what a fit takes from them.
-
-    The latter is that of independent residuals.
-    """
-
-    products: Array
-    taken: Array
-
-    @classmethod
-    def of(cls, moves: Array, absorbed: Array, leverage: float) -> _Pairs:
-        products, flat = moves @ moves.T, absorbed.reshape(len(moves), -1)
-        return cls(products, float(np.trace(products)) / leverage * (flat @ flat.T))
-
-    def sum(self, which: Mask) -> _Shared:
-        """Return the sum over pairs of blocks."""
-        energy = np.diag(self.products)
-        whole = float(energy.sum())
-        return _Shared(
-            2.0 * float(self.products[which].sum()) / whole,
-            2.0 * float(self.taken[which].sum()) / whole,
-            4.0 * float(energy @ which @ energy) / whole**2,
-        )
+    products, flat = moves @ moves.T, absorbed.reshape(len(moves), -1)
+    energy = np.diag(products)
+    whole = float(energy.sum())
+    taken = float(np.trace(products)) / leverage * (flat @ flat.T)
+    return (
+        np.array([2.0 * products[which].sum() / whole for which in masks]),
+        np.array([2.0 * taken[which].sum() / whole for which in masks]),
+        np.array([4.0 * (energy @ which @ energy) / whole**2 for which in masks]),
+    )
 
 
 def _find_successive(blocks: Sequence[TimeBlock]) -> Mask:
@@ -215,9 +181,8 @@ def _extend_to_successors(repeated: Mask, after: Mask) -> Mask:
     What successive blocks share in one recording is shared across repetitions too.
     """
     both = repeated | repeated.T
-    followed = np.diag(after, 1)
     found = both.copy()
-    found[:, 1:] |= both[:, :-1] & followed
+    found[:, 1:] |= both[:, :-1] & np.diag(after, 1)
     return found | found.T
 
 

@@ -30,12 +30,8 @@ from asbuilt.identification.information.triangular import pack_triangle, unpack_
 
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""
-FEWEST_BLOCKS = 8
-"""Blocks below which their scatter gives no usable variance."""
-
-
-FEWEST_RECORDINGS = 4
-"""Recordings below which their scatter gives no usable variance."""
+FEWEST_BLOCKS, FEWEST_RECORDINGS = 8, 4
+"""Blocks, and recordings, below which their scatter gives no usable variance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,14 +49,14 @@ class Uncertainty:
     shared: float = 1.0
 
     @property
-    def n_blocks(self) -> int:
-        """Number of time blocks."""
-        return self.basis.n_blocks
-
-    @property
     def std_errors(self) -> Array:
         """Standard errors, shape (p,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    def with_further(self, covariance: Array, bias: Array | None = None) -> Uncertainty:
+        """Return the uncertainty with further errors, as `BlockScatter.beside` adds them."""
+        scatter = None if self.scatter is None else self.scatter.beside(covariance, bias)
+        return replace(self, covariance=self.covariance + covariance, scatter=scatter)
 
 
 def estimate_block_uncertainty(
@@ -102,12 +98,11 @@ def estimate_block_uncertainty(
     found = estimate_scatter(data, estimate.solution.inverse_root)
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
-    variance = np.maximum(found.variance, textbook)
-    swell = np.where(determined, np.sqrt(variance / np.where(determined, textbook, 1.0)), 1.0)
-    shrinkage = (
-        float(np.exp(-2.0 * np.mean(np.log(swell[determined])))) if determined.any() else 1.0
-    )
-    growth = float(np.median(swell[determined])) if determined.any() else None
+    swell = np.ones_like(textbook)
+    variance = np.maximum(found.variance, textbook)[determined]
+    swell[determined] = grown = np.sqrt(variance / textbook[determined])
+    shrinkage = float(np.exp(-2.0 * np.mean(np.log(grown)))) if grown.size else 1.0
+    growth = float(np.median(grown)) if grown.size else None
     return Uncertainty(
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
@@ -195,12 +190,7 @@ def choose_error_basis(
         (block.stop - block.start) * block.n_samples / max(block.n_samples - 1, 1)
         for block in information.blocks
     ]
-    return ErrorBasis(
-        kind,
-        kind if asked is None else asked,
-        information.n_blocks,
-        float(np.median(lengths)) if lengths else None,
-    )
+    return ErrorBasis(kind, asked or kind, information.n_blocks, float(np.median(lengths)))
 
 
 def block_scores(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
@@ -208,14 +198,13 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
 
     e is the weighted residual, S the inverse root.
     """
-    root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
-    grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
-    scores = np.empty((information.n_blocks, root.shape[1]))
+    residual, found = np.append(-estimate.beta, 1.0), []
     with use_one_blas_thread():
         for b in range(information.n_blocks):
             factor = information.stacked(estimate.weights, b)
-            whitened = factor[:, :-1] @ root
-            grams[b], scores[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
+            whitened = factor[:, :-1] @ estimate.solution.inverse_root
+            found.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
+    grams, scores = map(np.array, zip(*found, strict=True))
     return grams, scores
 
 
@@ -228,16 +217,10 @@ def _estimate_degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     """
     own = np.einsum("brp,brp->bp", leverages, leverages)
     trace = np.sum(weight - own, axis=0)
-    across = np.array(
-        [
-            np.sum((leverages[:, :, j] @ leverages[:, :, j].T) ** 2)
-            for j in range(leverages.shape[2])
-        ]
-    )
+    across = np.array([np.sum((each @ each.T) ** 2) for each in np.moveaxis(leverages, 2, 0)])
     square = np.sum(weight**2 - 2.0 * weight * own, axis=0) + across
-    freedom = np.full(len(square), float(len(leverages) - 1))
-    np.divide(trace**2, square, out=freedom, where=square > 0)
-    return freedom
+    most = np.full(len(square), float(len(leverages) - 1))
+    return np.asarray(np.divide(trace**2, square, out=most, where=square > 0))
 
 
 def estimate_recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
@@ -249,19 +232,13 @@ def estimate_recording_variances(information: SquareRootInformation, estimate: E
     included).
     Zero if there are fewer than `FEWEST_RECORDINGS`.
     """
-    sources = [block.source for block in information.blocks]
-    names = list(dict.fromkeys(sources))
-    if len(names) < FEWEST_RECORDINGS or estimate.rank == 0:
+    sources = np.array([block.source for block in information.blocks])
+    members = [sources == name for name in information.sources]
+    if len(members) < FEWEST_RECORDINGS or estimate.rank == 0:
         return np.zeros(len(estimate.beta))
-    number = np.array([names.index(each) for each in sources])
-    grams, scores = block_scores(information, estimate)
-    members = [number == k for k in range(len(names))]
-    root = estimate.solution.inverse_root
-    moves, _, _, freedom = correct_moves(
-        np.array([grams[each].sum(axis=0) for each in members]),
-        np.array([scores[each].sum(axis=0) for each in members]),
-        root,
-    )
+    of_blocks, root = block_scores(information, estimate), estimate.solution.inverse_root
+    grams, scores = (np.array([each[own].sum(axis=0) for own in members]) for each in of_blocks)
+    moves, _, _, freedom = correct_moves(grams, scores, root)
     variance = np.sum((moves @ root.T) ** 2, axis=0)
     return np.asarray(variance * widening(freedom) ** 2)
 
@@ -297,7 +274,7 @@ class FreeValues:
 def fit_free_values(
     information: SquareRootInformation,
     toward: ArrayLike,
-    beside: Array | None = None,
+    further: Array | None = None,
     bias: Array | None = None,
 ) -> FreeValues:
     """Fit by `wls` with errors from time blocks.
@@ -305,24 +282,19 @@ def fit_free_values(
     Parameters
     ----------
     information
-        What the recordings say.
+        Information of the recordings.
     toward
         Values (p,) of directions that the recordings leave undetermined; NaN counts as zero.
-    beside
-        Covariance (p, p) that other things add, such as fitted nonlinear parameters.
+    further
+        Covariance (p, p) of further errors, such as of fitted nonlinear parameters.
     bias
         Bias (p,) whose square is part of it.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
     uncertainty = estimate_block_uncertainty(information, fitted)
-    covariance, scatter = uncertainty.covariance, uncertainty.scatter
-    if beside is not None:
-        covariance = covariance + beside
-        scatter = None if scatter is None else scatter.beside(beside, bias)
+    if further is not None:
+        uncertainty = uncertainty.with_further(further, bias)
+    covariance = 0.5 * (uncertainty.covariance + uncertainty.covariance.T)
     return FreeValues(
-        fitted.beta,
-        0.5 * (covariance + covariance.T),
-        fitted.std_errors,
-        fitted.determined,
-        scatter,
+        fitted.beta, covariance, fitted.std_errors, fitted.determined, uncertainty.scatter
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -97,23 +97,15 @@ def conclude(
     uncertainty = uncertainty or estimate_block_uncertainty(
         estimate.information or information, estimate
     )
-    further_errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
-    free_errors = list(further_errors)
+    errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
+    free_errors = list(errors)
     if omitted is not None:
-        further_errors.append(omitted.covariance)
+        errors.append(omitted.covariance)
         free_errors.append(omitted.free_covariance)
-        notes = (*notes, *([omitted.sentence] if omitted.sentence else []))
-    if further_errors:
-        added, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
-        uncertainty = replace(
-            uncertainty,
-            covariance=uncertainty.covariance + added,
-            scatter=(
-                None
-                if scatter is None
-                else scatter.beside(added, None if omitted is None else omitted.bias)
-            ),
-        )
+        notes = (*notes, *filter(None, [omitted.sentence]))
+    if errors:
+        bias = None if omitted is None else omitted.bias
+        uncertainty = uncertainty.with_further(np.sum(errors, axis=0), bias)
     parameters = _list_parameters(information, estimate, uncertainty, design)
     margin, consistent = decide_consistency(base, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
@@ -284,7 +276,7 @@ def _report_errors(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Fin
         yield Finding(
             "few_blocks",
             "warning",
-            f"Only {uncertainty.n_blocks} time blocks: standard errors assume independent residuals"
+            f"Only {basis.n_blocks} time blocks: standard errors assume independent residuals"
             " and are too small",
             Cure("record longer"),
         )
