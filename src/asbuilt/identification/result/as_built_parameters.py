@@ -46,8 +46,7 @@ def known_information(result: IdentificationResult) -> Array:
     """
     scale, variances, directions = find_determined_directions(result)
     inverse = (directions / variances) @ directions.T
-    information: Array = inverse * np.outer(scale, scale)
-    return information
+    return np.asarray(inverse * np.outer(scale, scale))
 
 
 @lru_cache(maxsize=8)
@@ -84,12 +83,9 @@ def _add_up_torque_information(result: IdentificationResult) -> Array:
         quietest = np.finfo(np.float64).tiny + 1e-6 * float(
             result.sigma[np.isfinite(result.sigma)].max(initial=0.0)
         )
-        rows = [
-            factor[:, places] / max(float(sigma), quietest)
-            for factor, sigma in zip(
-                result.cause_data.whole(result.cause_data.fitted), result.sigma, strict=True
-            )
-        ]
+        factors = result.cause_data.whole(result.cause_data.fitted)
+        pairs = zip(factors, np.maximum(result.sigma, quietest), strict=True)
+        rows = [factor[:, places] / sigma for factor, sigma in pairs]
         return np.asarray(sum(R.T @ R for R in rows))
     covariance = np.array(result.textbook_covariance)
     size = np.sqrt(np.diag(covariance))

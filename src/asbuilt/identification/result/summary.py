@@ -236,8 +236,7 @@ def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
 
 def _describe_delays(result: IdentificationResult) -> str:
     """Return the delays that were applied, as text; empty if there are none."""
-    late = [each for each in result.delay if each.delays]
-    return ", ".join(dict.fromkeys(each.text for each in late))
+    return ", ".join(dict.fromkeys(each.text for each in result.delay if each.delays))
 
 
 def _format_heading(heading: Sequence[tuple[str, str]]) -> list[str]:

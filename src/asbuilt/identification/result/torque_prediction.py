@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,8 +64,7 @@ class TorqueMetrics:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, None for what is undefined, ready for JSON."""
-        document: dict[str, Any] = make_plain(self)
-        return document
+        return cast("dict[str, Any]", make_plain(self))
 
 
 class TorqueTally:
@@ -73,12 +72,9 @@ class TorqueTally:
 
     def __init__(self, joint_names: Iterable[str]) -> None:
         self.joint_names = tuple(joint_names)
-        n = len(self.joint_names)
         self._n = 0
-        self._error = np.zeros(n)
-        self._largest = np.zeros(n)
-        self._mean = np.zeros(n)
-        self._spread = np.zeros(n)
+        zeros = np.zeros((4, len(self.joint_names)))
+        self._error, self._largest, self._mean, self._spread = zeros
 
     def add(self, measured: ArrayLike, predicted: ArrayLike) -> TorqueTally:
         """Add a batch, both (n_samples, n_joints); returns itself.
@@ -145,10 +141,12 @@ def torque_metrics(
     [0.7071]
     """
     n = np.asarray(measured).shape[-1]
-    names = (
-        tuple(joint_names) if joint_names is not None else tuple(f"joint {k + 1}" for k in range(n))
+    numbered = (f"joint {k + 1}" for k in range(n))
+    return (
+        TorqueTally(numbered if joint_names is None else joint_names)
+        .add(measured, predicted)
+        .metrics(source)
     )
-    return TorqueTally(names).add(measured, predicted).metrics(source)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,12 +247,12 @@ def parameter_torque(
     parameters on top.
     """
     links, drives = chi[: 10 * model.n_links], chi[10 * model.n_links :]
-    parameters = links if added is None else links + added
-    rigid = inverse_dynamics(model, q, qd, qdd, parameters=parameters)
+    links = links if added is None else links + added
+    rigid = inverse_dynamics(model, q, qd, qdd, parameters=links)
     if not drive:
         return rigid, rigid
-    shares = model.motor_shares
-    return rigid, rigid + drive_torque(drive, drives, q, qd, qdd, load=rigid, shares=shares)
+    friction = drive_torque(drive, drives, q, qd, qdd, load=rigid, shares=model.motor_shares)
+    return rigid, rigid + friction
 
 
 def pair_with_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
