@@ -25,7 +25,6 @@ from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.estimate import EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.rows import (
     ColumnsBeside,
     Rows,
@@ -39,7 +38,11 @@ from asbuilt.identification.information.square_root_information import (
     accumulate_stream,
     reduce_rows,
 )
-from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
+from asbuilt.identification.information.triangular import (
+    GrowingFactor,
+    solve_factor,
+    triangular_factor,
+)
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -262,8 +265,7 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
     alike = information.stacked() @ np.append(-beta, 1.0)
     assert alike @ alike == pytest.approx(energies.sum(), rel=1e-11)
     parts = [
-        information.stacked(weights, b) @ np.append(-beta, 1.0)
-        for b in range(information.n_blocks)
+        information.stacked(weights, b) @ np.append(-beta, 1.0) for b in range(information.n_blocks)
     ]
     assert sum(part @ part for part in parts) == pytest.approx(weights**2 @ energies, rel=1e-11)
     assert np.allclose(information.torque_sum.sum(axis=0), samples.tau.sum(axis=0))

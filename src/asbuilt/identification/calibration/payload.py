@@ -32,8 +32,7 @@ from asbuilt.identification.calibration.gain_uncertainty import (
     split_by_joint,
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows
-from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 from asbuilt.identification.result.as_built_parameters import find_determined_directions
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import (

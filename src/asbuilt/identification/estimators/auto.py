@@ -45,19 +45,19 @@ from asbuilt.identification.estimators.held_out_choice import (
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.estimators.robust import (
+    HUBER,
     continue_huber,
     estimate_outlying_share,
-    huber_loss,
     reweight,
 )
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
 from asbuilt.identification.information.random_motion import (
     build_random_motion_rows,
     measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import FactorSolution, solve_factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
     reasons = []
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // RULES.screened))
-        robust = reweight(sample, huber_loss(), estimate, together=True)
+        robust = reweight(sample, HUBER, estimate, together=True)
         share, ratio = estimate_outlying_share(sample, robust)
         if share > RULES.outlying_share or ratio > RULES.outlying_variance:
             estimate = continue_huber(data, estimate)

@@ -14,8 +14,7 @@ from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 
 SIGNIFICANCE = 0.05
 """Significance level of the F-test below which a parameter is essential."""

@@ -17,12 +17,12 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    solve_factor,
     triangular_factor,
 )
 from asbuilt.identification.result.torque_prediction import expand_parameters

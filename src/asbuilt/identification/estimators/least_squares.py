@@ -18,13 +18,13 @@ from asbuilt.identification.information.estimate import (
     noise_floor,
     residual_deviation,
 )
-from asbuilt.identification.information.factor_solution import (
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import (
     NEGLIGIBLE_COEFFICIENT,
     FactorSolution,
     solve_factor,
     solve_fast,
 )
-from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 Weighting = Literal["joint"]
 

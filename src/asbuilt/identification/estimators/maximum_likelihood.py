@@ -16,12 +16,12 @@ from asbuilt.identification.estimators.least_squares import (
 )
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
-from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.rows import RowBlock
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    solve_factor,
     triangular_factor,
     widen_factor,
 )

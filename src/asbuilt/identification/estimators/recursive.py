@@ -14,7 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.estimators.least_squares import check_weights
-from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
+from asbuilt.identification.information.triangular import FactorSolution, solve_factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,9 +15,9 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 from asbuilt.identification.information.held_out import divide_into_folds
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import FactorSolution, solve_factor
 
 RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
 """Weights tried, in units of the squared length of a column."""

@@ -55,21 +55,18 @@ class Loss:
     slope: Callable[[Array], Array]
 
 
-def huber_loss(threshold: float = ROBUST.huber) -> Loss:
-    """Return Huber's loss, linear beyond the threshold (Huber, Ann. Math. Stat. 35, 1964)."""
-    return Loss(
-        lambda r: threshold / np.maximum(np.abs(r), threshold),
-        lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
-    )
-
-
-def bisquare_loss(threshold: float = ROBUST.bisquare) -> Loss:
-    """Return Tukey's bisquare, constant beyond the threshold (Technometrics 16, 1974)."""
-
-    def share(r: Array) -> Array:
-        return np.asarray(np.maximum(1.0 - (r / threshold) ** 2, 0.0))
-
-    return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
+HUBER = Loss(
+    lambda r: ROBUST.huber / np.maximum(np.abs(r), ROBUST.huber),
+    lambda r: np.where(np.abs(r) <= ROBUST.huber, 1.0, 0.0),
+)
+"""Huber's loss, linear beyond the threshold (Huber, Ann. Math. Stat. 35, 1964)."""
+BISQUARE = Loss(
+    lambda r: np.maximum(1.0 - (r / ROBUST.bisquare) ** 2, 0.0) ** 2,
+    lambda r: (
+        np.maximum(1.0 - (r / ROBUST.bisquare) ** 2, 0.0) * (1.0 - 5.0 * (r / ROBUST.bisquare) ** 2)
+    ),
+)
+"""Tukey's bisquare, constant beyond the threshold (Technometrics 16, 1974)."""
 
 
 @estimator(
@@ -93,7 +90,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
 
 def continue_huber(data: EstimationData, start: Estimate) -> Estimate:
     """Continue weighted least squares as `estimate_huber` does."""
-    return _fit_robust(data, "huber", huber_loss(), start)
+    return _fit_robust(data, "huber", HUBER, start)
 
 
 @estimator(
@@ -109,7 +106,7 @@ def estimate_bisquare(data: EstimationData) -> Estimate:
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
     start = estimate_huber(data)
-    return _fit_robust(data, "bisquare", bisquare_loss(), start, scale=start.sigma)
+    return _fit_robust(data, "bisquare", BISQUARE, start, scale=start.sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

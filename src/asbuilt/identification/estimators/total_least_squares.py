@@ -10,8 +10,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import rank_tolerance
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import rank_tolerance, triangular_factor
 
 EXACT_TERMS = ("Fo",)
 """Symbols of drive terms whose columns are constant, hence without error."""

@@ -15,9 +15,9 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
-from asbuilt.identification.information.factor_solution import FactorSolution
 from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import FactorSolution
 
 Refit = Callable[[Array], Array]
 """A fit of the triangular factor [R z] (p + 1, p + 1) of weighted rows: beta (p,)."""

@@ -1,11 +1,12 @@
-"""Rows of any number reduced to a triangle by Householder QR, a cache full at a time."""
+"""Triangular factors of any number of rows by Householder QR, and least squares from them."""
 
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, qr
 
 from asbuilt.arrays import Array, Indices
 
@@ -104,3 +105,113 @@ class GrowingFactor:
             lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
             self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p
+
+
+NEGLIGIBLE_COEFFICIENT = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorSolution:
+    """Hold the minimiser x of `|W x - tau|`.
+
+    `x = toward + D^-1 V S^-1 U^T (z - R toward)` over the `rank` singular values above
+    `rank_tolerance`, columns scaled by D to unit length.
+
+    Parameters
+    ----------
+    x
+        Minimiser, shape (p,).
+    rank
+        Numeric rank of W.
+    residual_energy
+        Squared norm of the residual.
+    inverse_root
+        `D^-1 V S^-1`, shape (p, rank); times its transpose it is the pseudo-inverse of `W^T W`.
+    open_directions
+        Directions that do not change `W x`, in units of x, shape (p - rank, p).
+    singular_values
+        Of the scaled columns, largest first, shape (p,).
+    condition_number, scaled_condition_number
+        Of W, and with columns scaled to unit length; infinite without full rank.
+    """
+
+    x: Array
+    rank: int
+    residual_energy: float
+    inverse_root: Array
+    open_directions: Array
+    singular_values: Array
+    condition_number: float
+    scaled_condition_number: float
+
+
+def rank_tolerance(n_rows: int, n_columns: int) -> float:
+    """Return `4 eps max(m, p)`, below which a relative singular value is rounding."""
+    return 4.0 * float(np.finfo(np.float64).eps) * max(n_rows, n_columns)
+
+
+def solve_factor(
+    factor: Array, n_rows: int, toward: Array | None = None, ridge: float = 0.0
+) -> FactorSolution:
+    """Minimise `|W x - tau|^2 + ridge |D (x - toward)|^2` from the triangular factor [R | z].
+
+    R and z are those of `n_rows` rows, (p + 1, p + 1) together, and D scales columns to length 1,
+    `R D^-1 = U S V^T`. Undetermined directions are resolved toward `toward` (p,), zero by default.
+    Source: Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5
+    (rank).
+    """
+    p = len(factor) - 1
+    r, z = factor[:p, :p], factor[:p, p]
+    length = np.linalg.norm(r, axis=0)
+    present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
+    scale = np.where(present, length, 1.0)
+    u, every, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
+    rank = int(np.sum(every > rank_tolerance(n_rows, p) * every.max(initial=0.0)))
+    s, start = every[:rank], np.zeros(p) if toward is None else toward
+    damped = np.sqrt(s**2 + ridge)
+    inverse_root = (vt[:rank].T / damped) / scale[:, None]
+    x = start + inverse_root @ ((s / damped) * (u[:, :rank].T @ (z - r @ start)))
+    error = factor @ np.append(-x, 1.0)
+    return FactorSolution(
+        x=x,
+        rank=rank,
+        residual_energy=float(error @ error),
+        inverse_root=inverse_root,
+        open_directions=_reduce_to_echelon(vt[rank:], scale),
+        singular_values=every,
+        condition_number=_evaluate_condition(np.asarray(np.linalg.svd(r, compute_uv=False)), rank),
+        scaled_condition_number=_evaluate_condition(every, rank),
+    )
+
+
+def solve_fast(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Array]:
+    """Return x and the inverse root of `solve_factor`, by substitution if well conditioned."""
+    r = factor[:-1, :-1]
+    scale = np.linalg.norm(r, axis=0)
+    if np.all(scale > 0.0):
+        scaled = r / scale
+        inverse, singular = lapack.dtrtri(scaled)
+        # Scaled condition number (Frobenius) up to which substitution is as good as singular
+        # values.
+        if not singular and np.linalg.norm(inverse) * np.linalg.norm(scaled) < 1e7:
+            root = inverse / scale[:, None]
+            return root @ factor[:-1, -1], root
+    solution = solve_factor(factor, n_rows, toward)
+    return solution.x, solution.inverse_root
+
+
+def _reduce_to_echelon(null: Array, scale: Array) -> Array:
+    """Return rows that span the rows of `null` / `scale`, few non-zeros, largest coefficient 1."""
+    if len(null) == 0:
+        return np.zeros((0, len(scale)))
+    pivots = qr(null, mode="r", pivoting=True)[-1][: len(null)]
+    reduced = np.linalg.solve(null[:, pivots], null)
+    reduced[np.abs(reduced) < NEGLIGIBLE_COEFFICIENT] = 0.0
+    rows = reduced / scale
+    rows /= np.abs(rows).max(axis=1, keepdims=True)
+    return np.asarray(rows[np.argsort(pivots)])
+
+
+def _evaluate_condition(singular_values: Array, rank: int) -> float:
+    full = rank == len(singular_values) and singular_values[-1] > 0
+    return float(singular_values[0] / singular_values[-1]) if full else np.inf

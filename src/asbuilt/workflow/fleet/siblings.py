@@ -19,9 +19,8 @@ from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_bloc
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
 
