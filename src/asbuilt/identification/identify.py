@@ -253,30 +253,29 @@ def fit_samples(
     if base.drive.needs_load:
         data = _settle_own_load(data, lambda loading: reduced(accumulated(loading), loading))
     information, estimate = data.information, estimator.estimate(data)
+    loading = set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model
+    textbook = errors == "textbook"
     nonlinear = None
     if fitted_nonlinear:
         nonlinear = estimate_nonlinear_errors(
-            set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model,
+            loading,
             base,
             estimate,
             samples,
             fitted_nonlinear,
-            textbook=errors == "textbook",
+            textbook=textbook,
             block_seconds=block_seconds,
         )
         estimate = replace(estimate, notes=(*estimate.notes, nonlinear.sentence(model.joint_names)))
     delay = estimate_delay_errors(
-        set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model,
-        base,
-        estimate,
-        samples,
-        textbook=errors == "textbook",
-        block_seconds=block_seconds,
+        loading, base, estimate, samples, textbook=textbook, block_seconds=block_seconds
     )
     uncertainty = _estimate_uncertainty(information, estimate, errors, automatic=method == "auto")
     if of_pose is not None and expected is not None:
-        taken = "What noise of the pose lends the parameters was taken away."
-        estimate = replace(estimate, notes=(*estimate.notes, taken))
+        estimate = replace(
+            estimate,
+            notes=(*estimate.notes, "What noise of the pose lends the parameters was taken away."),
+        )
         grown = uncertainty.covariance * np.outer(of_pose.growth, of_pose.growth)
         grown += expected.doubt(information, estimate)
         uncertainty = replace(uncertainty, covariance=grown)
@@ -318,7 +317,7 @@ def _estimate_uncertainty(
 def _settle_own_load(
     data: EstimationData, reduced: Callable[[RobotModel], EstimationData]
 ) -> EstimationData:
-    """Repeat least squares until friction depends on the load that they find, not on that of CAD.
+    """Repeat least squares until friction depends on the load that they find, not on CAD's load.
 
     The load at the samples of the log is what they measured, whatever the masses behind it: an
     estimator that chooses among masses has nothing to add.

@@ -26,7 +26,7 @@ from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.rows import (
-    ColumnsBeside,
+    FurtherColumns,
     Rows,
     TimeBlock,
     divide_into_blocks,
@@ -343,16 +343,16 @@ def test_merged_blocks_are_those_of_their_time(robot, monkeypatch):
 def test_columns_beside_have_the_products_of_the_stacked_rows(robot):
     model, base = robot
     samples = recording(model, 900, segments=((0, 400), (420, 900)))
-    beside = ColumnsBeside.tilts(model)
-    information = accumulate_stream(model, base, (samples,), block_seconds=1.0, beside=beside)
+    further = FurtherColumns.tilts(model)
+    information = accumulate_stream(model, base, (samples,), block_seconds=1.0, further=further)
     stacks = joint_stacks(model, base, samples)
     assert_same_information(information, stacks)
     taken = np.r_[0:400, 420:900]
-    further = np.stack(beside.columns(samples.q[taken]), axis=-1)
+    columns = np.stack(further.columns(samples.q[taken]), axis=-1)
     for k, (support, stack) in enumerate(zip(information.support, stacks, strict=True)):
-        T = further[:, k]
+        T = columns[:, k]
         rows = np.hstack([stack[:, [*support, -1]], T])
-        np.testing.assert_allclose(beside.products[k], rows.T @ T, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(further.products[k], rows.T @ T, rtol=1e-9, atol=1e-9)
 
 
 def test_rows_of_an_estimator_are_summed_and_read_only(robot):

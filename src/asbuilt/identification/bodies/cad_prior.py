@@ -148,10 +148,8 @@ class CadPrior:
         eq. 23).
         """
         whitened = self.relative_eigenvalues(parameters)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            value = np.sum(
-                whitened - np.log(np.where(whitened > 0, whitened, np.nan)) - 1.0, axis=1
-            )
+        logarithms = np.log(np.where(whitened > 0, whitened, np.nan))
+        value = np.sum(whitened - logarithms - 1.0, axis=1)
         return np.where(np.isnan(value), np.inf, value)
 
     def relative_eigenvalues(self, parameters: Array) -> Array:
@@ -169,10 +167,8 @@ class CadPrior:
         smallest = self.relative_eigenvalues(parameters)[:, 0]
         share = np.minimum(1.0, (1.0 - least) / np.maximum(1.0 - smallest, 1e-300))
         share[smallest >= least] = 1.0
-        found, links = np.array(parameters), slice(0, 10 * self.n_links)
-        found[links] = self.parameters[links] + np.repeat(share, 10) * (
-            found[links] - self.parameters[links]
-        )
+        found, cad = np.array(parameters), self.parameters[: 10 * self.n_links]
+        found[: len(cad)] = cad + np.repeat(share, 10) * (found[: len(cad)] - cad)
         return found
 
 
@@ -260,16 +256,18 @@ def _second_moment(inertia: Array) -> Array:
 
 def _list_joint_points(model: RobotModel, i: int) -> Array:
     """Return origins of the joints and frames of a link in link axes, shape (k, 3)."""
-    points = [np.linalg.inv(model.moving_joints[i].after)[:3, 3]]
-    points += [joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i]
-    points += [frame.placement[:3, 3] for frame in model.frames if frame.link == i]
-    return np.array(points)
+    return np.array(
+        [
+            np.linalg.inv(model.moving_joints[i].after)[:3, 3],
+            *(joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i),
+            *(frame.placement[:3, 3] for frame in model.frames if frame.link == i),
+        ]
+    )
 
 
 def _average_neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
-    near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i] + [
-        masses[j] for j in (model.parents[i],) if j >= 0
-    ]
+    near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i]
+    near += [masses[model.parents[i]]] if model.parents[i] >= 0 else []
     known = [m for m in near if m > 0] or [m for m in masses if m > 0] or [1.0]
     return float(np.exp(np.mean(np.log(known))))
 
@@ -297,16 +295,16 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     links, n = 10 * prior.n_links, information.n_joints
     torque = np.sqrt(information.torque_energy / information.n_samples)
     torque = np.where(torque > 0.0, torque, torque.max())
-    energy = _sum_column_energy(information, links).reshape(n, -1)
+    K = information.base.regrouping[:, links:]
+    # Energy of the column of each drive parameter, all joints.
+    pairs = zip(information.support, information.joint_factors, strict=True)
+    energy = sum(np.sum((R[:, :-1] @ K[own]) ** 2, axis=0) for own, R in pairs).reshape(n, -1)
     present = np.maximum(np.count_nonzero(energy, axis=0), 1)
     typical = np.sqrt(energy.sum(axis=0) / present / information.n_samples)
     whole = np.divide(torque[:, None], typical, out=np.zeros_like(energy), where=typical > 0.0)
     scale = np.maximum(whole.reshape(-1), np.abs(prior.parameters[links:]))
-    return replace(
-        prior,
-        drive_scale=np.where(scale > 0.0, scale, prior.drive_scale),
-        drive_weight=USUAL_DESIGN_EFFECT,
-    )
+    scale = np.where(scale > 0.0, scale, prior.drive_scale)
+    return replace(prior, drive_scale=scale, drive_weight=USUAL_DESIGN_EFFECT)
 
 
 def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Array:
@@ -314,23 +312,13 @@ def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Arr
 
     The prior covers the base parameters that belong to one drive alone.
     """
-    first, p = 10 * prior.n_links, base.n_base
+    first = 10 * prior.n_links
     own = np.flatnonzero(base.columns >= first)
-    drives = base.columns[own] - first
-    weight = np.sqrt(prior.drive_weight) / prior.drive_scale[drives]
-    rows = np.zeros((len(own), p + 1))
+    weight = np.sqrt(prior.drive_weight) / prior.drive_scale[base.columns[own] - first]
+    rows = np.zeros((len(own), base.n_base + 1))
     rows[range(len(own)), own] = weight
-    rows[:, p] = weight * prior.parameters[base.columns[own]]
+    rows[:, -1] = weight * prior.parameters[base.columns[own]]
     return triangular_factor(np.vstack([factor, rows]))
-
-
-def _sum_column_energy(information: SquareRootInformation, first: int) -> Array:
-    """Return the energy of the column of each standard parameter from `first` on, all joints."""
-    K = information.base.regrouping[:, first:]
-    energy = np.zeros(K.shape[1])
-    for support, factor in zip(information.support, information.joint_factors, strict=True):
-        energy += np.sum((factor[:, :-1] @ K[support]) ** 2, axis=0)
-    return energy
 
 
 def design_values(model: RobotModel, base: BaseParameters) -> Array:

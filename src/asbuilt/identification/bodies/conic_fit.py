@@ -125,8 +125,9 @@ class ConicProblem:
             size = np.linalg.norm(rows, axis=1)
             self.bounds, self.margin = rows / size[:, None], bounds.offsets / size
         below = np.vstack([self.bounds, -np.eye(inertial, n)])
-        least = -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)
-        self.limits = np.concatenate([self.margin, least])
+        self.limits = np.concatenate(
+            [self.margin, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)]
+        )
         self.torque = regrouping @ self.bodies
         nonzero = (np.triu(np.ones((p, p))) @ (self.torque != 0.0) > 0.0).astype(np.float64)
         self.nonzero = nonzero.T > 0.0
@@ -137,8 +138,11 @@ class ConicProblem:
             (self.pattern.indices < p) & (np.arange(self.pattern.nnz) < self.pattern.indptr[n])
         )
         linear = [clarabel.NonnegativeConeT(len(self.margin))] if len(self.margin) else []
-        bodies = [clarabel.PSDTriangleConeT(4)] * prior.n_links
-        self.cones = [clarabel.ZeroConeT(p), *linear, *bodies]
+        self.cones = [
+            clarabel.ZeroConeT(p),
+            *linear,
+            *([clarabel.PSDTriangleConeT(4)] * prior.n_links),
+        ]
 
     def fit(self, factor: Array, weight: float = TINY_WEIGHT, *, rough: bool = False) -> Array:
         """Return the minimiser chi (n_standard,) for the triangular factor [R z] (p + 1, p + 1).

@@ -79,10 +79,8 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         clarabel.NonnegativeConeT(len(armatures)),
         *[clarabel.PSDTriangleConeT(4)] * n_links,
     ]
-    goal = np.append(np.zeros(n), -1.0)
-    solution = solve_cone_program(
-        sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones
-    )
+    nothing, goal = sparse.csc_matrix((n + 1, n + 1)), np.append(np.zeros(n), -1.0)
+    solution = solve_cone_program(nothing, goal, constraints, bounds, cones)
     if "DualInfeasible" in solution.status:
         return float("inf")
     if not solution.is_solved:
@@ -104,9 +102,9 @@ def decide_consistency(base: BaseParameters, beta: ArrayLike) -> tuple[float | N
 
 def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
     """Return whether a margin is non-negative up to the solver's rounding."""
-    scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
+    largest = float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=1.0))
     # Negative margin, in units of the largest parameter, that is rounding of the solver.
-    return margin >= -1e-8 * scale
+    return margin >= -1e-8 * largest
 
 
 def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
@@ -200,11 +198,9 @@ def find_inconsistency(
         surest = problem.solve(np.zeros(base.n_base))
         if surest is None:
             return None
-        proof = problem.plainest()
-        if proof is None:
-            proof = problem.shortened(surest)
-    share = np.abs(proof) * problem.size
-    order = np.argsort(-share, kind="stable")[: np.count_nonzero(proof)]
+        plainest = problem.plainest()
+        proof = problem.shortened(surest) if plainest is None else plainest
+    order = np.argsort(-np.abs(proof) * problem.size, kind="stable")[: np.count_nonzero(proof)]
     y = proof / np.abs(proof[order[0]])
     return Inconsistency(
         names=tuple(base.names[j] for j in order),
@@ -244,12 +240,7 @@ class _Separation:
 
     def plainest(self) -> Array | None:
         """Return y (p,) with the most significant single negative parameter; None if none is."""
-        bodies = np.array(
-            [
-                [smat(part) for part in column.reshape(-1, 10)]
-                for column in self.images[: self.inertial].T
-            ]
-        )
+        bodies = smat(self.images[: self.inertial].T.reshape(len(self.beta), -1, 10))
         size = np.abs(self.images).max(axis=0)
         eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
         drives = self.images[self.passive].min(axis=0, initial=0.0)
@@ -258,26 +249,19 @@ class _Separation:
         )
         sigmas = np.where(proof, -self.beta / self.size, 0.0)
         surest = int(np.argmax(sigmas))
-        return (
-            None
-            if sigmas[surest] < SIGNIFICANT_SIGMAS
-            else np.where(np.arange(len(self.beta)) == surest, 1.0, 0.0)
-        )
+        return None if sigmas[surest] < SIGNIFICANT_SIGMAS else np.eye(len(self.beta))[surest]
 
     def shortened(self, surest: Array) -> Array:
         """Return a proof with few parameters, starting from the most significant."""
         proof, prices = surest, np.ones(len(surest))
         for _ in range(RULES.rounds):
             found = self.solve(prices)
-            if found is None:
-                break
-            proof = found
-            if np.count_nonzero(proof) <= FEW:
+            proof = proof if found is None else found
+            if found is None or np.count_nonzero(proof) <= FEW:
                 break
             share = np.abs(proof) * self.size
-            prices = np.minimum(
-                RULES.dearest, share.max() / np.maximum(share, share.max() / RULES.dearest)
-            )
+            least = share.max() / RULES.dearest
+            prices = np.minimum(RULES.dearest, share.max() / np.maximum(share, least))
         return proof
 
     def solve(self, prices: Array) -> Array | None:
@@ -286,24 +270,17 @@ class _Separation:
         With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta =
         -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
         """
-        p = len(self.beta)
-        at = self.beta / self.size
+        p, at, identity = len(self.beta), self.beta / self.size, np.eye(len(self.beta))
         length = float(np.linalg.norm(at))
         if length == 0.0:
             return None
-        identity = np.eye(p)
 
         def alone(rows: Array) -> Array:
             return np.hstack([rows, np.zeros((len(rows), p + 1))])
 
         equal = alone(np.vstack([at / length, self.images[self.free]]))
-        bounded = np.hstack(
-            [
-                np.vstack([identity, -identity]),
-                np.vstack([-identity, -identity]),
-                np.zeros((2 * p, 1)),
-            ]
-        )
+        none = np.zeros((p, 1))
+        bounded = np.block([[identity, -identity, none], [-identity, -identity, none]])
         cone = np.vstack([np.append(np.zeros(2 * p), -1.0), alone(-self.root.T)])
         constraints = np.vstack(
             [
@@ -314,20 +291,18 @@ class _Separation:
                 alone(-self.images[: self.inertial]),
             ]
         )
-        right = np.zeros(len(constraints))
-        right[0] = -1.0
+        right = np.append(-1.0, np.zeros(len(constraints) - 1))
         cones = [
             clarabel.ZeroConeT(len(equal)),
             clarabel.NonnegativeConeT(2 * p + self.passive.size),
             clarabel.SecondOrderConeT(p + 1),
+            *[clarabel.PSDTriangleConeT(4)] * (self.inertial // 10),
         ]
-        cones += [clarabel.PSDTriangleConeT(4)] * (self.inertial // 10)
         goal = np.concatenate([np.zeros(p), prices, [1.0]])
         nothing = sparse.csc_matrix((len(goal), len(goal)))
         solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
         if not solution.is_solved:
             return None
         u = solution.x[:p]
-        return np.asarray(
-            np.where(np.abs(u) > RULES.rounding * np.abs(u).max(), u, 0.0) / self.size
-        )
+        u[np.abs(u) <= RULES.rounding * np.abs(u).max()] = 0.0
+        return np.asarray(u / self.size)

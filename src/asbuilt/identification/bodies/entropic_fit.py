@@ -94,8 +94,9 @@ class EntropicFits:
     @property
     def last(self) -> EntropicFits:
         """The fit of the last problem alone."""
-        fields = self.chi, self.values, self.duals, self.multipliers
-        return EntropicFits(*(each[-1:] for each in fields))
+        return EntropicFits(
+            *(each[-1:] for each in (self.chi, self.values, self.duals, self.multipliers))
+        )
 
 
 class EntropicProblem:

@@ -119,6 +119,8 @@ class StandardParameters:
             f"the pseudo-inertia of every link is at least {self.part:.2g} of CAD's (smallest"
             f" eigenvalue {self.smallest_eigenvalue:.2g})"
         )
+        torques = self.torque_rms, self.torque_rms_of_motion
+        moved, whole = (float(np.sqrt(np.mean(torque**2))) for torque in torques)
         if not self.consistent:
             return (
                 "exact identified torques, standard parameters closest to CAD; the base parameters"
@@ -130,10 +132,6 @@ class StandardParameters:
                 f" CAD; {margin}"
             )
         if self.limit:
-            moved, whole = (
-                float(np.sqrt(np.mean(torque**2)))
-                for torque in (self.torque_rms, self.torque_rms_of_motion)
-            )
             return (
                 "physically consistent standard parameters closest to CAD within the standard"
                 f" errors (chi-square {self.chi_square:.3g}, limit {self.limit:.3g}), torque"
@@ -142,9 +140,7 @@ class StandardParameters:
             )
         away = "in the torque of the data used"
         if self.nearest_in == "random motion":
-            cost = float(np.sqrt(np.mean(self.torque_rms**2)))
-            of = float(np.sqrt(np.mean(self.torque_rms_of_motion**2)))
-            away = f"{cost:.2g} N m RMS away in random motion (of {of:.3g} N m)"
+            away = f"{moved:.2g} N m RMS away in random motion (of {whole:.3g} N m)"
         return (
             "nearest physically consistent model, since the identified base parameters are"
             f" inconsistent: {away}; {margin}"
@@ -224,8 +220,9 @@ def find_standard_parameters(
             distance = factor_distance(_find_root(asked, motion, information), asked)
             chi = ConicProblem(cad, base.regrouping, passive).fit(distance)
             scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
-            least = RULES.least_share * scale * moving
-            chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
+            chi[cad.non_negative] = np.maximum(
+                chi[cad.non_negative], RULES.least_share * scale * moving
+            )
             chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         plausible = None
         # A beta that is sharper than rounding is kept exactly, as in simulations.
@@ -278,16 +275,12 @@ def find_deepest_inside(
     free = coordinates.dependent @ np.linalg.inv(triangle)
     slack = np.append(np.full(len(bounds.rows), RULES.least_share), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
-    constraints = np.vstack(
-        [np.hstack([-rows, slack]), np.hstack([-along[:inertial], q0[:inertial, None]])]
-    )
+    constraints = np.block([[-rows, slack], [-along[:inertial], q0[:inertial, None]]])
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
-    size = constraints.shape[1]
-    goal = np.append(np.zeros(size - 1), -1.0)
-    solution = solve_cone_program(
-        sparse.csc_matrix((size, size)), goal, sparse.csc_matrix(constraints), right, cones
-    )
+    goal = np.append(np.zeros(free.shape[1]), -1.0)
+    nothing = sparse.csc_matrix((len(goal), len(goal)))
+    solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
     if not solution.is_solved:
         raise IdentifiabilityError(
             f"the physical consistency of {len(beta)} base parameters of {cad.robot} is undecided"
@@ -305,10 +298,14 @@ def _find_closest_above(
     above the floor, least at CAD too.
     """
     floor = min(SMALLEST_PART, 0.5 * part)
-    inertial = 10 * cad.n_links
-    below = np.concatenate([floor * cad.parameters[:inertial], np.zeros(len(chi) - inertial)])
-    above = replace(cad, parameters=cad.parameters - below)
-    problem = EntropicProblem(above, coordinates, bounds.raised(below), held=True)
+    below = floor * cad.parameters
+    below[10 * cad.n_links :] = 0.0
+    problem = EntropicProblem(
+        replace(cad, parameters=cad.parameters - below),
+        coordinates,
+        bounds.raised(below),
+        held=True,
+    )
     return np.asarray(
         problem.fit(None, 1.0, (chi - below)[None], barrier=RULES.fine_barrier).chi[0] + below
     )

@@ -77,7 +77,7 @@ def make_draws_consistent(
     IdentifiabilityError
         If no fit converges.
     """
-    parts = [drawn[first : first + AT_ONCE] for first in range(0, len(drawn), AT_ONCE)]
+    parts = np.split(drawn, range(AT_ONCE, len(drawn), AT_ONCE))
     fit = partial(_fit_draws, cad, base, information_root)
     chi, chi_square = zip(*run_in_order(fit, parts, workers), strict=True)
     return np.concatenate(chi), np.concatenate(chi_square)
@@ -108,8 +108,8 @@ def _fit_draws(
     distance = np.stack(distances)
     nearest = distance.min(axis=0)
     first = np.argmax(distance <= nearest + FAITHFUL * np.maximum(nearest, 1.0), axis=0)
-    every = np.arange(len(drawn))
-    return np.stack(fits)[first, every], distance[first, every] ** 2
+    place = first, np.arange(len(drawn))
+    return np.stack(fits)[place], distance[place] ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,8 +180,9 @@ class Ensemble:
         servo = self.result.servo
         if servo is None or self.kp is None:
             return self.centre
-        gains = np.nan_to_num(np.concatenate([servo.kp, servo.kd]))
-        return np.concatenate([self.centre, gains, [servo.delay or 0.0]])
+        return np.concatenate(
+            [self.centre, np.nan_to_num(np.concatenate([servo.kp, servo.kd])), [servo.delay or 0.0]]
+        )
 
     @property
     def quantiles(self) -> Array:
@@ -258,19 +259,21 @@ def draw_ensemble(
         random.normal(size=(n, len(variances))) * np.sqrt(variances) @ directions.T
     )
     kp, kd, delay, notes = None, None, None, list[str]()
+    errors = result.servo_errors
     if result.servo is not None:
         kp, factors, notes = _draw_stiffness(result, n, random)
         drawn = _scale_draws(result, drawn, factors)
         kd = np.tile(np.nan_to_num(np.array(result.servo.kd)), (n, 1))
-        error = 0.0 if result.servo_errors is None else result.servo_errors.delay
-        delay = np.maximum((result.servo.delay or 0.0) + error * random.normal(size=n), 0.0)
+        late = (0.0 if errors is None else errors.delay) * random.normal(size=n)
+        delay = np.maximum((result.servo.delay or 0.0) + late, 0.0)
     root = (directions / np.sqrt(variances)).T * scale
     prior = build_cad_prior(result.model, result.base.drive)
-    asked = np.vstack([result.estimates, drawn])
-    chi, chi_square = make_draws_consistent(prior, result.base, asked, root, workers=workers)
+    chi, chi_square = make_draws_consistent(
+        prior, result.base, np.vstack([result.estimates, drawn]), root, workers=workers
+    )
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
-    far = chi_square > 1.0
-    lead = 0.0 if result.servo_errors is None else result.servo_errors.lead
+    far = int(np.sum(chi_square > 1.0))
+    lead = 0.0 if errors is None else errors.lead
     possible = (
         (
             lead,
@@ -282,8 +285,8 @@ def draw_ensemble(
             "nonlinear parameters of drive terms are the identified ones in every draw",
         ),
         (
-            np.any(far),
-            f"{np.sum(far)} of {n} draws were physically impossible; the nearest possible robot"
+            far > 0,
+            f"{far} of {n} draws were physically impossible; the nearest possible robot"
             " stands for each",
         ),
     )
@@ -316,9 +319,7 @@ def _draw_tails(result: IdentificationResult, n: int, random: np.random.Generato
     hold 95 % of Student's distribution. The 5 and 95 % quantiles of a normal distribution of
     that width are 7 % too far out with five.
     """
-    if result.scatter is None:
-        return np.ones(n)
-    nu = max(mean_degrees(result.scatter.degrees_of_freedom), FEWEST_DEGREES)
+    nu = max(mean_degrees(result.degrees_of_freedom), FEWEST_DEGREES)
     if not np.isfinite(nu):
         return np.ones(n)
     return np.asarray(np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu])))
@@ -337,8 +338,7 @@ def _draw_stiffness(
     unknown = ~np.isfinite(relative)
     relative[unknown] = 0.0
     shared = errors is not None and errors.shared
-    logs = relative * random.normal(size=(n, 1 if shared else joints))
-    factors = np.exp(logs)
+    factors = np.exp(relative * random.normal(size=(n, 1 if shared else joints)))
     notes = []
     if np.any(unknown):
         names = [name for name, each in zip(result.joint_names, unknown, strict=True) if each]

@@ -77,8 +77,11 @@ def redraw(
                 settings={"errors": "blocks"},
             ),
         )
-    linear = estimate.refit is None
-    draws = (DRAWS.linear_draws if linear else DRAWS.refitted_draws) if n_draws is None else n_draws
+    draws = (
+        (DRAWS.linear_draws if estimate.refit is None else DRAWS.refitted_draws)
+        if n_draws is None
+        else n_draws
+    )
     counts = np.random.default_rng(rng).multinomial(n, np.full(n, 1.0 / n), size=draws)
     with use_one_blas_thread():
         estimates = (

@@ -17,7 +17,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.block_scatter import BlockScores
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_scatter, unit_variance
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_motions
@@ -47,7 +47,7 @@ class DelaySolution:
 class DelayColumns:
     """Hold the normal equations of an estimate with a delay of each recording and joint, by block.
 
-    Joint k has two columns: k for the rate of its torque, n + k for that of its friction alone.
+    Joint k has two columns: k for the rate of its torque, n + k for the rate of its friction.
     `normal` (B, r + 2 n + 1, r + 2 n + 1) has the products of the columns in coordinates
     `beta = S x`, S (p, r) the inverse root of the estimate, of these and of the residual, joints
     weighted. Only what is read is filled: above the diagonal, without the square of the residual.
@@ -199,8 +199,7 @@ def estimate_delay_errors(
     solved = columns.solve(shares, textbook=textbook)
     known = np.array([samples[r].delay_errors[k] for r, k in free])
     found = np.isfinite(np.diag(solved.covariance))
-    size = np.sqrt(np.diag(solved.covariance)[found])
-    swell = np.maximum(known[found] / size, 1.0)
+    swell = np.maximum(known[found] / np.sqrt(np.diag(solved.covariance)[found]), 1.0)
     V = solved.covariance[np.ix_(found, found)] * np.outer(swell, swell)
     follows = solved.follows[:, found]
     delays = np.array([samples[r].delay[k] for r, k in free])[found]
@@ -218,7 +217,7 @@ def build_delay_columns(
 ) -> DelayColumns:
     """Return the normal equations of an estimate with a delay of each recording and joint.
 
-    `rows` are those of the samples, if they are at hand.
+    `rows` are the rows of the samples, if they are at hand.
     """
     rows = Rows(model, base, samples, block_seconds) if rows is None else rows
     root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints

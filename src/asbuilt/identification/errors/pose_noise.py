@@ -41,8 +41,8 @@ quite Coulomb's, and the replayed robot has errors itself. Settled on a virtual 
 class ExpectedScores:
     """Hold the mean over samples of `[W_k, ...]^T e_k` at the true parameters, for every joint k.
 
-    `e_k` is the torque of the joint less `W_k beta`. `names[k]` are those of the parameters of
-    W_k; `means[k]` has their entries first, then those of further columns.
+    `e_k` is the torque of the joint less `W_k beta`. `names[k]` name the parameters of
+    W_k; `means[k]` has their entries first, then entries of further columns.
     """
 
     names: tuple[tuple[str, ...], ...]
@@ -62,12 +62,12 @@ class ExpectedScores:
         for k, (support, factor) in enumerate(
             zip(information.support, information.joint_factors, strict=True)
         ):
-            names = [information.base.names[j] for j in support]
-            score = information.n_samples * self.of_parameters(k, names)
-            R = factor[:-1, :-1]
-            scale = np.linalg.norm(R, axis=0)
-            scale = np.where(scale > 0.0, scale, 1.0)
-            _, values, axes = np.linalg.svd(R / scale)
+            score = information.n_samples * self.of_parameters(
+                k, [information.base.names[j] for j in support]
+            )
+            scale = np.linalg.norm(factor[:-1, :-1], axis=0)
+            scale[scale == 0.0] = 1.0
+            _, values, axes = np.linalg.svd(factor[:-1, :-1] / scale)
             # Singular value of scaled columns, relative to the largest, below which a direction is
             # empty.
             there = values > 1e-7 * values[0]
@@ -81,8 +81,11 @@ class ExpectedScores:
         for k, (support, weight) in enumerate(
             zip(information.support, estimate.weights, strict=True)
         ):
-            names = [information.base.names[j] for j in support]
-            side[support] += weight**2 * information.n_samples * self.of_parameters(k, names)
+            side[support] += (
+                weight**2
+                * information.n_samples
+                * self.of_parameters(k, [information.base.names[j] for j in support])
+            )
         root = estimate.solution.inverse_root
         moved = DOUBT * root @ (root.T @ side)
         return np.outer(moved, moved)
@@ -151,13 +154,11 @@ def expect_pose_noise(
     growth = np.divide(grown, own, out=np.ones(base.n_base), where=own > 0.0)
     expected: ExpectedScores | None = None
     for _ in range(RULES.passes):
-        means = [
-            -(gram @ estimate.beta)[own]
-            for gram, own in zip(grams, information.support, strict=True)
-        ]
-        expected = ExpectedScores(names, tuple(means))
-        corrected = information.less(expected.torques(information))
-        estimate = fit_least_squares(corrected, weights=estimate.weights, prior=prior)
+        pairs = zip(grams, information.support, strict=True)
+        expected = ExpectedScores(names, tuple(-(gram @ estimate.beta)[own] for gram, own in pairs))
+        estimate = fit_least_squares(
+            information.less(expected.torques(information)), weights=estimate.weights, prior=prior
+        )
     return PoseNoise(estimate.beta, expected, growth)
 
 
@@ -176,10 +177,9 @@ def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) ->
         return observation_matrix(model, q, still, qdd, drive=base.drive, columns=base.columns)
 
     rest = rows(still)
-    for c, variance in enumerate(samples.pose_noise[: model.n_floating]):
-        unit = still.copy()
-        unit[:, c] = 1.0
-        moved = (rows(unit) - rest).reshape(len(q), len(scale), -1) / scale[:, None]
+    noise = samples.pose_noise[: model.n_floating]
+    for unit, variance in zip(np.eye(model.n_joints), noise, strict=False):
+        moved = (rows(still + unit) - rest).reshape(len(q), len(scale), -1) / scale[:, None]
         moved -= np.einsum("mns,mks,skp->snp", basis, basis, moved, optimize=True)
         found += variance / len(q) * np.einsum("snp,snr->npr", moved, moved, optimize=True)
     return found
@@ -213,12 +213,9 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
     base = find_base_parameters(model, choose_usual_drive(model, samples[0].torque_source))
     seen = accumulate_stream(model, base, samples)
     shares = np.mean([_average_squared_projection(model, each) for each in samples], axis=0)
-    group = np.array(
-        [
-            2 if k >= model.n_floating else int(model.joints[k].is_revolute)
-            for k in range(len(shares))
-        ]
-    )
+    # Forces and moments on the base, and torques of the driven joints.
+    group = np.array([int(joint.is_revolute) for joint in model.joints])
+    group[model.n_floating :] = 2
     plain = weighted = tuple(samples)
     for _ in range(EQUATIONS.fits):
         information = seen if weighted is plain else accumulate_stream(model, base, weighted)

@@ -13,14 +13,12 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import (
     BlockScatter,
-    ErrorBasis,
-    ErrorKind,
-    widening,
-)
-from asbuilt.identification.errors.common_growth import (
     BlockScores,
     CommonGrowth,
+    ErrorBasis,
+    ErrorKind,
     estimate_common_growth,
+    widening,
 )
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
@@ -38,8 +36,8 @@ FEWEST_BLOCKS, FEWEST_RECORDINGS = 8, 4
 class Uncertainty:
     """Hold the covariance (p, p), the effective number of samples and how both were estimated.
 
-    `scatter` is that of the time blocks, by which parameters are tested; None without blocks.
-    `shared` is the factor on variances by what blocks of like motion share.
+    `scatter` is the scatter of the time blocks, by which parameters are tested; None without
+    blocks. `shared` is the factor on variances by what blocks of like motion share.
     """
 
     covariance: Array
@@ -54,8 +52,8 @@ class Uncertainty:
         return np.sqrt(np.diag(self.covariance))
 
     def with_further(self, covariance: Array, bias: Array | None = None) -> Uncertainty:
-        """Return the uncertainty with further errors, as `BlockScatter.beside` adds them."""
-        scatter = None if self.scatter is None else self.scatter.beside(covariance, bias)
+        """Return the uncertainty with further errors, as `BlockScatter.with_further` adds them."""
+        scatter = None if self.scatter is None else self.scatter.with_further(covariance, bias)
         return replace(self, covariance=self.covariance + covariance, scatter=scatter)
 
 
@@ -159,8 +157,7 @@ def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Arra
         for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
             leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-            score = axes.T @ score_b
-            moves[b] = axes @ (score / np.sqrt(1.0 - leverage))
+            moves[b] = axes @ ((axes.T @ score_b) / np.sqrt(1.0 - leverage))
             turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
             leverages[b] = axes @ (leverage[:, None] * turned)
             weight[b] = leverage @ turned**2
@@ -227,7 +224,7 @@ def estimate_recording_variances(information: SquareRootInformation, estimate: E
     """Return the variances (p,) of base parameters with whole recordings as clusters.
 
     Blocks of one recording share what the model lacks in its motion, such as a law of the servo
-    that only steps show; then the scatter of blocks is too small, and that of recordings is not
+    that only steps show; then the scatter of blocks is too small, and of recordings it is not
     (CR2, as in `estimate_block_uncertainty`, Student's quantile of its few degrees of freedom
     included).
     Zero if there are fewer than `FEWEST_RECORDINGS`.
@@ -239,8 +236,7 @@ def estimate_recording_variances(information: SquareRootInformation, estimate: E
     of_blocks, root = block_scores(information, estimate), estimate.solution.inverse_root
     grams, scores = (np.array([each[own].sum(axis=0) for own in members]) for each in of_blocks)
     moves, _, _, freedom = correct_moves(grams, scores, root)
-    variance = np.sum((moves @ root.T) ** 2, axis=0)
-    return np.asarray(variance * widening(freedom) ** 2)
+    return np.asarray(np.sum((moves @ root.T) ** 2, axis=0) * widening(freedom) ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

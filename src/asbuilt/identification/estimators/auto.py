@@ -78,12 +78,12 @@ class SelectionRules:
     design_effect: float = USUAL_DESIGN_EFFECT
     """Samples per independent sample where the blocks are too few to estimate it."""
     costly: float = 0.05
-    """Rise of the torque error by a consistent fit beyond that of its lost degrees of freedom."""
+    """Rise of the torque error by a consistent fit beyond what its lost degrees of freedom cost."""
 
 
 RULES = SelectionRules()
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
-CURE = Cure("check gains, description and what acts on the robot beside what was found")
+CURE = Cure("check gains, description and what else acts on the robot than what was found")
 
 
 @estimator(
@@ -99,10 +99,10 @@ def estimate_auto(data: EstimationData) -> Estimate:
     1. Weighted least squares; `huber` if more than 7 % of the torques lie beyond 4 robust standard
        deviations, or the residual variance of a joint exceeds 30 robust variances.
     2. Candidates are `entropic` with weights of CAD of 25 to 1 times the design effect, as far as
-       the distance from CAD supports them (`choose_cad_weight`; that of 1 always), `consistent`,
-       and the values of step 1, in this order. The first is chosen whose error on other motions is
-       within one standard error of the least; physically inconsistent values only if they are
-       better than every consistent candidate beyond chance (Student's test).
+       the distance from CAD supports them (`choose_cad_weight`; the weight of 1 always),
+       `consistent`, and the values of step 1, in this order. The first is chosen whose error on
+       other motions is within one standard error of the least; physically inconsistent values only
+       if they are better than every consistent candidate beyond chance (Student's test).
 
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
@@ -127,8 +127,9 @@ def estimate_auto(data: EstimationData) -> Estimate:
     else:
         estimate, why, notes = _choose_closest_to_cad(data, estimate)
         reasons.append(why)
-    choice = f"Chosen automatically: {'; '.join(reasons)}."
-    return replace(estimate, notes=(choice, *notes, *estimate.notes))
+    return replace(
+        estimate, notes=(f"Chosen automatically: {'; '.join(reasons)}.", *notes, *estimate.notes)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,8 +176,9 @@ def _choose_closest_to_cad(
         effect = design_effect(information, consistent)
         masses = data.model.has_masses
         weights = [effect * each for each in RULES.beliefs] if masses else []
-        groups = group_different_motions(information, consistent.weights)
-        folds = divide_into_folds(information, groups)
+        folds = divide_into_folds(
+            information, group_different_motions(information, consistent.weights)
+        )
         parts = [(used.together(), held.together()) for used, held in folds]
         if len(parts) < RULES.fewest_folds:
             return _fit_usual_weight(information, prior, free, consistent, masses)
@@ -307,7 +309,7 @@ def _fit_supported_weights(
 ) -> tuple[dict[float, Array], list[float]]:
     """Return rough fits by weight, and the weights that the distance from CAD supports.
 
-    The last factor is that of all blocks. Weights above the one that its fit with the strongest
+    The last factor is of all blocks. Weights above the one that its fit with the strongest
     weight supports give way to it; the weakest always stays. At weaker weights model errors take
     links further from CAD than its tolerance does.
     """

@@ -132,8 +132,7 @@ def fit_consistent(
         problem = ConicProblem(prior, information.base.regrouping, limits)
         w, rounds = _fit_joint_weights(information, problem, weights)
         fit = _estimate("consistent", information, prior, w, problem.fit, TINY_WEIGHT, rounds)
-        slack = limits.slack(fit.standard)
-        near = np.flatnonzero(slack <= 1e-6 * (1.0 + np.abs(limits.offsets)))
+        near = np.flatnonzero(limits.slack(fit.standard) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
         active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
         note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
         return replace(fit, notes=(f"{note}{active}", *fit.notes))
@@ -153,7 +152,7 @@ def fit_toward_cad(
     The minimum is over physically consistent links and passive drives. The distance is the
     divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its
     quadratic form at CAD (`"euclidean"`: a conic program). The entropic minimum is reached through
-    those of larger weights, each from the last, since links may lie far from CAD. `choose_weight`
+    minima of larger weights, each from the last, since links may lie far from CAD. `choose_weight`
     chooses a `weight` of None. Drive parameters, for which CAD has no reliable values, are not
     regularised. Raises `UsageError` for another metric.
     """
@@ -176,8 +175,7 @@ def fit_toward_cad(
         if weight is None:
             choice = choose_weight(information, w, base.regrouping, fit_roughly)
             weight, reason = choice.weight, choice.reason
-        exactly = conic.fit if path is None else path.exactly
-        fit = partial(exactly, weight=float(weight))
+        fit = partial(conic.fit if path is None else path.exactly, weight=float(weight))
         return _estimate(metric, information, prior, w, fit, weight, rounds, reason)
 
 
@@ -201,8 +199,7 @@ def _fit_joint_weights(
     free = fit_least_squares(information, weights="joint", prior=np.zeros(base.n_base))
     w = 1.0 / np.maximum(free.sigma, quietest)
     for _ in range(REWEIGHTINGS):
-        chi = problem.fit(information.stacked(w))
-        energy = information.residual_energy(base.regrouping @ chi)
+        energy = information.residual_energy(base.regrouping @ problem.fit(information.stacked(w)))
         w = 1.0 / np.maximum(np.sqrt(energy / information.n_samples), quietest)
     return w, REWEIGHTINGS
 
@@ -219,7 +216,7 @@ def _estimate(
 ) -> ConsistentEstimate:
     """Return the estimate with its errors, `fit` giving chi for a factor of weighted rows.
 
-    The errors are those of the normal approximation to the posterior, `K H^-1 K^T` with H the
+    The errors follow from the normal approximation to the posterior, `K H^-1 K^T` with H the
     information of the data plus `belief` times the metric halfway between CAD and estimate. The
     belief is the smallest of 25, the weight used (1 without regularisation), and the weight that
     the distance from CAD supports (as many determined parameters as twice the divergence times the
@@ -301,8 +298,11 @@ def _stack_rows(
     drives = np.sqrt(prior.drive_weight) / prior.drive_scale[:, None] * free[inertial:]
     known = _weigh_known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
-    data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
-    return data, bodies, np.vstack([drives, known])
+    return (
+        np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))]),
+        bodies,
+        np.vstack([drives, known]),
+    )
 
 
 def _invert_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:

@@ -32,8 +32,8 @@ def estimate_essential(data: EstimationData) -> Estimate:
 
     The parameter of least effect goes first. Dropping d of the r determined parameters is allowed
     while `F = (SSE_reduced - SSE) / (d s^2)`, times effective samples per sample since residuals
-    are correlated, stays below the quantile of F(d, n N_eff - r). Weights are those of the full
-    fit.
+    are correlated, stays below the quantile of F(d, n N_eff - r). Weights are taken from
+    the full fit.
 
     Source: Pham & Gautier, CDC 1991; Gautier & Khalil, IEEE Trans. Robotics and Automation 6, 1990;
     Hocking, Biometrics 32, 1976 (backward elimination).
@@ -52,8 +52,9 @@ def estimate_essential(data: EstimationData) -> Estimate:
         def reduce() -> Array:
             others = beta.copy()
             others[kept] = 0.0
-            rest = factor[:, -1] - factor[:, :-1] @ others
-            return triangular_factor(np.column_stack([factor[:, kept], rest]))
+            return triangular_factor(
+                np.column_stack([factor[:, kept], factor[:, -1] - factor[:, :-1] @ others])
+            )
 
         while len(kept) > 1:
             r = reduce()

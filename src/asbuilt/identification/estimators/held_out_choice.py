@@ -44,7 +44,7 @@ def choose_weight(
     """Return the largest weight whose held-out error is within one standard error of the least.
 
     The blocks form up to 8 groups of neighbours; each is predicted from the others with every
-    weight. The error of a group is `|w (tau - W beta)|^2 / (N n)`; the standard error is that of
+    weight. The error of a group is `|w (tau - W beta)|^2 / (N n)`; the standard error is of
     the mean difference from the best weight, group by group (the one-standard-error rule of
     Breiman, Friedman, Olshen & Stone, 1984, section 3.4.3, on paired errors; Hastie, Tibshirani &
     Friedman, 2009, section 7.10).

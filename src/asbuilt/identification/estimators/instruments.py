@@ -92,7 +92,7 @@ def estimate_iv(data: EstimationData) -> Estimate:
     largest = int(np.argmax(shift))
     note = (
         f"Instruments from {iterations} simulations that follow the recorded positions up to"
-        f" {hertz:.3g} Hz. The largest change from wls is that of {base.names[largest]},"
+        f" {hertz:.3g} Hz. The largest change from wls is of {base.names[largest]},"
         f" {shift[largest]:.2g} textbook standard errors."
     )
     return replace(
@@ -106,7 +106,7 @@ def follow(
     """Return the samples with the motion of a simulated robot that follows their positions.
 
     Torques stay. Linearly implicit Euler steps, many segments side by side, each led in by a
-    second. If the mass matrix of beta is not positive definite that of the design serves, or unit
+    second. If the mass matrix of beta is not positive definite, the design's serves, or unit
     inertias.
     """
     samples = samples.compact()

@@ -80,12 +80,10 @@ def fit_least_squares(
     seen = information.has_torque
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
     w = np.where(seen, check_weights(given, seen), 0.0)
-    iterations, converged, ahead = 0, True, _Extrapolation()
+    iterations, converged, ahead = int(not iterated), True, _Extrapolation()
     with use_one_blas_thread():
-        while True:
+        while iterated:
             iterations += 1
-            if not iterated:
-                break
             x, root = solve_fast(information.stacked(w), rows, toward)
             renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
             converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
@@ -96,18 +94,16 @@ def fit_least_squares(
         sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
         raise _make_refusal(information, solution)
-    variance = solution.residual_energy / max(rows - solution.rank, 1)
     return Estimate(
         method="ols" if weights is None else "wls",
         beta=solution.x,
-        covariance=variance * solution.inverse_root @ solution.inverse_root.T,
+        covariance=(solution.residual_energy / max(rows - solution.rank, 1))
+        * solution.inverse_root
+        @ solution.inverse_root.T,
         sigma=sigma,
         weights=w,
         solution=solution,
-        undetermined=tuple(
-            format_combination(direction, information.base.names)
-            for direction in solution.open_directions
-        ),
+        undetermined=_name_directions(information, solution),
         determined=np.all(np.abs(solution.open_directions) <= NEGLIGIBLE_COEFFICIENT, axis=0),
         iterations=iterations,
         converged=converged,
@@ -171,9 +167,9 @@ def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     >>> format_combination(np.array([0.0, -0.5, 1.0]), ("Ixx1", "mx2", "Fv1"))
     'Fv1 - 0.5 mx2'
     """
-    order = np.argsort(-np.abs(direction), kind="stable")
+    order: list[int] = np.argsort(-np.abs(direction), kind="stable").tolist()
     lead = direction[order[0]]
-    shown = [int(j) for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
+    shown = [j for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
     text = names[shown[0]]
     for j in shown[1:MOST_TERMS]:
         factor = direction[j] / lead
@@ -182,13 +178,18 @@ def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     return text + (f" + ... ({len(shown) - MOST_TERMS} more)" if len(shown) > MOST_TERMS else "")
 
 
+def _name_directions(
+    information: SquareRootInformation, solution: FactorSolution
+) -> tuple[str, ...]:
+    """Return the undetermined directions as text."""
+    names = information.base.names
+    return tuple(format_combination(each, names) for each in solution.open_directions)
+
+
 def _make_refusal(
     information: SquareRootInformation, solution: FactorSolution
 ) -> IdentifiabilityError:
-    names = [
-        format_combination(direction, information.base.names)
-        for direction in solution.open_directions
-    ]
+    names = _name_directions(information, solution)
     listed = "; ".join(names[:8]) + (f"; and {len(names) - 8} more" if len(names) > 8 else "")
     return IdentifiabilityError(
         f"the recording determines {solution.rank} of {information.base.n_base} parameters of"

@@ -23,7 +23,7 @@ class RecursiveEstimate:
 
     `beta` and `std_errors` (p,), `sigma` of a weighted residual and the samples that still count.
 
-    Standard errors take residuals as independent; those of directions without excitation are zero,
+    Standard errors take residuals as independent; directions without excitation have zero,
     and `rank` says how many have some.
     """
 
@@ -39,11 +39,12 @@ class RecursiveIdentification:
 
     `R <- triangle of [sqrt(f) R; weights [Y | tau]]`.
 
-    With `forgetting` f = 1 the estimate is that of all samples at once; with f < 1 a sample counts
-    f^age, a memory of 1 / (1 - f) samples, so that a change of load is followed. `weights` (n,) are
-    one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds values of what no sample
-    excites. With `prior_strength` > 0 (how many samples of unit weighted torque it is worth) it is
-    never forgotten, so that rest loses nothing. Friction that depends on load uses that of `model`.
+    With `forgetting` f = 1 the estimate is the fit of all samples at once; with f < 1 a sample
+    counts f^age, a memory of 1 / (1 - f) samples, so that a change of load is followed. `weights`
+    (n,) are one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds values of what no
+    sample excites. With `prior_strength` > 0 (how many samples of unit weighted torque it is worth)
+    it is never forgotten, so that rest loses nothing. Friction that depends on load uses the load
+    of `model`.
 
     Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 5;
     square-root form of recursive least squares with forgetting.
@@ -128,10 +129,9 @@ class RecursiveIdentification:
         variance = solution.residual_energy / max(
             self._counted * self.model.n_joints - solution.rank, 1.0
         )
-        root = solution.inverse_root
         return RecursiveEstimate(
             beta=solution.x,
-            std_errors=np.sqrt(variance * np.sum(root**2, axis=1)),
+            std_errors=np.sqrt(variance * np.sum(solution.inverse_root**2, axis=1)),
             sigma=float(np.sqrt(variance)),
             rank=solution.rank,
             n_effective=self._counted,

@@ -35,17 +35,21 @@ def estimate_ridge(data: EstimationData) -> Estimate:
 
     D holds the lengths of the weighted columns, the prior of drives included. lambda minimises the
     squared error on groups of neighbouring time blocks held out in turn, and may be zero.
-    Parameters without a CAD value are regularised toward zero, and those of drives have a scale too
-    (`with_drive_scale`): without it a column that is short, of a joint that hardly moves, would
-    hardly be regularised. Source: Hoerl & Kennard, Technometrics 12, 1970.
+    Parameters without a CAD value are regularised toward zero, and parameters of drives have a
+    scale too (`with_drive_scale`): without it a column that is short, of a joint that hardly moves,
+    would hardly be regularised. Source: Hoerl & Kennard, Technometrics 12, 1970.
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
     drives = with_drive_scale(build_cad_prior(data.model, base.drive), information)
 
     def fit(part: SquareRootInformation, ridge: float) -> FactorSolution:
-        factor = with_drive_rows(part.stacked(start.weights), base, drives)
-        return solve_factor(factor, part.n_rows, data.prior_values, ridge)
+        return solve_factor(
+            with_drive_rows(part.stacked(start.weights), base, drives),
+            part.n_rows,
+            data.prior_values,
+            ridge,
+        )
 
     errors = np.zeros(len(RIDGES))
     with use_one_blas_thread():

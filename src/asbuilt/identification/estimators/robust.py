@@ -80,7 +80,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
     """Minimise `sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss.
 
     By iteratively reweighted least squares; sigma_k is 1.4826 times the median absolute residual of
-    joint k. Errors are those of least squares on pseudo-values `W beta + sigma rho'(r) / s` with
+    joint k. Errors follow from least squares on pseudo-values `W beta + sigma rho'(r) / s` with
     weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981,
     chapter 7, with s = mean(rho''); here `_average_informed_slope` lowers s, since outliers of a
     robot cluster where its joints reverse.
@@ -131,9 +131,8 @@ def reweight(
 
     The rows of all blocks `together` are faster, and round what data hardly determine otherwise.
     """
-    information, support = data.information, data.rows.support
+    information, support, floor = data.information, data.rows.support, noise_floor(data.information)
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
-    floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
     parts = data.rows.parts if together else data.rows.by_block
     with use_one_blas_thread():
@@ -147,8 +146,9 @@ def reweight(
             sums = [np.zeros((own.size, own.size + 1)) for own in support]
             for b, rows in enumerate(parts()):
                 for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
-                    weight = loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
-                    weighted = columns[:-1] * weight
+                    weighted = columns[:-1] * (
+                        loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
+                    )
                     total[:, :-1] += weighted @ columns[:-1].T
                     total[:, -1] += weighted @ residuals[k][b]
             for own, total in zip(support, sums, strict=True):
@@ -253,7 +253,6 @@ def _evaluate_residuals(
 
 
 def _drop_uncounted(residuals: Sequence[Array]) -> Array:
-    """Return the residuals of a joint without those of rows that do not count, which are zero."""
+    """Return the residuals of a joint without zeros, which are of rows that do not count."""
     together = np.concatenate(residuals)
-    counting = together[together != 0.0]
-    return counting if counting.size else together
+    return together[together != 0.0] if together.any() else together

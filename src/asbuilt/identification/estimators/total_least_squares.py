@@ -26,8 +26,8 @@ def estimate_total(data: EstimationData) -> Estimate:
     """Minimise `|[E D^-1 | e / |tau|]|_F` subject to `(W + E) beta = tau - e`.
 
     Rows are weighted joint by joint, and D holds the column lengths: errors of a column are as
-    large relative to it as those of the torque. Columns of offsets are exact and solved first; the
-    smallest singular value s gives the rest, `(W^T W - s^2 D^2) beta = W^T tau`. Undetermined
+    large relative to it as errors of the torque are. Columns of offsets are exact and solved first;
+    the smallest singular value s gives the rest, `(W^T W - s^2 D^2) beta = W^T tau`. Undetermined
     directions keep the prior. Standard errors are first order.
 
     Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns: Van Huffel &

@@ -140,8 +140,7 @@ def gather_cause_data(
             sources[part.samples.source] = None
             add(1, part)
         for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
-            held_back = not sources and number % HELD_BACK == HELD_BACK - 1
-            add(int(held_back), part)
+            add(int(not sources and number % HELD_BACK == HELD_BACK - 1), part)
         of_fitted, of_judged = (tuple(own.factor() for own in each) for each in growing)
     if not all(counts):
         raise IdentifiabilityError(

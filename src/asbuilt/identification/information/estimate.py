@@ -121,10 +121,8 @@ class Estimate:
 
 def noise_floor(information: SquareRootInformation) -> float:
     """Return the least noise: `SMALLEST_NOISE` of the largest torque RMS, 1 without torque."""
-    return (
-        SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples))
-        or 1.0
-    )
+    largest = float(np.sqrt(information.torque_energy.max() / information.n_samples))
+    return SMALLEST_NOISE * largest or 1.0
 
 
 def residual_deviation(
@@ -134,24 +132,14 @@ def residual_deviation(
 
     Joints whose rows were mixed, since contact forces were projected away, have one noise.
     """
-    spent = _measure_leverage(information, inverse_root, weights)
+    roots = zip(information.support, information.joint_factors, weights, strict=True)
+    parts = [weight * factor[:-1, :-1] @ inverse_root[own] for own, factor, weight in roots]
+    # Traces of each joint's part of the hat matrix; their sum is the rank.
+    spent = np.array([np.sum(part * part) for part in parts])
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
     if information.mixed:
         energy, spent = np.full_like(energy, energy.mean()), np.full_like(spent, spent.mean())
     return np.asarray(np.sqrt(energy / np.maximum(information.n_samples - spent, 1.0)))
-
-
-def _measure_leverage(
-    information: SquareRootInformation, inverse_root: Array, weights: Array
-) -> Array:
-    """Return the trace (n,) of each joint's part of the hat matrix; the sum is the rank."""
-    parts = []
-    for support, factor, weight in zip(
-        information.support, information.joint_factors, weights, strict=True
-    ):
-        part = weight * factor[:-1, :-1] @ inverse_root[support]
-        parts.append(float(np.sum(part * part)))
-    return np.array(parts)
 
 
 Undetermined = Literal["toward_prior", "refuse"]

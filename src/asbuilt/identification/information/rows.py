@@ -22,7 +22,7 @@ from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(slots=True, eq=False)
-class ColumnsBeside:
+class FurtherColumns:
     """Gather `[W_k | tau_k | T_k]^T T_k` of further columns T of every joint k, in order of time.
 
     T are the torques of the links by design under gravity `g x axis` for the two axes across
@@ -41,7 +41,7 @@ class ColumnsBeside:
     products: list[Array] = field(default_factory=list)
 
     @classmethod
-    def tilts(cls, model: RobotModel) -> ColumnsBeside:
+    def tilts(cls, model: RobotModel) -> FurtherColumns:
         """Return the columns of two base tilts."""
         axes = find_axes_across(model.gravity)
         return cls(tuple(model.with_gravity(np.cross(model.gravity, axis)) for axis in axes))
@@ -131,18 +131,18 @@ class SampleBlock:
         return rows
 
     def _filter(self, values: Array) -> Array:
-        """Return filtered values (n, n_outputs) of those of consecutive samples (m, n)."""
+        """Filter values of consecutive samples (m, n), giving (n, n_outputs)."""
         parallel = self.samples.parallel
         return parallel.apply(np.ascontiguousarray(values.T)) if parallel else values.T
 
     def chunks(
-        self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
+        self, plan: RegressorPlan, further: Callable[[slice], Sequence[Array]] | None = None
     ) -> Iterator[tuple[Array, ...]]:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
         A chunk is valid until the next. Rows of a joint that moves slower than `samples.slowest`
         are zero. Where forces at contacts are projected away, they are in units of `samples.noise`,
-        in which that loses nothing (Aitken, 1935). `beside` returns further columns of a span of
+        in which that loses nothing (Aitken, 1935). `further` returns more columns of a span of
         samples, each (L, n), placed before the torque; `plan` has a spare row for each and one
         more.
         """
@@ -155,15 +155,16 @@ class SampleBlock:
             last = min(first + at_once, self.last)
             span = slice(self.start + first * step, self.start + (last - 1) * step + width)
             rows = plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)
-            further = (*(beside(span) if beside else ()), samples.tau[span])
+            last_rows = (*(further(span) if further else ()), samples.tau[span])
             for k, columns in enumerate(rows):
-                for place, values in enumerate(further, start=-len(further)):
+                for place, values in enumerate(last_rows, start=-len(last_rows)):
                     columns[place] = values[:, k]
             if samples.contact is not None:
                 for k, noise in enumerate(samples.noise):
                     np.divide(rows[k], noise, out=rows[k])
-                state = samples.q[span], samples.contact[span]
-                basis = contact_basis(plan.model, *state, samples.noise)
+                basis = contact_basis(
+                    plan.model, samples.q[span], samples.contact[span], samples.noise
+                )
                 project(basis, buffer, span.stop - span.start)
             filtered = rows
             if parallel:
@@ -242,8 +243,11 @@ class Rows:
 
         Return whether they are.
         """
-        own = tuple(self._samples)
-        if self._held is None or self._less or not all(map(_same_motion, own, samples)):
+        if (
+            self._held is None
+            or self._less
+            or not all(map(_same_motion, tuple(self._samples), samples))
+        ):
             return False
         for part, block in zip(self._divide(samples), self._held, strict=True):
             torques = part.filtered(part.samples.tau.__getitem__)

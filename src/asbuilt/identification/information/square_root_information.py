@@ -21,7 +21,7 @@ from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import (
-    ColumnsBeside,
+    FurtherColumns,
     RowBlock,
     SampleBlock,
     TimeBlock,
@@ -248,7 +248,7 @@ def accumulate_stream(
     *,
     block_seconds: float | None = None,
     threads: int | None = None,
-    beside: ColumnsBeside | None = None,
+    further: FurtherColumns | None = None,
 ) -> SquareRootInformation:
     """Reduce a stream of samples to their square-root information, in bounded memory.
 
@@ -264,7 +264,7 @@ def accumulate_stream(
         beyond 256 blocks.
     threads
         Threads that share the blocks, by default one per core; the result does not depend on it.
-    beside
+    further
         Further columns, whose inner products it gathers in the same pass.
 
     Raises
@@ -272,7 +272,7 @@ def accumulate_stream(
     IdentifiabilityError
         If nothing is left after filtering, or the joints differ from the model's.
     """
-    spare_rows = 1 + (beside.count if beside else 0)
+    spare_rows = 1 + (further.count if further else 0)
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=spare_rows)
     gathered = _Gathering()
     pending: deque[Future[_Reduced]] = deque()
@@ -280,13 +280,13 @@ def accumulate_stream(
     def gather_next() -> None:
         block = pending.popleft().result()
         gathered.add(block)
-        if beside is not None:
-            beside.add(block.products)
+        if further is not None:
+            further.add(block.products)
 
     workers = choose_threads(threads, count_cores())
     with use_one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
         for part in divide_into_blocks(model, stream, block_seconds):
-            pending.append(pool.submit(_reduce_block, plan, part, beside))
+            pending.append(pool.submit(_reduce_block, plan, part, further))
             gathered.seconds = max(gathered.seconds, part.seconds)
             if len(pending) > 2 * workers:
                 gather_next()
@@ -325,16 +325,17 @@ class _Reduced:
     products: tuple[Array, ...] = ()
 
 
-def _reduce_block(plan: RegressorPlan, part: SampleBlock, beside: ColumnsBeside | None) -> _Reduced:
+def _reduce_block(
+    plan: RegressorPlan, part: SampleBlock, further: FurtherColumns | None
+) -> _Reduced:
     growing = [
-        GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, part.n_outputs))
-        for columns in plan.support
+        GrowingFactor(len(own) + 1, min(ROWS_AT_ONCE, part.n_outputs)) for own in plan.support
     ]
     torque_sum = np.zeros(plan.model.n_joints)
-    m, q = (beside.count if beside else 0), part.samples.q
-    products = tuple(np.zeros((len(columns) + 1 + m, m)) for columns in plan.support)
-    further = None if beside is None else lambda span: beside.columns(q[span])
-    for chunk in part.chunks(plan, beside=further):
+    m, q = (further.count if further else 0), part.samples.q
+    products = tuple(np.zeros((len(own) + 1 + m, m)) for own in plan.support)
+    columns = None if further is None else lambda span: further.columns(q[span])
+    for chunk in part.chunks(plan, columns):
         for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
             products[k][:] += rows @ rows[-1 - m : -1].T

@@ -21,8 +21,9 @@ def triangular_factor(rows: Array) -> Array:
 
 def factor_distance(root: Array, beta: Array) -> Array:
     """Return the factor (p + 1, p + 1) of the distance `|R (x - beta)|^2` with the root R."""
-    rows = np.column_stack([root, root @ beta])
-    return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
+    return triangular_factor(
+        np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))])
+    )
 
 
 def reduce_columns(columns: Array, capacity: int = ROWS_AT_ONCE) -> Array:
@@ -97,8 +98,11 @@ class GrowingFactor:
 
     def _reduce(self) -> None:
         if self._filled > self._p:
-            full = self._filled == self._rows.shape[1]
-            rows = self._rows.T if full else self._rows[:, : self._filled].T.copy(order="F")
+            rows = (
+                self._rows.T
+                if (self._filled == self._rows.shape[1])
+                else self._rows[:, : self._filled].T.copy(order="F")
+            )
             # Columns that one block reflector takes. The panels of `geqrf` are as wide as these
             # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
             # time.
@@ -155,7 +159,7 @@ def solve_factor(
 ) -> FactorSolution:
     """Minimise `|W x - tau|^2 + ridge |D (x - toward)|^2` from the triangular factor [R | z].
 
-    R and z are those of `n_rows` rows, (p + 1, p + 1) together, and D scales columns to length 1,
+    The factor (p + 1, p + 1) is of `n_rows` rows, and D scales columns to length 1,
     `R D^-1 = U S V^T`. Undetermined directions are resolved toward `toward` (p,), zero by default.
     Source: Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5
     (rank).

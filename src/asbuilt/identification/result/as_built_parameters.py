@@ -45,8 +45,7 @@ def known_information(result: IdentificationResult) -> Array:
     correlated residuals, since the standard errors do.
     """
     scale, variances, directions = find_determined_directions(result)
-    inverse = (directions / variances) @ directions.T
-    return np.asarray(inverse * np.outer(scale, scale))
+    return np.asarray(((directions / variances) @ directions.T) * np.outer(scale, scale))
 
 
 @lru_cache(maxsize=8)

@@ -104,8 +104,9 @@ def conclude(
         free_errors.append(omitted.free_covariance)
         notes = (*notes, *filter(None, [omitted.sentence]))
     if errors:
-        bias = None if omitted is None else omitted.bias
-        uncertainty = uncertainty.with_further(np.sum(errors, axis=0), bias)
+        uncertainty = uncertainty.with_further(
+            np.sum(errors, axis=0), None if omitted is None else omitted.bias
+        )
     parameters = _list_parameters(information, estimate, uncertainty, design)
     margin, consistent = decide_consistency(base, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)

@@ -39,7 +39,7 @@ class DeterminationThresholds:
     """Smallest ratio of an error to its value with the other parameters known (the square root of
     the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
     shown: float = 3.0
-    """Errors, with the other parameters known, from which a spring is told from none."""
+    """Errors, with the other parameters known, from which a spring differs from none."""
     named: float = 0.35
     """Smallest coefficient, relative to the largest, of a parameter named in a combination."""
     combinations: int = 6
@@ -92,7 +92,7 @@ class Determination:
     | `well` | with a standard error of at most 10 % |
     | `fairly` | of at most 50 % |
     | `hardly` | of more than 50 % |
-    | `negligible` | those of `hardly` whose error changes the torque of this motion little |
+    | `negligible` | members of `hardly` whose error changes the torque of this motion little |
     | `not_at_all` | undetermined |
     | `dropped` | set to zero by the estimator, without an error |
     """
@@ -195,8 +195,11 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
         combinations = _find_combinations(result, information, determined)
         weak = weak_parameters(result)
         # A base that floats does not take poses: `leg_advice` has the motions of legs.
-        asked = motions and weak.size and not result.model.n_floating
-        advice = _choose_advice(result, information, weak) if asked else ()
+        advice = (
+            _choose_advice(result, information, weak)
+            if (motions and weak.size and not result.model.n_floating)
+            else ()
+        )
     members = {key: tuple(names[mask].tolist()) for key, mask in classes.items()}
     return Determination(**members, combinations=combinations, advice=advice)
 
@@ -219,7 +222,7 @@ def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
 
 
 def report_springs(result: IdentificationResult) -> tuple[Finding, ...]:
-    """Report springs, with the masses that no motion of this recording tells them apart from."""
+    """Report springs, with the masses that look the same in all motions of this recording."""
     base, names = result.base, result.model.joint_names
     springs = {
         f"{symbol}{k + 1}": names[k]
@@ -277,8 +280,7 @@ def _find_combinations(
     """Return directions of large variance with unit diagonal information, the largest first."""
     seen = np.flatnonzero(determined & (np.diag(information) > 0))
     scale = 1.0 / np.sqrt(np.diag(information)[seen])
-    scaled = information[np.ix_(seen, seen)] * np.outer(scale, scale)
-    eigenvalues, vectors = np.linalg.eigh(scaled)
+    eigenvalues, vectors = np.linalg.eigh(information[np.ix_(seen, seen)] * np.outer(scale, scale))
     found: list[Combination] = []
     for value, vector in zip(eigenvalues, vectors.T, strict=True):
         if value > 1.0 / LIMITS.correlated**2 or len(found) == LIMITS.combinations:
@@ -386,7 +388,7 @@ def sample_information(
 ) -> Array:
     """Return the mean information (p, p) of states (N, n), less forces at closed contacts.
 
-    `contact` and `noise` are those of `contact_basis`.
+    `contact` and `noise` are arguments of `contact_basis`.
     """
     plan = RegressorPlan.of(result.model, result.base.drive, result.base.columns)
     buffer = plan.buffer(len(q))

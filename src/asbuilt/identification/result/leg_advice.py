@@ -66,7 +66,6 @@ def leg_advice(
         return (), 0
     motions = list(leg_motions(result.model, standing_posture(samples)))
     noise = samples[0].noise
-    touching = samples[0].contact is not None
     extras = (
         each.share
         * sample_information(
@@ -74,14 +73,15 @@ def leg_advice(
             each.q,
             each.qd,
             each.qdd,
-            each.closed.astype(np.float64) if touching else None,
+            each.closed.astype(np.float64) if (samples[0].contact is not None) else None,
             noise,
         )
         for each in motions
     )
     table = error_ratios(result, known_information(result), weak, extras)
-    names = [each.name for each in motions]
-    return best_motions(result, weak, table, names, [slice(None)] * MOTIONS, NEARLY), weak.size
+    return best_motions(
+        result, weak, table, [each.name for each in motions], [slice(None)] * MOTIONS, NEARLY
+    ), weak.size
 
 
 def standing_posture(samples: Sequence[Samples]) -> Array:

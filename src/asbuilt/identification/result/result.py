@@ -288,8 +288,13 @@ class IdentificationResult:
         """The result with the values of the fit that `validation` is of; itself if that is it."""
         if self.trained is None:
             return self
-        pairs = zip(self.parameters, self.trained.tolist(), strict=True)
-        return replace(self, parameters=tuple(replace(each, estimate=x) for each, x in pairs))
+        return replace(
+            self,
+            parameters=tuple(
+                replace(each, estimate=x)
+                for each, x in zip(self.parameters, self.trained.tolist(), strict=True)
+            ),
+        )
 
     @property
     def cad_values(self) -> Array:
@@ -551,8 +556,11 @@ class IdentificationResult:
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
             result = cls(model=model, base=base, **decode_fields(cls, whole, but=REBUILT))
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as problem:
-            known = isinstance(problem, AsbuiltError | FieldError)
-            reason = str(problem) if known else f"{type(problem).__name__} {problem}"
+            reason = (
+                str(problem)
+                if isinstance(problem, AsbuiltError | FieldError)
+                else f"{type(problem).__name__} {problem}"
+            )
             raise ResultError(f"the stored result is damaged: {reason}", cure=AGAIN) from problem
         result._check_values()
         ids = [parameter.id for parameter in result.parameters]
