@@ -225,18 +225,18 @@ def fit_samples(
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
-    def accumulated(loading: RobotModel) -> SquareRootInformation:
+    def accumulate(loading: RobotModel) -> SquareRootInformation:
         return accumulate_stream(
             loading, base, samples, block_seconds=block_seconds, threads=threads
         )
 
-    seen = accumulated(model)
+    seen = accumulate(model)
     of_pose: PoseNoise | None = None
     if expected is None and any(any(each.pose_noise) for each in samples):
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
 
-    def reduced(seen: SquareRootInformation, loading: RobotModel | None = None) -> EstimationData:
+    def reduce(seen: SquareRootInformation, loading: RobotModel | None = None) -> EstimationData:
         less = () if expected is None else expected.torques(seen)
         return EstimationData(
             model,
@@ -249,9 +249,9 @@ def fit_samples(
             less=less,
         )
 
-    data = reduced(seen)
+    data = reduce(seen)
     if base.drive.needs_load:
-        data = _settle_own_load(data, lambda loading: reduced(accumulated(loading), loading))
+        data = _settle_own_load(data, lambda loading: reduce(accumulate(loading), loading))
     information, estimate = data.information, estimator.estimate(data)
     loading = set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model
     textbook = errors == "textbook"
@@ -315,7 +315,7 @@ def _estimate_uncertainty(
 
 
 def _settle_own_load(
-    data: EstimationData, reduced: Callable[[RobotModel], EstimationData]
+    data: EstimationData, reduce: Callable[[RobotModel], EstimationData]
 ) -> EstimationData:
     """Repeat least squares until friction depends on the load that they find, not on CAD's load.
 
@@ -325,7 +325,7 @@ def _settle_own_load(
     beta = estimate_wls(data).beta
     least = data.information.residual_energy(beta)
     for _ in range(LOAD.most):
-        data = reduced(set_link_parameters(data.model, data.base, beta))
+        data = reduce(set_link_parameters(data.model, data.base, beta))
         beta = estimate_wls(data).beta
         energy = data.information.residual_energy(beta)
         if np.all(energy > (1.0 - LOAD.convergence) * least):

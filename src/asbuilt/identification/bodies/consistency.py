@@ -27,6 +27,17 @@ ROUNDING_OF_DRIVES = 1e-9
 """Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
 
 
+def check_base_parameters(base: BaseParameters, beta: ArrayLike) -> Array:
+    """Return beta as an array (p,); raises `IdentifiabilityError` for another shape or NaN."""
+    values = np.asarray(beta, dtype=np.float64)
+    if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
+        raise IdentifiabilityError(
+            f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}:"
+            f" {values.tolist()}"
+        )
+    return values
+
+
 def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     """Return the largest t with `K chi = beta` and `P_i >= t 1` for every link.
 
@@ -41,12 +52,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     IdentifiabilityError
         If beta has another shape than (p,) or is not finite, or the solver fails.
     """
-    values = np.asarray(beta, dtype=np.float64)
-    if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
-        raise IdentifiabilityError(
-            f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}:"
-            f" {values.tolist()}"
-        )
+    values = check_base_parameters(base, beta)
     n_links = base.n_links
     counted = np.array(
         [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
@@ -180,6 +186,7 @@ class Inconsistency:
         )
 
 
+@use_one_blas_thread()
 def find_inconsistency(
     base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
 ) -> Inconsistency | None:
@@ -194,12 +201,11 @@ def find_inconsistency(
     problem = _Separation(
         base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     )
-    with use_one_blas_thread():
-        surest = problem.solve(np.zeros(base.n_base))
-        if surest is None:
-            return None
-        plainest = problem.plainest()
-        proof = problem.shortened(surest) if plainest is None else plainest
+    surest = problem.solve(np.zeros(base.n_base))
+    if surest is None:
+        return None
+    plainest = problem.plainest()
+    proof = problem.shortened(surest) if plainest is None else plainest
     order = np.argsort(-np.abs(proof) * problem.size, kind="stable")[: np.count_nonzero(proof)]
     y = proof / np.abs(proof[order[0]])
     return Inconsistency(

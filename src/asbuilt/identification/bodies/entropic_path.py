@@ -42,15 +42,15 @@ class EntropicPath:
         self._start = _find_inside(prior, bounds)
         self._reached: dict[float, EntropicFits] = {}
 
-    def descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
+    def fit_descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
         wanted, fits = set(weights), dict[float, Array]()
         for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
             with suppress(IdentifiabilityError):
-                fits[weight] = self.roughly(factors, weight)
+                fits[weight] = self.fit_roughly(factors, weight)
         return {weight: fit for weight, fit in fits.items() if weight in wanted}
 
-    def roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
+    def fit_roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
         """Return the fits of many factors, to a small part of a standard error, for one weight."""
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
@@ -60,22 +60,22 @@ class EntropicPath:
         )
         return self._reached[weight].chi
 
-    def unbarred(self, factors: Array, weight: float) -> Array:
+    def fit_unbarred(self, factors: Array, weight: float) -> Array:
         """Return rough fits in which CAD, not the barrier, decides what factors leave open.
 
         The barrier of the bounds would outweigh CAD at weights below one, and put masses in the
         middle of their bounds.
         """
-        return self.roughly(factors, weight, barrier=BARRIER * min(weight, 1.0))
+        return self.fit_roughly(factors, weight, barrier=BARRIER * min(weight, 1.0))
 
-    def exactly(self, factor: Array, weight: float) -> Array:
+    def fit_exactly(self, factor: Array, weight: float) -> Array:
         """Return the fit of one factor, from the last rough one or through stronger weights."""
         if weight not in self._reached:
             self._reached.clear()
             for each in (stronger for stronger in DESCENT if stronger > weight):
                 with suppress(IdentifiabilityError):
-                    self.roughly(factor[None], each)
-            self.roughly(factor[None], weight)
+                    self.fit_roughly(factor[None], each)
+            self.fit_roughly(factor[None], weight)
         return np.asarray(
             self._problem.fit(factor[None], weight, self._reached[weight].last).chi[0]
         )
@@ -114,6 +114,7 @@ CLOSE = 0.01
 MOST_HALVINGS = 20
 
 
+@use_one_blas_thread()
 def find_plausible_parameters(
     cad: CadPrior, base: BaseParameters, beta: Array, information_root: Array, limit: float
 ) -> tuple[Array, float] | None:
@@ -142,10 +143,10 @@ def find_plausible_parameters(
     factor = factor_distance(information_root, beta)
 
     def fit(weight: float) -> tuple[Array, float]:
-        (chi,) = path.unbarred(factor[None], weight)
+        (chi,) = path.fit_unbarred(factor[None], weight)
         return chi, float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
 
-    with use_one_blas_thread(), suppress(IdentifiabilityError):
+    with suppress(IdentifiabilityError):
         path, above = EntropicPath(cad, base, bound_generously(cad)), np.inf
         for weight in TO_THE_DATA:
             below, found = weight, fit(weight)

@@ -29,6 +29,7 @@ from asbuilt.identification.bodies.conic_fit import (
     scale_near_one,
     solve_cone_program,
 )
+from asbuilt.identification.bodies.consistency import check_base_parameters
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
 from asbuilt.identification.information.random_motion import build_random_motion_rows
@@ -147,6 +148,7 @@ class StandardParameters:
         )
 
 
+@use_one_blas_thread()
 def find_standard_parameters(
     model: RobotModel,
     base: BaseParameters,
@@ -189,12 +191,7 @@ def find_standard_parameters(
     IdentifiabilityError
         If beta has another shape or is not finite.
     """
-    asked = np.asarray(beta, dtype=np.float64)
-    if asked.shape != (base.n_base,) or not np.all(np.isfinite(asked)):
-        raise IdentifiabilityError(
-            f"{base.robot} needs {base.n_base} finite base parameters, got shape {asked.shape}:"
-            f" {asked.tolist()}"
-        )
+    asked = check_base_parameters(base, beta)
     cad = build_cad_prior(model, base.drive)
     coordinates = Coordinates.of(base)
     drives = bound_passive_drives(cad)
@@ -207,38 +204,37 @@ def find_standard_parameters(
     of_motion = _measure_joint_rms(motion @ asked, model.n_joints)
     known = bound_known_masses(cad).wider(RULES.rounding, cad.parameters)
     shared, passive = shared.and_also(known), drives.and_also(bound_known_masses(cad))
-    with use_one_blas_thread():
-        within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
-        chi, part = find_deepest_inside(cad, coordinates, asked, within)
-        if part > RULES.exact_part:
-            shared = within
-        else:
-            chi, part = find_deepest_inside(cad, coordinates, asked, shared)
-        exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
-        consistent = exact or nearest
-        if not exact and nearest:
-            distance = factor_distance(_find_root(asked, motion, information), asked)
-            chi = ConicProblem(cad, base.regrouping, passive).fit(distance)
-            scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
-            chi[cad.non_negative] = np.maximum(
-                chi[cad.non_negative], RULES.least_share * scale * moving
-            )
-            chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
-        plausible = None
-        # A beta that is sharper than rounding is kept exactly, as in simulations.
-        if (
-            (exact and uncertainty_root is not None and not np.any(alone < 0.0))
-            and len(uncertainty_root)
-            and np.linalg.norm(uncertainty_root @ asked) <= RULES.sharpest
-        ):
-            plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
-        chi = (
-            plausible[0]
-            if plausible is not None
-            else _find_closest_above(cad, coordinates, chi, part, shared)
-            if consistent
-            else _find_closest_in_metric(cad, coordinates, asked)
+    within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
+    chi, part = find_deepest_inside(cad, coordinates, asked, within)
+    if part > RULES.exact_part:
+        shared = within
+    else:
+        chi, part = find_deepest_inside(cad, coordinates, asked, shared)
+    exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
+    consistent = exact or nearest
+    if not exact and nearest:
+        distance = factor_distance(_find_root(asked, motion, information), asked)
+        chi = ConicProblem(cad, base.regrouping, passive).fit(distance)
+        scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
+        chi[cad.non_negative] = np.maximum(
+            chi[cad.non_negative], RULES.least_share * scale * moving
         )
+        chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
+    plausible = None
+    # A beta that is sharper than rounding is kept exactly, as in simulations.
+    if (
+        (exact and uncertainty_root is not None and not np.any(alone < 0.0))
+        and len(uncertainty_root)
+        and np.linalg.norm(uncertainty_root @ asked) <= RULES.sharpest
+    ):
+        plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
+    chi = (
+        plausible[0]
+        if plausible is not None
+        else _find_closest_above(cad, coordinates, chi, part, shared)
+        if consistent
+        else _find_closest_in_metric(cad, coordinates, asked)
+    )
     kept = base.regrouping @ chi
     return StandardParameters(
         parameters=chi,

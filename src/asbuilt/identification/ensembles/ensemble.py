@@ -83,24 +83,24 @@ def make_draws_consistent(
     return np.concatenate(chi), np.concatenate(chi_square)
 
 
+@use_one_blas_thread()
 def _fit_draws(
     cad: CadPrior, base: BaseParameters, information_root: Array, drawn: Array
 ) -> tuple[Array, Array]:
     """Return the consistent parameters next to the draws of a part, and their chi-squares."""
     factors = np.stack([factor_distance(information_root, beta) for beta in drawn])
     fits, distances = list[Array](), list[Array]()
-    with use_one_blas_thread():
-        path = EntropicPath(cad, base, bound_generously(cad))
-        for weight in TO_THE_DATA:
-            try:
-                chi = path.unbarred(factors, weight)
-            except IdentifiabilityError:
-                continue
-            moved = (chi @ base.regrouping.T - drawn) @ information_root.T
-            fits.append(chi)
-            distances.append(np.linalg.norm(moved, axis=1))
-            if np.max(distances[-1]) <= FAITHFUL:
-                break
+    path = EntropicPath(cad, base, bound_generously(cad))
+    for weight in TO_THE_DATA:
+        try:
+            chi = path.fit_unbarred(factors, weight)
+        except IdentifiabilityError:
+            continue
+        moved = (chi @ base.regrouping.T - drawn) @ information_root.T
+        fits.append(chi)
+        distances.append(np.linalg.norm(moved, axis=1))
+        if np.max(distances[-1]) <= FAITHFUL:
+            break
     if not fits:
         raise IdentifiabilityError(
             f"no physically consistent parameters of {base.robot} were found for the draws"

@@ -45,6 +45,7 @@ class DrawRules:
 DRAWS = DrawRules()
 
 
+@use_one_blas_thread()
 def redraw(
     information: SquareRootInformation,
     estimate: Estimate,
@@ -83,12 +84,11 @@ def redraw(
         else n_draws
     )
     counts = np.random.default_rng(rng).multinomial(n, np.full(n, 1.0 / n), size=draws)
-    with use_one_blas_thread():
-        estimates = (
-            _step_estimates(information, estimate, counts)
-            if estimate.refit is None
-            else _refit_draws(information, estimate.weights, estimate.refit, counts)
-        )
+    estimates = (
+        _step_estimates(information, estimate, counts)
+        if estimate.refit is None
+        else _refit_draws(information, estimate.weights, estimate.refit, counts)
+    )
     refused = draws - len(estimates)
     if refused > DRAWS.most_failures * draws or len(estimates) < 2:
         raise IdentifiabilityError(

@@ -64,6 +64,7 @@ class NonlinearErrors:
         return f"Standard errors include those of the fitted nonlinear parameters: {listed}."
 
 
+@use_one_blas_thread()
 def estimate_nonlinear_errors(
     model: RobotModel,
     base: BaseParameters,
@@ -91,23 +92,22 @@ def estimate_nonlinear_errors(
     r = root.shape[1]
     at = [[i for i, place in enumerate(places) if place.joint == k] for k in range(model.n_joints)]
     blocks = []
-    with use_one_blas_thread():
-        for part in divide_into_blocks(model, samples, block_seconds):
-            gram = np.zeros((r + m + 1, r + m + 1))
-            for chunk in part.chunks(plan, partial(changes, part.samples)):
-                for k, rows in enumerate(chunk):
-                    p_k = len(plan.support[k])
-                    error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
-                    seen = np.vstack(
-                        [
-                            root[plan.support[k]].T @ rows[:p_k],
-                            *(rows[None, p_k + first[i]] for i in at[k]),
-                            error,
-                        ]
-                    )
-                    where = np.ix_(*[[*range(r), *(r + i for i in at[k]), r + m]] * 2)
-                    gram[where] += estimate.weights[k] ** 2 * (seen @ seen.T)
-            blocks.append(gram)
+    for part in divide_into_blocks(model, samples, block_seconds):
+        gram = np.zeros((r + m + 1, r + m + 1))
+        for chunk in part.chunks(plan, partial(changes, part.samples)):
+            for k, rows in enumerate(chunk):
+                p_k = len(plan.support[k])
+                error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
+                seen = np.vstack(
+                    [
+                        root[plan.support[k]].T @ rows[:p_k],
+                        *(rows[None, p_k + first[i]] for i in at[k]),
+                        error,
+                    ]
+                )
+                where = np.ix_(*[[*range(r), *(r + i for i in at[k]), r + m]] * 2)
+                gram[where] += estimate.weights[k] ** 2 * (seen @ seen.T)
+        blocks.append(gram)
     together = np.sum(blocks, axis=0)
     known, across = together[:r, :r], together[:r, r : r + m]
     own, moved = together[r : r + m, r : r + m], np.linalg.pinv(known, hermitian=True) @ across

@@ -141,6 +141,7 @@ def unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
+@use_one_blas_thread()
 def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Array, float, Array]:
     """Return scores of clusters corrected for their leverage as CR2 does, and what follows.
 
@@ -153,17 +154,16 @@ def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Arra
     moves, absorbed, trace = np.empty_like(scores), np.empty_like(grams), 0.0
     leverages = np.empty((len(grams), root.shape[1], root.shape[0]))
     weight = np.empty((len(grams), root.shape[0]))
-    with use_one_blas_thread():
-        for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
-            leverage, axes = np.linalg.eigh(gram)
-            leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-            moves[b] = axes @ ((axes.T @ score_b) / np.sqrt(1.0 - leverage))
-            turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
-            leverages[b] = axes @ (leverage[:, None] * turned)
-            weight[b] = leverage @ turned**2
-            absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
-            trace += float(leverage.sum())
-        freedom = _estimate_degrees_of_freedom(leverages, weight)
+    for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
+        leverage, axes = np.linalg.eigh(gram)
+        leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
+        moves[b] = axes @ ((axes.T @ score_b) / np.sqrt(1.0 - leverage))
+        turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
+        leverages[b] = axes @ (leverage[:, None] * turned)
+        weight[b] = leverage @ turned**2
+        absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
+        trace += float(leverage.sum())
+    freedom = _estimate_degrees_of_freedom(leverages, weight)
     return moves, absorbed, trace, freedom
 
 
@@ -190,17 +190,17 @@ def choose_error_basis(
     return ErrorBasis(kind, asked or kind, information.n_blocks, float(np.median(lengths)))
 
 
+@use_one_blas_thread()
 def block_scores(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
     """Return `S^T W_b^T W_b S` (n_blocks, rank, rank) and `S^T W_b^T e_b` (n_blocks, rank).
 
     e is the weighted residual, S the inverse root.
     """
     residual, found = np.append(-estimate.beta, 1.0), []
-    with use_one_blas_thread():
-        for b in range(information.n_blocks):
-            factor = information.stacked(estimate.weights, b)
-            whitened = factor[:, :-1] @ estimate.solution.inverse_root
-            found.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
+    for b in range(information.n_blocks):
+        factor = information.stacked(estimate.weights, b)
+        whitened = factor[:, :-1] @ estimate.solution.inverse_root
+        found.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
     grams, scores = map(np.array, zip(*found, strict=True))
     return grams, scores
 

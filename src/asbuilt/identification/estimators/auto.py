@@ -161,47 +161,45 @@ class _Candidates:
         return (f"Left out, since the fit did not converge: {', '.join(self.failed)}",)
 
 
+@use_one_blas_thread()
 def _choose_closest_to_cad(
     data: EstimationData, free: Estimate
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the chosen candidate, why it was chosen, and notes."""
     information = free.information or data.information
     prior = with_drive_scale(build_cad_prior(data.model, data.base.drive), information)
-    with use_one_blas_thread():
-        free = _with_drive_prior(information, free, prior)
-        try:
-            consistent = fit_consistent(information, prior)
-        except AsbuiltError as problem:
-            return free, f"{free.method}: the consistent fit failed ({problem})", ()
-        effect = design_effect(information, consistent)
-        masses = data.model.has_masses
-        weights = [effect * each for each in RULES.beliefs] if masses else []
-        folds = divide_into_folds(
-            information, group_different_motions(information, consistent.weights)
-        )
-        parts = [(used.together(), held.together()) for used, held in folds]
-        if len(parts) < RULES.fewest_folds:
-            return _fit_usual_weight(information, prior, free, consistent, masses)
-        candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
-        rates = None if data.samples is None else measure_recorded_rates(data.samples)
-        motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
-        motion *= np.resize(consistent.weights, len(motion))[:, None]
-        free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
-        return _choose_converging(
+    free = _with_drive_prior(information, free, prior)
+    try:
+        consistent = fit_consistent(information, prior)
+    except AsbuiltError as problem:
+        return free, f"{free.method}: the consistent fit failed ({problem})", ()
+    effect = design_effect(information, consistent)
+    masses = data.model.has_masses
+    weights = [effect * each for each in RULES.beliefs] if masses else []
+    folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
+    parts = [(used.together(), held.together()) for used, held in folds]
+    if len(parts) < RULES.fewest_folds:
+        return _fit_usual_weight(information, prior, free, consistent, masses)
+    candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
+    rates = None if data.samples is None else measure_recorded_rates(data.samples)
+    motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
+    motion *= np.resize(consistent.weights, len(motion))[:, None]
+    free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
+    return _choose_converging(
+        information,
+        free,
+        candidates,
+        masses,
+        lambda: choose_candidate(
+            candidates.known,
+            parts,
             information,
-            free,
-            candidates,
-            masses,
-            lambda: choose_candidate(
-                candidates.known,
-                parts,
-                information,
-                consistent.weights,
-                prior_information(information, prior),
-                motion,
-                effect * free_energy / information.n_rows,
-            ),
-        )
+            consistent.weights,
+            prior_information(information, prior),
+            motion,
+            effect * free_energy / information.n_rows,
+        ),
+    )
 
 
 def _with_drive_prior(
@@ -261,7 +259,7 @@ def _fit_candidates(
     candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
     rough: dict[float, Array] = {}
 
-    def trainings() -> Iterator[SquareRootInformation]:
+    def select_trainings() -> Iterator[SquareRootInformation]:
         for each, _ in parts:
             refuse_few_rows(each)
             yield each
@@ -288,13 +286,15 @@ def _fit_candidates(
     candidates.add(
         "consistent",
         WEAKEST_BELIEF,
-        lambda: np.array([K @ conic.fit(each.stacked(of_joints)) for each in trainings()]),
+        lambda: np.array([K @ conic.fit(each.stacked(of_joints)) for each in select_trainings()]),
         lambda: consistent,
     )
     candidates.add(
         free.method,
         0.0,
-        lambda: np.array([_with_drive_rows(each, of_joints, prior).x for each in trainings()]),
+        lambda: np.array(
+            [_with_drive_rows(each, of_joints, prior).x for each in select_trainings()]
+        ),
         lambda: free,
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
@@ -314,14 +314,14 @@ def _fit_supported_weights(
     links further from CAD than its tolerance does.
     """
     effect = weights[-1] / RULES.beliefs[-1]
-    rough = path.descending(factors, weights)
+    rough = path.fit_descending(factors, weights)
     fitted = [weight for weight in weights if weight in rough]
     if not fitted:
         return rough, weights
     limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), RULES.beliefs[-1])
     kept = [weight for weight in weights if weight <= limit]
     if len(kept) < len(weights) and limit > kept[0]:
-        rough |= path.descending(factors, [limit])
+        rough |= path.fit_descending(factors, [limit])
         kept = [limit, *kept]
     return rough, kept
 

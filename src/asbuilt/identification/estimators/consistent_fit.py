@@ -114,6 +114,7 @@ def _build_prior(data: EstimationData) -> CadPrior:
     return with_drive_scale(build_cad_prior(data.model, data.base.drive), data.information)
 
 
+@use_one_blas_thread()
 def fit_consistent(
     information: SquareRootInformation,
     prior: CadPrior,
@@ -128,16 +129,16 @@ def fit_consistent(
     directions stay next to CAD.
     """
     limits = bound_generously(prior) if bounds is None else bounds
-    with use_one_blas_thread():
-        problem = ConicProblem(prior, information.base.regrouping, limits)
-        w, rounds = _fit_joint_weights(information, problem, weights)
-        fit = _estimate("consistent", information, prior, w, problem.fit, TINY_WEIGHT, rounds)
-        near = np.flatnonzero(limits.slack(fit.standard) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
-        active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
-        note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
-        return replace(fit, notes=(f"{note}{active}", *fit.notes))
+    problem = ConicProblem(prior, information.base.regrouping, limits)
+    w, rounds = _fit_joint_weights(information, problem, weights)
+    fit = _estimate("consistent", information, prior, w, problem.fit, TINY_WEIGHT, rounds)
+    near = np.flatnonzero(limits.slack(fit.standard) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
+    active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
+    note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
+    return replace(fit, notes=(f"{note}{active}", *fit.notes))
 
 
+@use_one_blas_thread()
 def fit_toward_cad(
     information: SquareRootInformation,
     prior: CadPrior,
@@ -161,22 +162,21 @@ def fit_toward_cad(
     base = information.base
     limits = bound_with_certainty(prior)
     limits = limits if bounds is None else limits.and_also(bounds)
-    with use_one_blas_thread():
-        conic = ConicProblem(prior, base.regrouping, limits)
-        w, rounds = _fit_joint_weights(information, conic, weights)
-        path = EntropicPath(prior, base, limits) if metric == "entropic" else None
+    conic = ConicProblem(prior, base.regrouping, limits)
+    w, rounds = _fit_joint_weights(information, conic, weights)
+    path = EntropicPath(prior, base, limits) if metric == "entropic" else None
 
-        def fit_roughly(factors: Array, weight: float) -> Array:
-            if path is not None:
-                return path.roughly(factors, weight)
-            return np.array([conic.fit(factor, weight, rough=True) for factor in factors])
+    def fit_roughly(factors: Array, weight: float) -> Array:
+        if path is not None:
+            return path.fit_roughly(factors, weight)
+        return np.array([conic.fit(factor, weight, rough=True) for factor in factors])
 
-        reason = "" if weight is None else f"weight of CAD {weight:g}"
-        if weight is None:
-            choice = choose_weight(information, w, base.regrouping, fit_roughly)
-            weight, reason = choice.weight, choice.reason
-        fit = partial(conic.fit if path is None else path.exactly, weight=float(weight))
-        return _estimate(metric, information, prior, w, fit, weight, rounds, reason)
+    reason = "" if weight is None else f"weight of CAD {weight:g}"
+    if weight is None:
+        choice = choose_weight(information, w, base.regrouping, fit_roughly)
+        weight, reason = choice.weight, choice.reason
+    fit = partial(conic.fit if path is None else path.fit_exactly, weight=float(weight))
+    return _estimate(metric, information, prior, w, fit, weight, rounds, reason)
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:

@@ -27,6 +27,7 @@ MOST_LISTED = 12
     "parameters that an F-test finds insignificant set to zero",
     held_fixed=(JOINT_WEIGHTS, "the selection of parameters"),
 )
+@use_one_blas_thread()
 def estimate_essential(data: EstimationData) -> Estimate:
     """Set parameters of the wls estimate to zero one by one while an F-test allows it.
 
@@ -46,35 +47,34 @@ def estimate_essential(data: EstimationData) -> Estimate:
     variance = start.solution.residual_energy / max(n_rows - start.rank, 1)
     kept, beta, loss = np.flatnonzero(start.determined), start.beta.copy(), 0.0
     without = np.zeros(base.n_base, dtype=np.bool_)
-    with use_one_blas_thread():
-        factor = information.stacked(start.weights)
+    factor = information.stacked(start.weights)
 
-        def reduce() -> Array:
-            others = beta.copy()
-            others[kept] = 0.0
-            return triangular_factor(
-                np.column_stack([factor[:, kept], factor[:, -1] - factor[:, :-1] @ others])
-            )
+    def reduce() -> Array:
+        others = beta.copy()
+        others[kept] = 0.0
+        return triangular_factor(
+            np.column_stack([factor[:, kept], factor[:, -1] - factor[:, :-1] @ others])
+        )
 
-        while len(kept) > 1:
-            r = reduce()
-            scale = np.linalg.norm(r[:-1, :-1], axis=0)
-            inverse = np.linalg.inv(r[:-1, :-1] / scale)
-            increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
-            weakest, count = int(np.argmin(increase)), int(without.sum()) + 1
-            if (loss + increase[weakest]) / count * share > variance * fdtri(
-                count, freedom, 1.0 - SIGNIFICANCE
-            ):
-                break
-            loss += float(increase[weakest])
-            without[kept[weakest]], beta[kept[weakest]] = True, 0.0
-            kept = np.delete(kept, weakest)
-        root, solution = start.solution.inverse_root, start.solution
-        if without.any():
-            solution = solve_factor(reduce(), n_rows)
-            beta[kept] = solution.x
-            root = np.zeros((base.n_base, solution.rank))
-            root[kept] = solution.inverse_root
+    while len(kept) > 1:
+        r = reduce()
+        scale = np.linalg.norm(r[:-1, :-1], axis=0)
+        inverse = np.linalg.inv(r[:-1, :-1] / scale)
+        increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
+        weakest, count = int(np.argmin(increase)), int(without.sum()) + 1
+        if (loss + increase[weakest]) / count * share > variance * fdtri(
+            count, freedom, 1.0 - SIGNIFICANCE
+        ):
+            break
+        loss += float(increase[weakest])
+        without[kept[weakest]], beta[kept[weakest]] = True, 0.0
+        kept = np.delete(kept, weakest)
+    root, solution = start.solution.inverse_root, start.solution
+    if without.any():
+        solution = solve_factor(reduce(), n_rows)
+        beta[kept] = solution.x
+        root = np.zeros((base.n_base, solution.rank))
+        root[kept] = solution.inverse_root
     names = [base.names[j] for j in np.flatnonzero(without)]
     note = (
         f"{len(kept)} of {base.n_base} parameters are essential at the {100 * SIGNIFICANCE:g} %"

@@ -85,11 +85,11 @@ def choose_weight(
 def _without_each(factors: Array) -> Array:
     """Return the triangular factors of all but each, (m, p + 1, p + 1)."""
 
-    def joined(one: Array, other: Array) -> Array:
+    def join(one: Array, other: Array) -> Array:
         return triangular_factor(np.vstack([one, other]))
 
-    before, after = [*accumulate(factors[:-1], joined)], [*accumulate(factors[:0:-1], joined)][::-1]
-    between = [joined(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
+    before, after = [*accumulate(factors[:-1], join)], [*accumulate(factors[:0:-1], join)][::-1]
+    between = [join(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
     return np.array([after[0], *between, before[-1]])
 
 

@@ -191,37 +191,37 @@ def _measure_bandwidth(samples: Samples) -> float:
     return float(np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[place])
 
 
+@use_one_blas_thread()
 def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
     """Return the estimate by two-stage least squares: W projected on Z, then the torque on that."""
     information, rows, base = data.information, data.rows, data.base
     p, n, weights = base.n_base, information.n_joints, start.weights
-    with use_one_blas_thread():
-        growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
+    growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
+    for z, block in zip(instruments, rows, strict=True):
+        for k, support in enumerate(rows.support):
+            both = np.zeros((2 * p + 1, block.time.n_samples))
+            both[support], both[np.append(p + support, -1)] = z.rows[k][:-1], block.rows[k]
+            growing.append(weights[k] * both)
+    factor = growing.factor()
+    zz, zw = factor[:p, :p], factor[:p, p:]
+    excited = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
+    projection = np.linalg.lstsq(zz[:, excited], zw[:, :-1], rcond=1e-12)[0]
+    beta = solve_factor(
+        triangular_factor(zw[excited]), information.n_samples * n, data.prior_values
+    ).x
+
+    def project_rows() -> Iterator[RowBlock]:
         for z, block in zip(instruments, rows, strict=True):
+            made = []
             for k, support in enumerate(rows.support):
-                both = np.zeros((2 * p + 1, block.time.n_samples))
-                both[support], both[np.append(p + support, -1)] = z.rows[k][:-1], block.rows[k]
-                growing.append(weights[k] * both)
-        factor = growing.factor()
-        zz, zw = factor[:p, :p], factor[:p, p:]
-        excited = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
-        projection = np.linalg.lstsq(zz[:, excited], zw[:, :-1], rcond=1e-12)[0]
-        beta = solve_factor(
-            triangular_factor(zw[excited]), information.n_samples * n, data.prior_values
-        ).x
+                full = np.zeros((p, block.time.n_samples))
+                full[support] = z.rows[k][:-1]
+                stage = projection.T @ full[excited]
+                error = block.rows[k][-1] - beta[support] @ block.rows[k][:-1]
+                made.append(np.vstack([stage, error + beta @ stage]))
+            yield RowBlock(tuple(made), block.time, block.seconds)
 
-        def projected() -> Iterator[RowBlock]:
-            for z, block in zip(instruments, rows, strict=True):
-                made = []
-                for k, support in enumerate(rows.support):
-                    full = np.zeros((p, block.time.n_samples))
-                    full[support] = z.rows[k][:-1]
-                    stage = projection.T @ full[excited]
-                    error = block.rows[k][-1] - beta[support] @ block.rows[k][:-1]
-                    made.append(np.vstack([stage, error + beta @ stage]))
-                yield RowBlock(tuple(made), block.time, block.seconds)
-
-        solved = reduce_rows(base, information.joint_names, [np.arange(p)] * n, projected())
+    solved = reduce_rows(base, information.joint_names, [np.arange(p)] * n, project_rows())
     return replace(
         fit_least_squares(
             solved, weights=weights, prior=data.prior, undetermined=data.undetermined

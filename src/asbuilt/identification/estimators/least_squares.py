@@ -39,6 +39,7 @@ Khalil, Int. J. Robotics Research 11, 1992).
 MOST_TERMS = 6
 
 
+@use_one_blas_thread()
 def fit_least_squares(
     information: SquareRootInformation,
     *,
@@ -81,17 +82,16 @@ def fit_least_squares(
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
     w = np.where(seen, check_weights(given, seen), 0.0)
     iterations, converged, ahead = int(not iterated), True, _Extrapolation()
-    with use_one_blas_thread():
-        while iterated:
-            iterations += 1
-            x, root = solve_fast(information.stacked(w), rows, toward)
-            renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
-            converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
-            if converged or iterations > MOST_ITERATIONS:
-                break
-            w[seen] = ahead.weights(w[seen], renewed[seen])
-        solution = solve_factor(information.stacked(w), rows, toward)
-        sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
+    while iterated:
+        iterations += 1
+        x, root = solve_fast(information.stacked(w), rows, toward)
+        renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
+        converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
+        if converged or iterations > MOST_ITERATIONS:
+            break
+        w[seen] = ahead.weights(w[seen], renewed[seen])
+    solution = solve_factor(information.stacked(w), rows, toward)
+    sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
         raise _make_refusal(information, solution)
     return Estimate(

@@ -36,6 +36,7 @@ MOST_ITERATIONS = 100
     needs="samples",
     held_fixed=("the noise covariance of the joints",),
 )
+@use_one_blas_thread()
 def estimate_ml(data: EstimationData) -> Estimate:
     """Minimise `N log det Omega + sum_t e_t^T Omega^-1 e_t` over beta and Omega (n, n).
 
@@ -49,35 +50,32 @@ def estimate_ml(data: EstimationData) -> Estimate:
     information, rows, base = data.information, data.rows, data.base
     n, p, n_samples = information.n_joints, base.n_base, information.n_samples
     floor, every = noise_floor(information), np.arange(p)
-    with use_one_blas_thread():
-        growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
+    growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
+    for block in rows:
+        growing.append(np.vstack(block.rows))
+    ends = np.cumsum([len(support) + 1 for support in rows.support])[:-1]
+    parts = np.split(growing.factor(), ends, axis=1)
+    stack = np.array([widen_factor(*each, p) for each in zip(parts, rows.support, strict=True)])
+    beta, whitener, iterations, converged = estimate_wls(data).beta, np.eye(n), 0, False
+    while not converged and iterations < MOST_ITERATIONS:
+        errors = stack @ np.append(-beta, 1.0)
+        covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
+        renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
+        change = np.max(np.abs(renewed - whitener))
+        converged = bool(change <= WEIGHT_CONVERGENCE * np.max(np.abs(renewed)))
+        whitener = renewed
+        whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
+        beta = solve_factor(triangular_factor(whitened), n_samples * n, data.prior_values).x
+        iterations += 1
+
+    def mix_rows() -> Iterator[RowBlock]:
         for block in rows:
-            growing.append(np.vstack(block.rows))
-        ends = np.cumsum([len(support) + 1 for support in rows.support])[:-1]
-        parts = np.split(growing.factor(), ends, axis=1)
-        stack = np.array([widen_factor(*each, p) for each in zip(parts, rows.support, strict=True)])
-        beta, whitener, iterations, converged = estimate_wls(data).beta, np.eye(n), 0, False
-        while not converged and iterations < MOST_ITERATIONS:
-            errors = stack @ np.append(-beta, 1.0)
-            covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
-            renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
-            change = np.max(np.abs(renewed - whitener))
-            converged = bool(change <= WEIGHT_CONVERGENCE * np.max(np.abs(renewed)))
-            whitener = renewed
-            whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
-            beta = solve_factor(triangular_factor(whitened), n_samples * n, data.prior_values).x
-            iterations += 1
+            own = np.zeros((n, p + 1, block.time.n_samples))
+            for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                own[k, np.append(support, p)] = columns
+            yield RowBlock(tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds)
 
-        def mixed() -> Iterator[RowBlock]:
-            for block in rows:
-                own = np.zeros((n, p + 1, block.time.n_samples))
-                for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
-                    own[k, np.append(support, p)] = columns
-                yield RowBlock(
-                    tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds
-                )
-
-        solved = reduce_rows(base, information.joint_names, [every] * n, mixed())
+    solved = reduce_rows(base, information.joint_names, [every] * n, mix_rows())
     fitted = fit_least_squares(
         solved, weights=np.ones(n), prior=data.prior, undetermined=data.undetermined
     )

@@ -30,6 +30,7 @@ RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
     held_fixed=(JOINT_WEIGHTS, REGULARISATION),
     regularised=True,
 )
+@use_one_blas_thread()
 def estimate_ridge(data: EstimationData) -> Estimate:
     """Minimise `|(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`.
 
@@ -52,19 +53,18 @@ def estimate_ridge(data: EstimationData) -> Estimate:
         )
 
     errors = np.zeros(len(RIDGES))
-    with use_one_blas_thread():
-        for training, held in divide_into_folds(information):
-            for i, ridge in enumerate(RIDGES):
-                error = held.stacked(start.weights) @ np.append(-fit(training, ridge).x, 1.0)
-                errors[i] += error @ error
-        chosen = float(RIDGES[int(np.argmin(errors))]) if errors.any() else 0.0
-        note = f"Ridge weight {chosen:.3g} of the squared column length, chosen on held-out blocks"
-        if errors.any() and errors[0] > 0:
-            change = 100 * (np.sqrt(errors.min() / errors[0]) - 1)
-            note += f" (torque error {change:+.2g} % compared with no regularisation)"
-        return start.renewed(
-            "ridge",
-            information,
-            replace(fit(information, chosen), rank=start.rank),
-            notes=(f"{note}.",),
-        )
+    for training, held in divide_into_folds(information):
+        for i, ridge in enumerate(RIDGES):
+            error = held.stacked(start.weights) @ np.append(-fit(training, ridge).x, 1.0)
+            errors[i] += error @ error
+    chosen = float(RIDGES[int(np.argmin(errors))]) if errors.any() else 0.0
+    note = f"Ridge weight {chosen:.3g} of the squared column length, chosen on held-out blocks"
+    if errors.any() and errors[0] > 0:
+        change = 100 * (np.sqrt(errors.min() / errors[0]) - 1)
+        note += f" (torque error {change:+.2g} % compared with no regularisation)"
+    return start.renewed(
+        "ridge",
+        information,
+        replace(fit(information, chosen), rank=start.rank),
+        notes=(f"{note}.",),
+    )

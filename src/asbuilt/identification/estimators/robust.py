@@ -119,6 +119,7 @@ class Reweighted:
     converged: bool
 
 
+@use_one_blas_thread()
 def reweight(
     data: EstimationData,
     loss: Loss,
@@ -135,32 +136,30 @@ def reweight(
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
     parts = data.rows.parts if together else data.rows.by_block
-    with use_one_blas_thread():
-        while not converged and iterations < ROBUST.most_iterations:
-            residuals = _evaluate_residuals(parts(), support, beta)
-            if scale is None and iterations < ROBUST.scale_iterations:
-                medians = np.array([np.median(np.abs(_drop_uncounted(e))) for e in residuals])
-                sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
-                sigma[~information.has_torque] = np.inf
-            gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
-            sums = [np.zeros((own.size, own.size + 1)) for own in support]
-            for b, rows in enumerate(parts()):
-                for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
-                    weighted = columns[:-1] * (
-                        loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
-                    )
-                    total[:, :-1] += weighted @ columns[:-1].T
-                    total[:, -1] += weighted @ residuals[k][b]
-            for own, total in zip(support, sums, strict=True):
-                gram += root[own].T @ total[:, :-1] @ root[own]
-                score += root[own].T @ total[:, -1]
-            step = np.linalg.lstsq(gram, score, rcond=None)[0]
-            beta = beta + root @ step
-            converged = bool(step @ gram @ step <= ROBUST.step**2)
-            iterations += 1
+    while not converged and iterations < ROBUST.most_iterations:
+        residuals = _evaluate_residuals(parts(), support, beta)
+        if scale is None and iterations < ROBUST.scale_iterations:
+            medians = np.array([np.median(np.abs(_drop_uncounted(e))) for e in residuals])
+            sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
+            sigma[~information.has_torque] = np.inf
+        gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
+        sums = [np.zeros((own.size, own.size + 1)) for own in support]
+        for b, rows in enumerate(parts()):
+            for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
+                weighted = columns[:-1] * (loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2)
+                total[:, :-1] += weighted @ columns[:-1].T
+                total[:, -1] += weighted @ residuals[k][b]
+        for own, total in zip(support, sums, strict=True):
+            gram += root[own].T @ total[:, :-1] @ root[own]
+            score += root[own].T @ total[:, -1]
+        step = np.linalg.lstsq(gram, score, rcond=None)[0]
+        beta = beta + root @ step
+        converged = bool(step @ gram @ step <= ROBUST.step**2)
+        iterations += 1
     return Reweighted(beta, sigma, iterations, converged)
 
 
+@use_one_blas_thread()
 def _fit_robust(
     data: EstimationData, name: str, loss: Loss, start: Estimate, scale: Array | None = None
 ) -> Estimate:
@@ -168,22 +167,21 @@ def _fit_robust(
     reached = reweight(data, loss, start, scale)
     information, rows, sigma = data.information, data.rows, reached.sigma
     root = start.solution.inverse_root / start.weights.max()
-    with use_one_blas_thread():
-        residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
-        standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
-        slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
-        slope = slope * _average_informed_slope(rows, residuals, sigma, slope, loss, root)
+    residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
+    standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
+    slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
+    slope = slope * _average_informed_slope(rows, residuals, sigma, slope, loss, root)
 
-        def pseudo() -> Iterator[RowBlock]:
-            for b, block in enumerate(rows):
-                made = []
-                for k, columns in enumerate(block.rows):
-                    e = residuals[k][b]
-                    torque = columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]
-                    made.append(np.vstack([columns[:-1], torque]))
-                yield RowBlock(tuple(made), block.time, block.seconds)
+    def replace_torques() -> Iterator[RowBlock]:
+        for b, block in enumerate(rows):
+            made = []
+            for k, columns in enumerate(block.rows):
+                e = residuals[k][b]
+                torque = columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]
+                made.append(np.vstack([columns[:-1], torque]))
+            yield RowBlock(tuple(made), block.time, block.seconds)
 
-        solved = reduce_rows(data.base, information.joint_names, rows.support, pseudo())
+    solved = reduce_rows(data.base, information.joint_names, rows.support, replace_torques())
     fitted = fit_least_squares(
         solved, weights=np.sqrt(slope) / sigma, prior=data.prior, undetermined=data.undetermined
     )

@@ -92,6 +92,7 @@ class CauseData:
         return np.asarray([np.linalg.norm(error) for error in errors] / np.sqrt(self.n_judged))
 
 
+@use_one_blas_thread()
 def gather_cause_data(
     model: RobotModel,
     base: BaseParameters,
@@ -135,13 +136,12 @@ def gather_cause_data(
             for own, rows in zip(growing[place], chunk, strict=True):
                 own.append(rows)
 
-    with use_one_blas_thread():
-        for part in divide_into_blocks(model, judged, block_seconds):
-            sources[part.samples.source] = None
-            add(1, part)
-        for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
-            add(int(not sources and number % HELD_BACK == HELD_BACK - 1), part)
-        of_fitted, of_judged = (tuple(own.factor() for own in each) for each in growing)
+    for part in divide_into_blocks(model, judged, block_seconds):
+        sources[part.samples.source] = None
+        add(1, part)
+    for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
+        add(int(not sources and number % HELD_BACK == HELD_BACK - 1), part)
+    of_fitted, of_judged = (tuple(own.factor() for own in each) for each in growing)
     if not all(counts):
         raise IdentifiabilityError(
             f"too few samples of {model.name} to compare causes: {counts[0]} to fit,"

@@ -241,6 +241,7 @@ def accumulate(
     return accumulate_stream(model, base, (samples,), block_seconds=block_seconds, threads=threads)
 
 
+@use_one_blas_thread()
 def accumulate_stream(
     model: RobotModel,
     base: BaseParameters,
@@ -284,7 +285,7 @@ def accumulate_stream(
             further.add(block.products)
 
     workers = choose_threads(threads, count_cores())
-    with use_one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
+    with ThreadPoolExecutor(max_workers=workers) as pool:
         for part in divide_into_blocks(model, stream, block_seconds):
             pending.append(pool.submit(_reduce_block, plan, part, further))
             gathered.seconds = max(gathered.seconds, part.seconds)
@@ -301,6 +302,7 @@ def accumulate_stream(
     return gathered.information(base, model.joint_names, plan.support)
 
 
+@use_one_blas_thread()
 def reduce_rows(
     base: BaseParameters,
     joint_names: tuple[str, ...],
@@ -309,11 +311,10 @@ def reduce_rows(
 ) -> SquareRootInformation:
     """Reduce rows of an estimator, such as reweighted ones; joint k has columns `support[k]`."""
     gathered = _Gathering()
-    with use_one_blas_thread():
-        for block in blocks:
-            gathered.seconds = max(gathered.seconds, block.seconds)
-            torque_sum = np.array([rows[-1].sum() for rows in block.rows])
-            gathered.add(_Reduced(tuple(map(reduce_columns, block.rows)), torque_sum, block.time))
+    for block in blocks:
+        gathered.seconds = max(gathered.seconds, block.seconds)
+        torque_sum = np.array([rows[-1].sum() for rows in block.rows])
+        gathered.add(_Reduced(tuple(map(reduce_columns, block.rows)), torque_sum, block.time))
     return gathered.information(base, joint_names, tuple(support))
 
 

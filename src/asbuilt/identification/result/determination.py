@@ -168,6 +168,7 @@ class Determination:
         return fields | {"in_short": self.in_short, "sentences": list(self.sentences)}
 
 
+@use_one_blas_thread()
 def determination(result: IdentificationResult, *, motions: bool = True) -> Determination:
     """Class the parameters of a result by how well its recordings determine them.
 
@@ -190,16 +191,15 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     """
     names, classes = np.array(result.base.names), _classify_parameters(result)
     determined = classes["well"] | classes["fairly"] | classes["hardly"]
-    with use_one_blas_thread():
-        information = known_information(result)
-        combinations = _find_combinations(result, information, determined)
-        weak = weak_parameters(result)
-        # A base that floats does not take poses: `leg_advice` has the motions of legs.
-        advice = (
-            _choose_advice(result, information, weak)
-            if (motions and weak.size and not result.model.n_floating)
-            else ()
-        )
+    information = known_information(result)
+    combinations = _find_combinations(result, information, determined)
+    weak = weak_parameters(result)
+    # A base that floats does not take poses: `leg_advice` has the motions of legs.
+    advice = (
+        _choose_advice(result, information, weak)
+        if (motions and weak.size and not result.model.n_floating)
+        else ()
+    )
     members = {key: tuple(names[mask].tolist()) for key, mask in classes.items()}
     return Determination(**members, combinations=combinations, advice=advice)
 

@@ -29,6 +29,7 @@ NEARLY = 0.9
 since more parameters than that are lost if a hop fails."""
 
 
+@use_one_blas_thread()
 def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tuple[Finding, ...]:
     """Say which motion of legs would determine what the samples of a result leave open.
 
@@ -37,8 +38,7 @@ def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tu
     """
     if result.model.n_floating != 6:
         return ()
-    with use_one_blas_thread():
-        advice, weak = leg_advice(result, samples)
+    advice, weak = leg_advice(result, samples)
     if not advice:
         return ()
     parts = [
