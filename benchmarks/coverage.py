@@ -33,7 +33,7 @@ from asbuilt.executor import open_workers
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior, design_values
 from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
@@ -43,7 +43,6 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
 )
-from asbuilt.identification.result.design_values import design_values
 from calibrations import Setting, delay_errors, gain_errors
 from lacking import LACKING, ROBOTS, trials
 from legs import Walk, parameter_errors

@@ -17,10 +17,10 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.bodies.consistency import consistency_margin
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.result.design_values import design_values
 from peer import best, pinocchio_model
 
 ROBOT = "kuka-iiwa7-r800"

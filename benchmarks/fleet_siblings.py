@@ -23,14 +23,14 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
 )
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.workflow.fleet.siblings import (
     SiblingPrior,
     derive_posterior_uncertainty,

@@ -17,7 +17,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
+from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.standard_parameters import find_standard_parameters
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.information.square_root_information import accumulate
@@ -56,7 +56,7 @@ def measure() -> dict[str, float | str]:
     factor, bounds = information.stacked(estimate.weights), bound_generously(prior)
     return {
         "conic_program_ms": _milliseconds(
-            lambda: fit_consistent_bodies(prior, base.regrouping, factor=factor, bounds=bounds)
+            lambda: ConicProblem(prior, base.regrouping, bounds).fit(factor)
         ),
         "consistent_whole_ms": _milliseconds(lambda: fit_consistent(information, prior)),
         "entropic_given_weight_ms": _milliseconds(

@@ -21,7 +21,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.workflow.study import StudyOptions, identify
 from drive_terms import CASES as TERM_CASES
 from drive_terms import SHARED, UR10E_SHEET, Case

@@ -20,11 +20,11 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
-from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import (
     IdentificationResult,
     IdentifiedParameter,
 )
+from asbuilt.identification.result.torque_prediction import torque_metrics
 
 HOSTILE = "<img src=x onerror=alert(1)>\"&'"
 

@@ -103,7 +103,7 @@ def excite(
         refuse_sharing("static poses are found by one process", workers, scheduler)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
     model, base, prior = load_described_robot(robot, fixed_base=fixed_base), None, None
-    from asbuilt.identification.information.known_information import known_information
+    from asbuilt.identification.result.as_built_parameters import known_information
 
     if given is not None:
         known = asbuilt.read_result(given)

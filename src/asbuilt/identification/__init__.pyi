@@ -28,10 +28,10 @@ from .information.square_root_information import SquareRootInformation as Square
 from .result.as_built_parameters import as_built_parameters as as_built_parameters
 from .result.determination import Determination as Determination
 from .result.determination import determination as determination
-from .result.metrics import TorqueMetrics as TorqueMetrics
-from .result.metrics import torque_metrics as torque_metrics
 from .result.result import IdentificationResult as IdentificationResult
 from .result.result import IdentifiedParameter as IdentifiedParameter
 from .result.summary import summarise as summarise
 from .result.torque_prediction import Prediction as Prediction
+from .result.torque_prediction import TorqueMetrics as TorqueMetrics
 from .result.torque_prediction import predict_torque as predict_torque
+from .result.torque_prediction import torque_metrics as torque_metrics

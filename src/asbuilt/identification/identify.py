@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,20 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
 from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
     NonlinearPlace,
     estimate_nonlinear_errors,
 )
-from asbuilt.identification.errors.pose_noise import PoseNoise, expect_pose_noise
+from asbuilt.identification.errors.pose_noise import ExpectedScores, PoseNoise, expect_pose_noise
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     estimate_block_uncertainty,
@@ -33,20 +34,19 @@ from asbuilt.identification.errors.uncertainty import (
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
+from asbuilt.identification.information.estimate import Estimate, EstimationData, Undetermined
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
 from asbuilt.identification.result.conclusion import conclude
-from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import predict_torque, set_link_parameters
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.result.torque_prediction import (
+    TorqueMetrics,
+    TorqueTally,
+    predict_torque,
+    set_link_parameters,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,18 +225,18 @@ def fit_samples(
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
-    def accumulated(loading: RobotModel) -> SquareRootInformation:
+    def accumulate(loading: RobotModel) -> SquareRootInformation:
         return accumulate_stream(
             loading, base, samples, block_seconds=block_seconds, threads=threads
         )
 
-    seen = accumulated(model)
+    seen = accumulate(model)
     of_pose: PoseNoise | None = None
     if expected is None and any(any(each.pose_noise) for each in samples):
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
 
-    def reduced(seen: SquareRootInformation, loading: RobotModel | None = None) -> EstimationData:
+    def reduce(seen: SquareRootInformation, loading: RobotModel | None = None) -> EstimationData:
         less = () if expected is None else expected.torques(seen)
         return EstimationData(
             model,
@@ -249,34 +249,33 @@ def fit_samples(
             less=less,
         )
 
-    data = reduced(seen)
+    data = reduce(seen)
     if base.drive.needs_load:
-        data = _settle_own_load(data, lambda loading: reduced(accumulated(loading), loading))
+        data = _settle_own_load(data, lambda loading: reduce(accumulate(loading), loading))
     information, estimate = data.information, estimator.estimate(data)
+    loading = set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model
+    textbook = errors == "textbook"
     nonlinear = None
     if fitted_nonlinear:
         nonlinear = estimate_nonlinear_errors(
-            set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model,
+            loading,
             base,
             estimate,
             samples,
             fitted_nonlinear,
-            textbook=errors == "textbook",
+            textbook=textbook,
             block_seconds=block_seconds,
         )
         estimate = replace(estimate, notes=(*estimate.notes, nonlinear.sentence(model.joint_names)))
     delay = estimate_delay_errors(
-        set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model,
-        base,
-        estimate,
-        samples,
-        textbook=errors == "textbook",
-        block_seconds=block_seconds,
+        loading, base, estimate, samples, textbook=textbook, block_seconds=block_seconds
     )
     uncertainty = _estimate_uncertainty(information, estimate, errors, automatic=method == "auto")
     if of_pose is not None and expected is not None:
-        taken = "What noise of the pose lends the parameters was taken away."
-        estimate = replace(estimate, notes=(*estimate.notes, taken))
+        estimate = replace(
+            estimate,
+            notes=(*estimate.notes, "What noise of the pose lends the parameters was taken away."),
+        )
         grown = uncertainty.covariance * np.outer(of_pose.growth, of_pose.growth)
         grown += expected.doubt(information, estimate)
         uncertainty = replace(uncertainty, covariance=grown)
@@ -316,9 +315,9 @@ def _estimate_uncertainty(
 
 
 def _settle_own_load(
-    data: EstimationData, reduced: Callable[[RobotModel], EstimationData]
+    data: EstimationData, reduce: Callable[[RobotModel], EstimationData]
 ) -> EstimationData:
-    """Repeat least squares until friction depends on the load that they find, not on that of CAD.
+    """Repeat least squares until friction depends on the load that they find, not on CAD's load.
 
     The load at the samples of the log is what they measured, whatever the masses behind it: an
     estimator that chooses among masses has nothing to add.
@@ -326,7 +325,7 @@ def _settle_own_load(
     beta = estimate_wls(data).beta
     least = data.information.residual_energy(beta)
     for _ in range(LOAD.most):
-        data = reduced(set_link_parameters(data.model, data.base, beta))
+        data = reduce(set_link_parameters(data.model, data.base, beta))
         beta = estimate_wls(data).beta
         energy = data.information.residual_energy(beta)
         if np.all(energy > (1.0 - LOAD.convergence) * least):

@@ -66,8 +66,8 @@ def compose_screen(
     lines = [line for each in opening.split("\n") for line in wrap_text(each).split("\n")]
     lines += format_effects(effects, cure_text)
     lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
-    room = RULES.lines - len(lines)
-    return "\n".join([*lines, *shorten_findings(findings, room, cure_text)]) + "\n"
+    lines += shorten_findings(findings, RULES.lines - len(lines), cure_text)
+    return "\n".join(lines) + "\n"
 
 
 def _word_further_output(cure_text: Callable[[Cure], str]) -> str:

@@ -14,10 +14,10 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.errors import ResultError
-from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
+    TorqueMetrics,
     pair_with_measured,
     predict_in_spans,
     predict_torque,

@@ -16,8 +16,8 @@ from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import TorqueMetrics, torque_metrics
 from asbuilt.tables import Table, format_share, wrap_text
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.drift import Drift, compare_results

@@ -18,7 +18,7 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.information.equation_noise import with_equation_noise
+from asbuilt.identification.errors.pose_noise import with_equation_noise
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.workflow.delays import Delays, settle_delays
 from asbuilt.workflow.logged_rates import settle_rates

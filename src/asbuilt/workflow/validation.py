@@ -23,8 +23,8 @@ from asbuilt.experiment.logs.recordings import (
 )
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.prediction import Validation, validate_description, validate_samples
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result

@@ -14,8 +14,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.bodies.drive_prior import with_drive_scale
+from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.identify import identify_samples

@@ -10,8 +10,8 @@ import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.identification.bodies.body_bounds import bound_passive_drives
-from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
-from asbuilt.identification.bodies.inconsistency import find_inconsistency
+from asbuilt.identification.bodies.conic_fit import ConicProblem
+from asbuilt.identification.bodies.consistency import find_inconsistency
 from asbuilt.identification.information.triangular import triangular_factor
 
 
@@ -74,15 +74,10 @@ def test_sureness_is_the_distance_to_the_nearest_real_robot(trial, robot, drive)
     factor = triangular_factor(
         np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))])
     )
-    nearest = fit_consistent_bodies(
-        case.prior,
-        case.base.regrouping,
-        factor=factor,
-        bounds=bound_passive_drives(case.prior),
-        weight=1e-8,
-        smallest_part=0.0,
-    )
-    distance = np.linalg.norm(root @ (case.base.regrouping @ nearest.chi - beta))
+    nearest = ConicProblem(
+        case.prior, case.base.regrouping, bound_passive_drives(case.prior), smallest_part=0.0
+    ).fit(factor, 1e-8)
+    distance = np.linalg.norm(root @ (case.base.regrouping @ nearest - beta))
     assert proof.sigmas == pytest.approx(distance, rel=2e-3)
     assert -proof.value / proof.std_error <= proof.sigmas * (1 + 1e-6)
 

@@ -13,11 +13,11 @@ from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import (
     MOST_GROUPS,
     BlockScatter,
+    effective_rank,
     student_probability,
     sum_degrees,
     widening,
 )
-from asbuilt.identification.errors.common_growth import effective_rank
 from asbuilt.validation.comparison.significance import joint_test
 
 

@@ -13,7 +13,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.block_scatter import BlockScores
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty, estimate_scatter
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import group_different_motions

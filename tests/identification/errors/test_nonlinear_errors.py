@@ -24,7 +24,7 @@ from asbuilt.identification.errors.block_scatter import ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import estimate_nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.identify import identify_samples, set_link_parameters
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import round_with_error

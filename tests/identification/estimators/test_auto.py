@@ -15,7 +15,7 @@ from asbuilt.identification.estimators.auto import estimate_auto
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information import rows
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.result.summary import summarise
 

@@ -31,14 +31,13 @@ from asbuilt.identification.estimators.consistent_fit import (
     fit_toward_cad,
     quietest_noise,
 )
+from asbuilt.identification.estimators.held_out_choice import DEFAULT_WEIGHT
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.estimate import noise_floor
-from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.information.estimate import EstimationData, noise_floor
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.summary import summarise
 from studied_cases import first_of
 

@@ -27,7 +27,7 @@ from asbuilt.identification.calibration.payload import (
     identify_payload_samples,
 )
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.summary import summarise

@@ -19,9 +19,8 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 NIST = Path(__file__).parent / "nist"

@@ -15,7 +15,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.estimators.ridge import RIDGES
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 

@@ -12,7 +12,7 @@ from three_links import DRIVE, full_rows, recording
 from asbuilt.identification.estimators import robust
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 

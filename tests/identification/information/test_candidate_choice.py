@@ -8,7 +8,7 @@ from scipy.stats import ttest_rel
 from three_links import DRIVE, recording
 
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.identification.information.candidate_choice import (
+from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
     choose_candidate,
 )
@@ -96,7 +96,8 @@ def test_inconsistent_values_must_predict_better_beyond_chance(robot):
     for _ in range(40):
         drawn = beta * (1.0 + 0.1 * rng.normal(size=(2, len(parts), len(beta))))
         found = choice_of(robot, drawn, certain=(True, False))[0]
-        test = ttest_rel(found.totals[0], found.totals[1], alternative="greater")
+        totals = found.errors + found.extrapolation[:, None]
+        test = ttest_rel(totals[0], totals[1], alternative="greater")
         p_values.append(float(test.pvalue))
         assert (found.chosen == 1) is (p_values[-1] < 0.05)
     assert 0 < np.sum(np.array(p_values) < 0.05) < np.sum(np.array(p_values) < 0.16)

@@ -15,19 +15,22 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix
-from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.errors.expected_scores import ExpectedScores
+from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
-from asbuilt.identification.information.columns_beside import ColumnsBeside
-from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
+from asbuilt.identification.information.estimate import EstimationData
+from asbuilt.identification.information.rows import (
+    FurtherColumns,
+    Rows,
+    TimeBlock,
+    divide_into_blocks,
+)
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     SquareRootInformation,
@@ -35,7 +38,11 @@ from asbuilt.identification.information.square_root_information import (
     accumulate_stream,
     reduce_rows,
 )
-from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
+from asbuilt.identification.information.triangular import (
+    GrowingFactor,
+    solve_factor,
+    triangular_factor,
+)
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -258,8 +265,7 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
     alike = information.stacked() @ np.append(-beta, 1.0)
     assert alike @ alike == pytest.approx(energies.sum(), rel=1e-11)
     parts = [
-        information.block_stacked(b, weights) @ np.append(-beta, 1.0)
-        for b in range(information.n_blocks)
+        information.stacked(weights, b) @ np.append(-beta, 1.0) for b in range(information.n_blocks)
     ]
     assert sum(part @ part for part in parts) == pytest.approx(weights**2 @ energies, rel=1e-11)
     assert np.allclose(information.torque_sum.sum(axis=0), samples.tau.sum(axis=0))
@@ -337,16 +343,16 @@ def test_merged_blocks_are_those_of_their_time(robot, monkeypatch):
 def test_columns_beside_have_the_products_of_the_stacked_rows(robot):
     model, base = robot
     samples = recording(model, 900, segments=((0, 400), (420, 900)))
-    beside = ColumnsBeside.tilts(model)
-    information = accumulate_stream(model, base, (samples,), block_seconds=1.0, beside=beside)
+    further = FurtherColumns.tilts(model)
+    information = accumulate_stream(model, base, (samples,), block_seconds=1.0, further=further)
     stacks = joint_stacks(model, base, samples)
     assert_same_information(information, stacks)
     taken = np.r_[0:400, 420:900]
-    further = np.stack(beside.columns(samples.q[taken]), axis=-1)
+    columns = np.stack(further.columns(samples.q[taken]), axis=-1)
     for k, (support, stack) in enumerate(zip(information.support, stacks, strict=True)):
-        T = further[:, k]
+        T = columns[:, k]
         rows = np.hstack([stack[:, [*support, -1]], T])
-        np.testing.assert_allclose(beside.products[k], rows.T @ T, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(further.products[k], rows.T @ T, rtol=1e-9, atol=1e-9)
 
 
 def test_rows_of_an_estimator_are_summed_and_read_only(robot):
@@ -373,29 +379,6 @@ def test_a_long_stream_keeps_a_bounded_number_of_blocks_and_all_the_information(
     assert max(lengths) < 4 * np.median(lengths)
     energy = sum((piece.tau**2).sum(axis=0) for piece in pieces)
     assert np.allclose(information.torque_energy, energy, rtol=1e-11)
-
-
-def test_bytes_round_trip_to_the_last_bit(robot):
-    model, base = robot
-    information = accumulate(model, base, recording(model, 400), block_seconds=1.0)
-    again = type(information).from_bytes(base, information.to_bytes())
-    assert again.blocks == information.blocks
-    assert again.joint_names == information.joint_names
-    assert np.array_equal(again.torque_sum, information.torque_sum)
-    for k in range(information.n_joints):
-        assert np.array_equal(again.factors[k], information.factors[k])
-        assert np.array_equal(again.support[k], information.support[k])
-
-
-def test_bytes_of_something_else_are_refused(robot):
-    model, base = robot
-    content = accumulate(model, base, recording(model, 400)).to_bytes()
-    kind = type(accumulate(model, base, recording(model, 400)))
-    for damaged in (b"", b"garbage", content[: len(content) // 2]):
-        with pytest.raises(ResultError, match="cannot be read"):
-            kind.from_bytes(base, damaged)
-    with pytest.raises(ResultError, match="viscous"):
-        kind.from_bytes(find_base_parameters(model), content)
 
 
 def test_values_that_are_not_numbers_are_refused(robot):

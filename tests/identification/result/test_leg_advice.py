@@ -14,7 +14,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
     LIMITS,
     error_ratios,

@@ -22,18 +22,17 @@ from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.conclusion import conclude
-from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import (
     IdentificationResult,
     IdentifiedParameter,
 )
 from asbuilt.identification.result.summary import summarise
-from asbuilt.identification.result.torque_prediction import set_link_parameters
+from asbuilt.identification.result.torque_prediction import set_link_parameters, torque_metrics
 from asbuilt.identification.statistics import confidence_intervals
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

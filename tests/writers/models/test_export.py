@@ -19,8 +19,8 @@ from asbuilt.errors import DescriptionError, InertiaError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
+from asbuilt.identification.result.torque_prediction import torque_metrics
 from asbuilt.workflow.study import StudyOptions, identify
 from asbuilt.writers.models.export import export_result
 from asbuilt.writers.models.sample_states import draw_sample_states

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import cast
 
 from threadpoolctl import ThreadpoolController
 
 
-def use_one_blas_thread() -> AbstractContextManager[object]:
-    """Keep the BLAS to one thread.
+@contextmanager
+def use_one_blas_thread() -> Iterator[None]:
+    """Keep the BLAS to one thread, in a `with` block or a decorated function.
 
     Its own threads only get in each other's way on matrices with some 50 columns.
     """
-    return cast(AbstractContextManager[object], _load_blas().limit(limits=1, user_api="blas"))
+    with _load_blas().limit(limits=1, user_api="blas"):
+        yield
 
 
 @cache

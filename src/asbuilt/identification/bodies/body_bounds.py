@@ -12,6 +12,9 @@ from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
 from asbuilt.identification.bodies.cad_prior import CadPrior
 
+Bound = tuple[Mapping[int, float], float, str]
+"""Coefficients of standard parameters by place, an offset, and a label."""
+
 
 @dataclass(frozen=True, eq=False)
 class BodyBounds:
@@ -49,33 +52,25 @@ class BodyBounds:
 
 def bound_passive_drives(prior: CadPrior) -> BodyBounds:
     """Return the bounds of passive drives: armature and friction are not negative."""
-    rows = np.zeros((len(prior.non_negative), len(prior.parameters)))
-    rows[np.arange(len(rows)), prior.non_negative] = 1.0
-    return BodyBounds(
-        rows, np.zeros(len(rows)), tuple(f"{prior.names[j]} >= 0" for j in prior.non_negative)
-    )
+    passive = prior.non_negative.tolist()
+    return _join_bounds(prior, [({j: 1.0}, 0.0, f"{prior.names[j]} >= 0") for j in passive])
 
 
 def bound_known_masses(prior: CadPrior) -> BodyBounds:
     """Return the bounds of masses that are known in addition to CAD, such as from a scale."""
-    rows: list[Array] = []
-    offsets: list[float] = []
-    labels: list[str] = []
+    bounds: list[Bound] = []
     for links, lower, upper in prior.mass_ranges:
-        row = np.zeros(len(prior.parameters))
-        row[[10 * link + 9 for link in links]] = 1.0
+        masses = [10 * link + 9 for link in links]
         name = " + ".join(f"m{link + 1}" for link in links)
         if len(links) > 2 and links == tuple(range(links[0], links[-1] + 1)):
             name = f"m{links[0] + 1} + ... + m{links[-1] + 1}"
         if lower > 0.0:
-            rows, offsets = [*rows, row], [*offsets, -lower]
-            labels.append(f"{name} >= {lower:.4g} kg (given)")
+            label = f"{name} >= {lower:.4g} kg (given)"
+            bounds.append((dict.fromkeys(masses, 1.0), -lower, label))
         if np.isfinite(upper):
-            rows, offsets = [*rows, -row], [*offsets, upper]
-            labels.append(f"{name} <= {upper:.4g} kg (given)")
-    return BodyBounds(
-        np.array(rows).reshape(-1, len(prior.parameters)), np.array(offsets), tuple(labels)
-    )
+            label = f"{name} <= {upper:.4g} kg (given)"
+            bounds.append((dict.fromkeys(masses, -1.0), upper, label))
+    return _join_bounds(prior, bounds)
 
 
 def bound_with_certainty(prior: CadPrior) -> BodyBounds:
@@ -135,41 +130,29 @@ def bound_bodies(
     UsageError
         If a link does not exist, or a lower bound exceeds its upper bound.
     """
-    rows: list[Array] = []
-    offsets: list[float] = []
-    labels: list[str] = []
-
-    def at_least(link: int, coefficients: Mapping[int, float], offset: float, label: str) -> None:
-        row = np.zeros(len(prior.parameters))
-        for place, factor in coefficients.items():
-            row[10 * link + place] = factor
-        rows.append(row)
-        offsets.append(offset)
-        labels.append(label)
-
+    bounds: list[Bound] = []
     for link, (lower, upper) in (mass or {}).items():
         _check(prior, link, lower, upper, "mass")
-        at_least(link, {9: 1.0}, -float(lower), f"m{link + 1} >= {lower:.3g} kg")
+        m, name = 10 * link + 9, f"m{link + 1}"
+        bounds.append(({m: 1.0}, -float(lower), f"{name} >= {lower:.3g} kg"))
         if np.isfinite(upper):
-            at_least(link, {9: -1.0}, float(upper), f"m{link + 1} <= {upper:.3g} kg")
-    for link, (low, high) in (com or {}).items():
-        for axis in range(3):
-            _check(prior, link, low[axis], high[axis], f"centre of mass along {'xyz'[axis]}")
-            at_least(
-                link,
-                {6 + axis: 1.0, 9: -float(low[axis])},
-                0.0,
-                f"c{'xyz'[axis]}{link + 1} >= {low[axis]:.3g} m",
-            )
-            at_least(
-                link,
-                {6 + axis: -1.0, 9: float(high[axis])},
-                0.0,
-                f"c{'xyz'[axis]}{link + 1} <= {high[axis]:.3g} m",
-            )
-    return BodyBounds(
-        np.array(rows).reshape(-1, len(prior.parameters)), np.array(offsets), tuple(labels)
-    )
+            bounds.append(({m: -1.0}, float(upper), f"{name} <= {upper:.3g} kg"))
+    for link, centre in (com or {}).items():
+        for axis, low, high in zip(range(3), *centre, strict=True):
+            _check(prior, link, low, high, f"centre of mass along {'xyz'[axis]}")
+            moment, m, name = 10 * link + 6 + axis, 10 * link + 9, f"c{'xyz'[axis]}{link + 1}"
+            bounds.append(({moment: 1.0, m: -float(low)}, 0.0, f"{name} >= {low:.3g} m"))
+            bounds.append(({moment: -1.0, m: float(high)}, 0.0, f"{name} <= {high:.3g} m"))
+    return _join_bounds(prior, bounds)
+
+
+def _join_bounds(prior: CadPrior, bounds: Sequence[Bound]) -> BodyBounds:
+    """Return bounds that are given one by one."""
+    rows = np.zeros((len(bounds), len(prior.parameters)))
+    for row, (coefficients, _, _) in zip(rows, bounds, strict=True):
+        row[[*coefficients]] = [*coefficients.values()]
+    offsets = np.array([offset for _, offset, _ in bounds], dtype=np.float64)
+    return BodyBounds(rows, offsets, tuple(label for _, _, label in bounds))
 
 
 def _check(prior: CadPrior, link: int, lower: float, upper: float, what: str) -> None:

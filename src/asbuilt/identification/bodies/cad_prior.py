@@ -1,8 +1,8 @@
-"""CAD values as a prior: positive definite, with a distance free of frames and units."""
+"""CAD values: base parameters by design, and a prior with a distance free of frames and units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import triangular_factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,8 @@ class PriorRules:
 
 
 RULES = PriorRules()
+USUAL_DESIGN_EFFECT = 10.0
+"""Samples per independent sample: the median of 14 recordings of four robots."""
 
 PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
@@ -111,9 +116,11 @@ class CadPrior:
         if not self.drive_scale.size:
             stated = np.abs(self.parameters[10 * self.n_links :])
             object.__setattr__(self, "drive_scale", np.where(stated > 0, stated, 1.0))
-        for values in (self.parameters, self.strength, self.reach, self.non_negative):
+        for values in (
+            *(self.parameters, self.strength, self.reach),
+            *(self.non_negative, self.drive_scale),
+        ):
             values.setflags(write=False)
-        self.drive_scale.setflags(write=False)
 
     @property
     def n_links(self) -> int:
@@ -127,8 +134,13 @@ class CadPrior:
 
     @property
     def metric(self) -> Array:
-        """Hessian of the divergence at CAD with the strength of each link, shape (n, 10, 10)."""
-        return body_metric(self.parameters[: 10 * self.n_links], self.strength)
+        """Hessian of the divergence at CAD with the strength of each link, shape (n, 10, 10).
+
+        `strength_i tr(P_i^-1 B_a P_i^-1 B_b)`, B_a the pseudo-inertias of unit parameters (Lee &
+        Park, IEEE RA-L 3, 2018).
+        """
+        root = body_metric_root(self.parameters[: 10 * self.n_links], self.strength)
+        return np.asarray(root.transpose(0, 2, 1) @ root)
 
     def divergence(self, parameters: Array) -> Array:
         """Return `tr(P0^-1 P) - log det(P0^-1 P) - 4` of every link, shape (n,).
@@ -138,10 +150,8 @@ class CadPrior:
         eq. 23).
         """
         whitened = self.relative_eigenvalues(parameters)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            value = np.sum(
-                whitened - np.log(np.where(whitened > 0, whitened, np.nan)) - 1.0, axis=1
-            )
+        logarithms = np.log(np.where(whitened > 0, whitened, np.nan))
+        value = np.sum(whitened - logarithms - 1.0, axis=1)
         return np.where(np.isnan(value), np.inf, value)
 
     def relative_eigenvalues(self, parameters: Array) -> Array:
@@ -159,21 +169,9 @@ class CadPrior:
         smallest = self.relative_eigenvalues(parameters)[:, 0]
         share = np.minimum(1.0, (1.0 - least) / np.maximum(1.0 - smallest, 1e-300))
         share[smallest >= least] = 1.0
-        found, links = np.array(parameters), slice(0, 10 * self.n_links)
-        found[links] = self.parameters[links] + np.repeat(share, 10) * (
-            found[links] - self.parameters[links]
-        )
+        found, cad = np.array(parameters), self.parameters[: 10 * self.n_links]
+        found[: len(cad)] = cad + np.repeat(share, 10) * (found[: len(cad)] - cad)
         return found
-
-
-def body_metric(parameters: Array, strength: Array) -> Array:
-    """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10).
-
-    The Hessian of -log det; B_a are the pseudo-inertias of unit parameters (Lee & Park, IEEE RA-L
-    3, 2018).
-    """
-    root = body_metric_root(parameters, strength)
-    return np.asarray(root.transpose(0, 2, 1) @ root)
 
 
 def body_metric_root(parameters: Array, strength: Array) -> Array:
@@ -260,16 +258,18 @@ def _second_moment(inertia: Array) -> Array:
 
 def _list_joint_points(model: RobotModel, i: int) -> Array:
     """Return origins of the joints and frames of a link in link axes, shape (k, 3)."""
-    points = [np.linalg.inv(model.moving_joints[i].after)[:3, 3]]
-    points += [joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i]
-    points += [frame.placement[:3, 3] for frame in model.frames if frame.link == i]
-    return np.array(points)
+    return np.array(
+        [
+            np.linalg.inv(model.moving_joints[i].after)[:3, 3],
+            *(joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i),
+            *(frame.placement[:3, 3] for frame in model.frames if frame.link == i),
+        ]
+    )
 
 
 def _average_neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
-    near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i] + [
-        masses[j] for j in (model.parents[i],) if j >= 0
-    ]
+    near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i]
+    near += [masses[model.parents[i]]] if model.parents[i] >= 0 else []
     known = [m for m in near if m > 0] or [m for m in masses if m > 0] or [1.0]
     return float(np.exp(np.mean(np.log(known))))
 
@@ -278,3 +278,59 @@ def find_non_negative_columns(n_links: int, n_joints: int, drive: DriveSet) -> N
     """Return the columns of standard parameters that are non-negative for passive drives."""
     bounded = [term.non_negative for term in drive.terms for _ in term.symbols] * n_joints
     return 10 * n_links + np.flatnonzero(bounded)
+
+
+def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> CadPrior:
+    """Return a prior whose drive parameters are normal about CAD or zero, at a scale of their own.
+
+    The standard deviation of a parameter of joint k is `tau_k / c`: tau_k the RMS torque of the
+    joint, c the RMS of the parameter's column at all joints that have one. With it the drive takes
+    the whole torque of its joint in motion as fast as the robot's. Friction and armature are less,
+    so a parameter that the data determine keeps its value; one of a joint that hardly moves, whose
+    own column is small, stays next to zero. A larger CAD value is the scale itself; joints without
+    torque take the scale of the largest torque. Like CAD's, the weight is for independent samples.
+    """
+    links, n = 10 * prior.n_links, information.n_joints
+    torque = np.sqrt(information.torque_energy / information.n_samples)
+    torque = np.where(torque > 0.0, torque, torque.max())
+    K = information.base.regrouping[:, links:]
+    # Energy of the column of each drive parameter, all joints.
+    pairs = zip(information.support, information.joint_factors, strict=True)
+    energy = sum(np.sum((R[:, :-1] @ K[own]) ** 2, axis=0) for own, R in pairs).reshape(n, -1)
+    present = np.maximum(np.count_nonzero(energy, axis=0), 1)
+    typical = np.sqrt(energy.sum(axis=0) / present / information.n_samples)
+    whole = np.divide(torque[:, None], typical, out=np.zeros_like(energy), where=typical > 0.0)
+    scale = np.maximum(whole.reshape(-1), np.abs(prior.parameters[links:]))
+    scale = np.where(scale > 0.0, scale, prior.drive_scale)
+    return replace(prior, drive_scale=scale, drive_weight=USUAL_DESIGN_EFFECT)
+
+
+def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Array:
+    """Return the factor (p + 1, p + 1) of weighted rows and of the prior of drive parameters.
+
+    The prior covers the base parameters that belong to one drive alone.
+    """
+    first = 10 * prior.n_links
+    own = np.flatnonzero(base.columns >= first)
+    weight = np.sqrt(prior.drive_weight) / prior.drive_scale[base.columns[own] - first]
+    rows = np.zeros((len(own), base.n_base + 1))
+    rows[range(len(own)), own] = weight
+    rows[:, -1] = weight * prior.parameters[base.columns[own]]
+    return triangular_factor(np.vstack([factor, rows]))
+
+
+def design_values(model: RobotModel, base: BaseParameters) -> Array:
+    """Return the base parameters by design, shape (p,), NaN where the description has no value.
+
+    A drive value that the description lacks, or states for a simulator's sake, adds nothing to
+    sums with links and is NaN by itself.
+    """
+    chi, links = parameter_values(model, base.drive), 10 * model.n_links
+    for i, link in enumerate(model.links):
+        if not link.inertia_known:
+            chi[10 * i : 10 * i + 10] = np.nan
+    silent = np.zeros(len(chi), dtype=bool)
+    silent[links:] = np.isnan(chi[links:]) if model.drives_by_design else True
+    values = base.values(np.where(silent, 0.0, chi))
+    values[silent[base.columns]] = np.nan
+    return values

@@ -1,12 +1,12 @@
-"""Least torque error over physically consistent parameters, by a conic program."""
+"""Least torque error over physically consistent parameters, by conic programs of Clarabel."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import lapack, solve_triangular
 from scipy.optimize import nnls
@@ -22,7 +22,53 @@ from asbuilt.identification.bodies.cad_prior import (
     smat,
     svec,
 )
-from asbuilt.identification.bodies.cone_program import solve_cone_program
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConeSolution:
+    """Hold the solver's status, its last point and the number of iterations."""
+
+    status: str
+    x: Array
+    iterations: int
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether `x` is the minimiser, at least to reduced precision."""
+        return self.status in ("Solved", "AlmostSolved")
+
+
+def solve_cone_program(
+    quadratic: sparse.csc_matrix,
+    linear: Array,
+    constraints: sparse.csc_matrix,
+    right: Array,
+    cones: list[Any],
+    **settings: float | bool,
+) -> ConeSolution:
+    """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones.
+
+    P is upper triangular, `settings` have Clarabel's names, and semidefinite cones take the `svec`
+    of a matrix. Source: Goulart & Chen, Clarabel: an interior-point solver for conic programs,
+    2024.
+    """
+    chosen = clarabel.DefaultSettings()
+    chosen.verbose = False
+    chosen.max_threads = 1
+    for name, value in settings.items():
+        setattr(chosen, name, value)
+    try:
+        found = clarabel.DefaultSolver(quadratic, linear, constraints, right, cones, chosen).solve()
+    except (
+        BaseException
+    ) as problem:  # a panic of the solver, whose type nothing exports, is no Exception
+        if type(problem).__name__ != "PanicException":
+            raise
+        return ConeSolution(f"Panic ({problem})", np.full(len(linear), np.nan), 0)
+    return ConeSolution(
+        str(found.status), np.array(found.x, dtype=np.float64), int(found.iterations)
+    )
+
 
 SMALLEST_PART = 1e-3
 """Lower bound of every pseudo-inertia in CAD's: `P_i >= part P0_i`."""
@@ -47,107 +93,59 @@ ROUGHLY: dict[str, float | bool] = EXACTLY | {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ConicFit:
-    """Hold the minimiser `chi` (n_standard,), the largest t with `P_i >= t P0_i`, iterations."""
-
-    chi: Array
-    part: float
-    iterations: int
-
-
-def fit_consistent_bodies(
-    prior: CadPrior,
-    regrouping: Array,
-    *,
-    factor: Array,
-    bounds: BodyBounds | None = None,
-    weight: float = TINY_WEIGHT,
-    smallest_part: float = SMALLEST_PART,
-) -> ConicFit:
+class ConicProblem:
     """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` over consistent chi.
 
-    Subject to `P_i >= smallest_part P0_i` for every link and to `bounds`. [R z] is the triangular
-    `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the CAD values, g their
-    metric: the distance `tr((P0^-1 dP)^2)` of every link, the same in all frames and units (the
-    constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
-    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, all near 1. Positive
-    definiteness after Wensing, Kim & Slotine, IEEE RA-L 3, 2018, and Sousa & Cortesao, IJRR 33,
-    2014. Raises `IdentifiabilityError` if the bounds are infeasible.
-    """
-    return ConicProblem.of(prior, regrouping, bounds, smallest_part).fit(factor, weight)
+    Subject to `P_i >= smallest_part P0_i` for every link and to `bounds`. [R z] is a triangular
+    factor (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the CAD values, g their metric:
+    the distance `tr((P0^-1 dP)^2)` of every link, the same in all frames and units (the constant
+    pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, all near 1: `chi = bodies q`,
+    q0 is CAD. Positive definiteness after Wensing, Kim & Slotine, IEEE RA-L 3, 2018, and Sousa &
+    Cortesao, IJRR 33, 2014.
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ConicProblem:
-    """Hold what all conic fits of one robot share.
-
-    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) +
-    s = (z, limits)`, r the residual, s in the `cones`; the first p rows take `R torque` at `places`
-    of their data, whose entries `nonzero` (n_standard, p) can be nonzero. The linear bounds are
-    `bounds q <= margin`.
+    The constraints are `pattern (q, r) + s = (z, limits)`, r the residual, s in the `cones`; the
+    first p rows take `R torque` at `places` of their data, whose entries `nonzero` (n_standard, p)
+    can be nonzero. The linear bounds are `bounds q <= margin`.
     """
 
-    prior: CadPrior
-    bodies: Array
-    q0: Array
-    torque: Array
-    bounds: Array
-    margin: Array
-    smallest_part: float
-    pattern: sparse.csc_matrix
-    places: NDArray[np.int64]
-    nonzero: NDArray[np.bool_]
-    limits: Array
-    cones: tuple[object, ...]
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         prior: CadPrior,
         regrouping: Array,
         bounds: BodyBounds | None = None,
         smallest_part: float = SMALLEST_PART,
-    ) -> ConicProblem:
-        """Return the program of a robot with these bounds."""
-        bodies, q0 = scale_near_one(prior)
+    ) -> None:
+        self.prior, self.smallest_part = prior, smallest_part
+        self.bodies, self.q0 = scale_near_one(prior)
         n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
-        rows, margin = np.zeros((0, n)), np.zeros(0)
+        self.bounds, self.margin = np.zeros((0, n)), np.zeros(0)
         if bounds is not None:
-            rows, margin = -bounds.rows @ bodies, bounds.offsets
+            rows = -bounds.rows @ self.bodies
             size = np.linalg.norm(rows, axis=1)
-            rows, margin = rows / size[:, None], margin / size
-        below = np.vstack([rows, -np.eye(inertial, n)])
-        right = np.concatenate([margin, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)])
-        torque = regrouping @ bodies
-        nonzero = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
-        pattern = sparse.csc_matrix(
-            np.vstack(
-                [np.hstack([nonzero, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]
-            )
+            self.bounds, self.margin = rows / size[:, None], bounds.offsets / size
+        below = np.vstack([self.bounds, -np.eye(inertial, n)])
+        self.limits = np.concatenate(
+            [self.margin, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)]
         )
-        places = np.flatnonzero(
-            (pattern.indices < p) & (np.arange(pattern.nnz) < pattern.indptr[n])
+        self.torque = regrouping @ self.bodies
+        nonzero = (np.triu(np.ones((p, p))) @ (self.torque != 0.0) > 0.0).astype(np.float64)
+        self.nonzero = nonzero.T > 0.0
+        self.pattern = sparse.csc_matrix(
+            np.block([[nonzero, -np.eye(p)], [below, np.zeros((len(below), p))]])
         )
-        linear = [clarabel.NonnegativeConeT(len(rows))] if len(rows) else []
-        cones = (clarabel.ZeroConeT(p), *linear, *[clarabel.PSDTriangleConeT(4)] * prior.n_links)
-        return cls(
-            prior,
-            bodies,
-            q0,
-            torque,
-            rows,
-            margin,
-            smallest_part,
-            pattern,
-            places,
-            nonzero.T > 0.0,
-            right,
-            cones,
+        self.places = np.flatnonzero(
+            (self.pattern.indices < p) & (np.arange(self.pattern.nnz) < self.pattern.indptr[n])
         )
+        linear = [clarabel.NonnegativeConeT(len(self.margin))] if len(self.margin) else []
+        self.cones = [
+            clarabel.ZeroConeT(p),
+            *linear,
+            *([clarabel.PSDTriangleConeT(4)] * prior.n_links),
+        ]
 
-    def fit(self, factor: Array, weight: float = TINY_WEIGHT, *, rough: bool = False) -> ConicFit:
-        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1).
+    def fit(self, factor: Array, weight: float = TINY_WEIGHT, *, rough: bool = False) -> Array:
+        """Return the minimiser chi (n_standard,) for the triangular factor [R z] (p + 1, p + 1).
 
         A `rough` one is within about a thousandth of a standard error. Raises
         `IdentifiabilityError` if the bounds are infeasible or the solver fails.
@@ -167,21 +165,20 @@ class ConicProblem:
             )
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None
             if inside is not None:
-                return self._fit(inside, 0)
-            constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])
+                return self._unscale(inside)
+            constraints = self.pattern.copy()
             constraints.data[self.places] = torque.T[self.nonzero]
             constraints.eliminate_zeros()  # those between branches of the robot
             quadratic = sparse.csc_matrix(
                 (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
                 (n + p, n + p),
             )
-            linear = np.concatenate([-pull * self.q0, np.zeros(p)])
             solution = solve_cone_program(
                 quadratic,
-                linear,
+                np.concatenate([-pull * self.q0, np.zeros(p)]),
                 constraints,
-                limits,
-                list(self.cones),
+                np.concatenate([z, self.limits]),
+                self.cones,
                 **(ROUGHLY if rough else EXACTLY),
             )
             if "PrimalInfeasible" in solution.status and len(self.bounds):
@@ -191,30 +188,21 @@ class ConicProblem:
                     cure=Cure("widen the bounds"),
                 )
             if solution.is_solved:
-                return self._fit(solution.x[:n], solution.iterations)
+                return self._unscale(solution.x[:n])
         raise IdentifiabilityError(
             f"the physically consistent fit of {prior.robot} failed after {solution.iterations}"
             f" iterations with solver status {solution.status}",
             cure=Cure("check the data for values of extreme size"),
         )
 
-    def _fit(self, q: Array, iterations: int) -> ConicFit:
-        q = self._at_bounds(q)
-        return ConicFit(self.bodies @ q, self._smallest(q), iterations)
-
-    def _at_bounds(self, q: Array) -> Array:
-        """Return q with drive parameters moved to their bound if rounding left them beyond."""
+    def _unscale(self, q: Array) -> Array:
+        """Return chi, with drive parameters moved to their bound if rounding left them beyond."""
         q, inertial = q.copy(), 10 * self.prior.n_links
         for row, margin in zip(self.bounds[:, inertial:], self.margin, strict=True):
             (own,) = np.nonzero(row)
             if len(own) == 1 and row @ q[inertial:] > margin:
                 q[inertial + own] = margin / row[own]
-        return q
-
-    def _smallest(self, q: Array) -> float:
-        return float(
-            np.linalg.eigvalsh(smat(q[: 10 * self.prior.n_links].reshape(-1, 10)))[:, 0].min()
-        )
+        return np.asarray(self.bodies @ q)
 
     def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
         """Return the minimiser within the linear bounds if it is consistent without cones, or None.
@@ -240,8 +228,9 @@ class ConicProblem:
             if error[-1] >= 0.0:
                 return None
             u = u - error[:-1] / error[-1]
-        q = solve_triangular(root, u, lower=True, trans="T", check_finite=False)
-        return np.asarray(q) if self._smallest(q) >= self.smallest_part else None
+        q = np.asarray(solve_triangular(root, u, lower=True, trans="T", check_finite=False))
+        bodies = smat(q[: 10 * self.prior.n_links].reshape(-1, 10))
+        return q if np.linalg.eigvalsh(bodies)[:, 0].min() >= self.smallest_part else None
 
 
 def scale_near_one(prior: CadPrior) -> tuple[Array, Array]:

@@ -1,23 +1,41 @@
-"""Physical consistency of base parameters."""
+"""Physical consistency of base parameters, and proofs of inconsistency: by which, by how much."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import clarabel
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import (
     IDENTITY_SVEC,
     PSEUDO_INERTIA_SVEC,
+    CadPrior,
     find_non_negative_columns,
+    smat,
 )
-from asbuilt.identification.bodies.cone_program import solve_cone_program
+from asbuilt.identification.bodies.conic_fit import scale_near_one, solve_cone_program
+from asbuilt.tables import SIGNIFICANT_SIGMAS, format_plus_minus, round_significant
 
 ROUNDING_OF_DRIVES = 1e-9
 """Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
+
+
+def check_base_parameters(base: BaseParameters, beta: ArrayLike) -> Array:
+    """Return beta as an array (p,); raises `IdentifiabilityError` for another shape or NaN."""
+    values = np.asarray(beta, dtype=np.float64)
+    if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
+        raise IdentifiabilityError(
+            f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}:"
+            f" {values.tolist()}"
+        )
+    return values
 
 
 def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
@@ -34,12 +52,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     IdentifiabilityError
         If beta has another shape than (p,) or is not finite, or the solver fails.
     """
-    values = np.asarray(beta, dtype=np.float64)
-    if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
-        raise IdentifiabilityError(
-            f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}:"
-            f" {values.tolist()}"
-        )
+    values = check_base_parameters(base, beta)
     n_links = base.n_links
     counted = np.array(
         [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
@@ -72,10 +85,8 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         clarabel.NonnegativeConeT(len(armatures)),
         *[clarabel.PSDTriangleConeT(4)] * n_links,
     ]
-    goal = np.append(np.zeros(n), -1.0)
-    solution = solve_cone_program(
-        sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones
-    )
+    nothing, goal = sparse.csc_matrix((n + 1, n + 1)), np.append(np.zeros(n), -1.0)
+    solution = solve_cone_program(nothing, goal, constraints, bounds, cones)
     if "DualInfeasible" in solution.status:
         return float("inf")
     if not solution.is_solved:
@@ -86,11 +97,20 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     return float(solution.x[-1])
 
 
+def decide_consistency(base: BaseParameters, beta: ArrayLike) -> tuple[float | None, bool | None]:
+    """Return the margin and whether links are consistent, None where the solver cannot decide."""
+    try:
+        margin = consistency_margin(base, beta)
+    except IdentifiabilityError:
+        return None, None
+    return margin, margin_is_consistent(margin, beta)
+
+
 def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
     """Return whether a margin is non-negative up to the solver's rounding."""
-    scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
+    largest = float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=1.0))
     # Negative margin, in units of the largest parameter, that is rounding of the solver.
-    return margin >= -1e-8 * scale
+    return margin >= -1e-8 * largest
 
 
 def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
@@ -100,3 +120,195 @@ def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]
         base.columns, find_non_negative_columns(base.n_links, base.n_joints, base.drive)
     )
     return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))
+
+
+FEW = 3
+"""Parameters of a combination that is short enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShortestRules:
+    """Hold how the shortest inconsistent combination is searched."""
+
+    rounds: int = 6
+    """Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008)."""
+    dearest: float = 100.0
+    """Largest l1 weight of a parameter, relative to its standard error."""
+    solved: float = 1e-9
+    """Negative part of a coefficient that is rounding."""
+    rounding: float = 1e-4
+    """Coefficient, in standard errors relative to the largest, that is left out."""
+
+
+RULES = ShortestRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inconsistency:
+    """Hold a proof that base parameters beta (p,) are physically inconsistent.
+
+    `y^T beta >= 0` for all consistent links and passive drives, yet here `value = y^T beta < 0`.
+
+    Parameters
+    ----------
+    names, ids, coefficients
+        Parameters with nonzero y, and y.
+    value, std_error
+        `y^T beta` and its standard error.
+    sigmas
+        Distance of beta from the nearest consistent one in standard errors of all parameters,
+        `min |L^-1 (beta - K chi)|` with `C = L L^T`.
+    """
+
+    names: tuple[str, ...]
+    ids: tuple[int, ...]
+    coefficients: Array
+    value: float
+    std_error: float
+    sigmas: float
+
+    @property
+    def sentence(self) -> str:
+        """What is inconsistent, and by how much."""
+        total = " ".join(
+            f"{'-' if c < 0 else '+'}"
+            f" {'' if (size := round_significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
+            for c, name in zip(self.coefficients.tolist(), self.names, strict=True)
+        )
+        alone = self.value / self.std_error if self.std_error > 0 else -np.inf
+        return (
+            f"{total.removeprefix('+ ')} is {format_plus_minus(self.value, self.std_error)} (base"
+            f" parameter{'s' if len(self.ids) > 1 else ''} {', '.join(map(str, self.ids))}),"
+            f" {round_significant(-alone, 2)} standard errors below zero, but at least zero for"
+            " every"
+            " physically consistent robot; all parameters together are"
+            f" {round_significant(self.sigmas, 2)} standard errors from the nearest consistent ones"
+        )
+
+
+@use_one_blas_thread()
+def find_inconsistency(
+    base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
+) -> Inconsistency | None:
+    """Return a proof with few parameters that beta is inconsistent; None if it is consistent.
+
+    The cone of consistent base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and
+    only if some y is non-negative on all of it and negative at beta (Farkas' lemma for cones: Boyd
+    & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T
+    beta|` is one over the distance from beta to the cone in standard errors; an added
+    `sum |y_j| sqrt(C_jj)` keeps y short. Clarabel solves second-order and semidefinite programs.
+    """
+    problem = _Separation(
+        base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    )
+    surest = problem.solve(np.zeros(base.n_base))
+    if surest is None:
+        return None
+    plainest = problem.plainest()
+    proof = problem.shortened(surest) if plainest is None else plainest
+    order = np.argsort(-np.abs(proof) * problem.size, kind="stable")[: np.count_nonzero(proof)]
+    y = proof / np.abs(proof[order[0]])
+    return Inconsistency(
+        names=tuple(base.names[j] for j in order),
+        ids=tuple(int(base.ids[j]) for j in order),
+        coefficients=y[order],
+        value=float(y @ problem.beta),
+        std_error=problem.error(y),
+        sigmas=-float(surest @ problem.beta)
+        / max(problem.error(surest), np.finfo(np.float64).tiny),
+    )
+
+
+class _Separation:
+    """The program for y, in units of the standard errors.
+
+    `images` (n_standard, p) is what a unit of each parameter does to bodies near 1 and to drives.
+    """
+
+    def __init__(
+        self, base: BaseParameters, prior: CadPrior, beta: Array, covariance: Array
+    ) -> None:
+        self.beta = beta
+        size = np.sqrt(np.diag(covariance))
+        self.size = np.where(size > 0, size, size[size > 0].min(initial=1.0))
+        bodies, _ = scale_near_one(prior)
+        self.images = (base.regrouping @ bodies).T / self.size
+        self.inertial = 10 * prior.n_links
+        drives = np.arange(self.inertial, len(prior.parameters))
+        self.passive = np.intersect1d(drives, prior.non_negative)
+        self.free = np.setdiff1d(drives, prior.non_negative)
+        eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(self.size, self.size))
+        self.root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+
+    def error(self, y: Array) -> float:
+        """Return the standard error of `y^T beta`."""
+        return float(np.linalg.norm(self.root.T @ (y * self.size)))
+
+    def plainest(self) -> Array | None:
+        """Return y (p,) with the most significant single negative parameter; None if none is."""
+        bodies = smat(self.images[: self.inertial].T.reshape(len(self.beta), -1, 10))
+        size = np.abs(self.images).max(axis=0)
+        eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
+        drives = self.images[self.passive].min(axis=0, initial=0.0)
+        proof = (np.minimum(eigenvalues, drives) >= -RULES.solved * size) & ~np.any(
+            self.images[self.free], axis=0
+        )
+        sigmas = np.where(proof, -self.beta / self.size, 0.0)
+        surest = int(np.argmax(sigmas))
+        return None if sigmas[surest] < SIGNIFICANT_SIGMAS else np.eye(len(self.beta))[surest]
+
+    def shortened(self, surest: Array) -> Array:
+        """Return a proof with few parameters, starting from the most significant."""
+        proof, prices = surest, np.ones(len(surest))
+        for _ in range(RULES.rounds):
+            found = self.solve(prices)
+            proof = proof if found is None else found
+            if found is None or np.count_nonzero(proof) <= FEW:
+                break
+            share = np.abs(proof) * self.size
+            least = share.max() / RULES.dearest
+            prices = np.minimum(RULES.dearest, share.max() / np.maximum(share, least))
+        return proof
+
+    def solve(self, prices: Array) -> Array | None:
+        """Return y (p,), or None if there is no proof.
+
+        With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta =
+        -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
+        """
+        p, at, identity = len(self.beta), self.beta / self.size, np.eye(len(self.beta))
+        length = float(np.linalg.norm(at))
+        if length == 0.0:
+            return None
+
+        def alone(rows: Array) -> Array:
+            return np.hstack([rows, np.zeros((len(rows), p + 1))])
+
+        equal = alone(np.vstack([at / length, self.images[self.free]]))
+        none = np.zeros((p, 1))
+        bounded = np.block([[identity, -identity, none], [-identity, -identity, none]])
+        cone = np.vstack([np.append(np.zeros(2 * p), -1.0), alone(-self.root.T)])
+        constraints = np.vstack(
+            [
+                equal,
+                bounded,
+                alone(-self.images[self.passive]),
+                cone,
+                alone(-self.images[: self.inertial]),
+            ]
+        )
+        right = np.append(-1.0, np.zeros(len(constraints) - 1))
+        cones = [
+            clarabel.ZeroConeT(len(equal)),
+            clarabel.NonnegativeConeT(2 * p + self.passive.size),
+            clarabel.SecondOrderConeT(p + 1),
+            *[clarabel.PSDTriangleConeT(4)] * (self.inertial // 10),
+        ]
+        goal = np.concatenate([np.zeros(p), prices, [1.0]])
+        nothing = sparse.csc_matrix((len(goal), len(goal)))
+        solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
+        if not solution.is_solved:
+            return None
+        u = solution.x[:p]
+        u[np.abs(u) <= RULES.rounding * np.abs(u).max()] = 0.0
+        return np.asarray(u / self.size)

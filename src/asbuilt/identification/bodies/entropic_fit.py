@@ -16,6 +16,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds
 from asbuilt.identification.bodies.cad_prior import (
+    IDENTITY_SVEC,
     SVEC_COLUMN,
     SVEC_LENGTH,
     SVEC_ROW,
@@ -70,38 +71,31 @@ class Coordinates:
     def of(cls, base: BaseParameters) -> Coordinates:
         """Return the split that belongs to base parameters."""
         others = np.setdiff1d(np.arange(base.n_standard), base.columns)
-        kept = np.zeros((base.n_standard, base.n_base))
-        kept[base.columns, np.arange(base.n_base)] = 1.0
-        dependent = np.zeros((base.n_standard, len(others)))
-        dependent[others, np.arange(len(others))] = 1.0
+        kept, dependent = (
+            np.eye(base.n_standard).take(each, axis=1) for each in (base.columns, others)
+        )
         dependent[base.columns] = -base.regrouping[:, others]
         return cls(base.regrouping, kept, dependent)
-
-    @property
-    def n_base(self) -> int:
-        """Number of base parameters."""
-        return int(self.kept.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntropicFits:
     """Hold the minimisers `chi` (m, n_standard) of m problems and their `values` (m,).
 
-    `steps` is the largest number of Newton steps. `duals` (m, n_links, 4, 4) of the links and
-    `multipliers` (m, n_bounds) of the bounds start the search for another weight.
+    `duals` (m, n_links, 4, 4) of the links and `multipliers` (m, n_bounds) of the bounds start the
+    search for another weight.
     """
 
     chi: Array
     values: Array
-    steps: int
     duals: Array
     multipliers: Array
 
-    def alone(self, problem: int) -> EntropicFits:
-        """Return the fit of one problem; -1 is the last."""
-        one = [range(len(self.chi))[problem]]
+    @property
+    def last(self) -> EntropicFits:
+        """The fit of the last problem alone."""
         return EntropicFits(
-            self.chi[one], self.values[one], self.steps, self.duals[one], self.multipliers[one]
+            *(each[-1:] for each in (self.chi, self.values, self.duals, self.multipliers))
         )
 
 
@@ -110,7 +104,7 @@ class EntropicProblem:
 
     D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi`
     stays what it is at the start, exactly. Bounds enter with a logarithmic barrier. The variables
-    are the same as in `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`.
+    are the same as in `ConicProblem`, `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`.
     Newton's method on a self-concordant function with a line search; the Hessian of a link is taken
     as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the link and its dual `Z -> weight Q^-1`; so is
     the Hessian of a bound, to anticipate boundaries far from the start (Nesterov & Todd, SIAM J.
@@ -136,7 +130,6 @@ class EntropicProblem:
         self.rows = np.zeros((0, len(scale))) if bounds is None else bounds.rows
         self.offsets = np.zeros(0) if bounds is None else bounds.offsets
         self.slopes = self.rows @ self.free
-        self.identity = svec(np.eye(4))
         self.held = held
 
     def curve(self, hessians: Array, scaling: Array) -> None:
@@ -193,7 +186,6 @@ class EntropicProblem:
         return EntropicFits(
             search.start + search.y @ self.free.T,
             search.values,
-            steps,
             search.duals,
             search.multipliers,
         )
@@ -217,9 +209,7 @@ class _Search:
     ) -> None:
         self.problem, self.weight, self.barrier = problem, weight, barrier
         self.weights = weight * problem.prior.strength
-        self.start = (
-            start.chi if isinstance(start, EntropicFits) else np.array(start, dtype=np.float64)
-        )
+        self.start = start.chi if isinstance(start, EntropicFits) else start
         m, v = len(self.start), problem.free.shape[1]
         self.A, self.error = np.zeros((m, 0, v)), np.zeros((m, 0))
         if factors is not None:
@@ -253,7 +243,7 @@ class _Search:
         V = np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
         T = np.sqrt(V)[..., None] * (_transpose(turn) @ inverse)
         bodies = self.weights[:, None] * np.asarray(
-            problem.identity - svec(_transpose(inverse) @ inverse)
+            IDENTITY_SVEC - svec(_transpose(inverse) @ inverse)
         )
         drives = problem.prior.drive_weight * (q[:, n:] - problem.q0[n:])
         slope = np.hstack([bodies.reshape(len(q), -1), drives])
@@ -281,9 +271,7 @@ class _Search:
         )
         gradient, hessian, T, V = self.model(a)
         try:
-            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]), dtype=np.float64)[
-                :, :, 0
-            ]
+            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]))[:, :, 0]
         except np.linalg.LinAlgError:
             raise IdentifiabilityError(
                 f"the entropic fit of {problem.prior.robot} has a singular Hessian", cure=SIZES
@@ -293,26 +281,10 @@ class _Search:
         narrowing, swing = step @ problem.slopes.T, _multiply_vectors(self.A[a], step)
 
         X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _transpose(T)
-        Y = _make_diagonal(own / V - V) - X
+        Y = (own / V - V)[..., None] * np.eye(4) - X
         loosening = (self.barrier - multipliers * narrowing) / slack - multipliers
-        steepest = np.column_stack(
-            [
-                _find_nearest_edge(np.array([X, Y]), V).T,
-                -narrowing / slack,
-                -loosening / multipliers,
-            ]
-        )
-        n_bounds = slack.shape[1]
-        ahead, dual_ahead = (
-            steepest[:, [0, *range(2, 2 + n_bounds)]],
-            steepest[:, [1, *range(2 + n_bounds, 2 + 2 * n_bounds)]],
-        )
-        length, dual_length = (
-            np.minimum(
-                1.0, NEWTON.near_edge / np.maximum(each.max(axis=1), np.finfo(np.float64).tiny)
-            )
-            for each in (ahead, dual_ahead)
-        )
+        length = _find_step_length(X, V, -narrowing / slack)
+        dual_length = _find_step_length(Y, V, -loosening / multipliers)
         self.duals[a] += dual_length[:, None, None, None] * (_transpose(T) @ Y @ T)
         self.multipliers[a] += dual_length[:, None] * loosening
 
@@ -334,9 +306,9 @@ class _Search:
             trying = trying[~good]
             length[trying] *= NEWTON.shorter
             trying = trying[length[trying] > NEWTON.shortest]
-        off = np.max(np.abs(V**2 / own - 1.0), axis=(1, 2), initial=0.0)
         off = np.maximum(
-            off, np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0)
+            np.max(np.abs(V**2 / own - 1.0), axis=(1, 2), initial=0.0),
+            np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0),
         )
         return np.asarray(
             (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= NEWTON.central)
@@ -349,7 +321,7 @@ class _Search:
         roots = _factor_matrices(smat(bodies))
         with np.errstate(divide="ignore", invalid="ignore"):
             value = (
-                bodies @ problem.identity
+                bodies @ IDENTITY_SVEC
                 - 2.0 * np.log(np.diagonal(roots, axis1=2, axis2=3)).sum(axis=2)
             ) @ self.weights
             value += 0.5 * (
@@ -366,17 +338,17 @@ def _multiply_vectors(matrices: Array, vectors: Array) -> Array:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
-def _make_diagonal(entries: Array) -> Array:
-    return np.asarray(entries[..., None] * np.eye(entries.shape[-1]))
+def _find_step_length(change: Array, V: Array, approach: Array) -> Array:
+    """Return how much of a step each problem may take.
 
-
-def _find_nearest_edge(change: Array, V: Array) -> Array:
-    """Return the steepest approach of any link of each problem to the boundary, per step."""
+    `change` is what the step does to links at diag(V), `approach` (m, n_bounds) how far it goes to
+    each bound.
+    """
     root = np.sqrt(V)
-    steepest: Array = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(
-        axis=(-1, -2)
-    )
-    return steepest
+    edge = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(axis=(1, 2))
+    nearest = np.column_stack([edge, approach]).max(axis=1)
+    tiny = np.finfo(np.float64).tiny
+    return np.asarray(np.minimum(1.0, NEWTON.near_edge / np.maximum(nearest, tiny)))
 
 
 def _factor_matrices(matrices: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Entropic fits along descending weights of CAD, each from the one before."""
+"""Entropic fits along descending weights of CAD, and the closest to CAD that the data allow."""
 
 from __future__ import annotations
 
@@ -8,50 +8,55 @@ from contextlib import suppress
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.body_bounds import BodyBounds
+from asbuilt.identification.bodies.body_bounds import BodyBounds, bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior
-from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
+from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.entropic_fit import (
     BARRIER,
     Coordinates,
     EntropicFits,
     EntropicProblem,
 )
+from asbuilt.identification.information.triangular import factor_distance
 
 DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
+TO_THE_DATA: tuple[float, ...] = (*DESCENT, 1e-2, 1e-3, 1e-4)
+"""Weights on the way to where the data alone decide."""
+CLOSE = 0.01
+"""Relative distance of the chi-square from its limit at which the search for the weight ends."""
+MOST_HALVINGS = 20
+
+
+@use_one_blas_thread()
 START_PARTS = (1e-2, 1e-3, 1e-4)
 """Least pseudo-inertias of the start relative to CAD; later ones for masses far below CAD."""
 
 
 class EntropicPath:
-    """Fits from the strongest weight to weaker ones, each from the one before."""
+    """Fits from the strongest weight to weaker ones, each from the one before.
 
-    def __init__(self, problem: EntropicProblem, start: Array) -> None:
-        self._problem, self._start = problem, start
+    The path begins at CAD, or next to it within the bounds.
+    """
+
+    def __init__(self, prior: CadPrior, base: BaseParameters, bounds: BodyBounds) -> None:
+        self._problem = EntropicProblem(prior, Coordinates.of(base), bounds)
+        self._start = _find_inside(prior, bounds)
         self._reached: dict[float, EntropicFits] = {}
 
-    @classmethod
-    def of(cls, prior: CadPrior, coordinates: Coordinates, bounds: BodyBounds) -> EntropicPath:
-        """Return the path of a robot, which begins at CAD or next to it within the bounds."""
-        return cls(EntropicProblem(prior, coordinates, bounds), _find_inside(prior, bounds))
-
-    def descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
+    def fit_descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
-        wanted = set(weights)
-        fits = {}
-        for weight in sorted(wanted | set(DESCENT), reverse=True):
-            if weight < min(wanted):
-                break
-            try:
-                fits[weight] = self.roughly(factors, weight)
-            except IdentifiabilityError:
-                continue
+        wanted, fits = set(weights), dict[float, Array]()
+        for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
+            with suppress(IdentifiabilityError):
+                fits[weight] = self.fit_roughly(factors, weight)
         return {weight: fit for weight, fit in fits.items() if weight in wanted}
 
-    def roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
+    def fit_roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
         """Return the fits of many factors, to a small part of a standard error, for one weight."""
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
@@ -61,24 +66,24 @@ class EntropicPath:
         )
         return self._reached[weight].chi
 
-    def unbarred(self, factors: Array, weight: float) -> Array:
+    def fit_unbarred(self, factors: Array, weight: float) -> Array:
         """Return rough fits in which CAD, not the barrier, decides what factors leave open.
 
         The barrier of the bounds would outweigh CAD at weights below one, and put masses in the
         middle of their bounds.
         """
-        return self.roughly(factors, weight, barrier=BARRIER * min(weight, 1.0))
+        return self.fit_roughly(factors, weight, barrier=BARRIER * min(weight, 1.0))
 
-    def exactly(self, factor: Array, weight: float) -> Array:
+    def fit_exactly(self, factor: Array, weight: float) -> Array:
         """Return the fit of one factor, from the last rough one or through stronger weights."""
         if weight not in self._reached:
             self._reached.clear()
             for each in (stronger for stronger in DESCENT if stronger > weight):
                 with suppress(IdentifiabilityError):
-                    self.roughly(factor[None], each)
-            self.roughly(factor[None], weight)
+                    self.fit_roughly(factor[None], each)
+            self.fit_roughly(factor[None], weight)
         return np.asarray(
-            self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0]
+            self._problem.fit(factor[None], weight, self._reached[weight].last).chi[0]
         )
 
 
@@ -96,9 +101,7 @@ def _find_inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     nothing = np.zeros((p + 1, p + 1))
     for part in START_PARTS:
         with suppress(IdentifiabilityError):
-            return fit_consistent_bodies(
-                prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=part
-            ).chi
+            return ConicProblem(prior, np.eye(p), tighter, smallest_part=part).fit(nothing, 1.0)
     raise IdentifiabilityError(
         f"the bounds on masses, centres of mass and drives of {prior.robot} are infeasible",
         cure=Cure("widen the bounds"),
@@ -110,3 +113,56 @@ def _measure_widths(bounds: BodyBounds) -> Array:
     opposite = np.all(bounds.rows[:, None] == -bounds.rows[None], axis=2)
     width = bounds.offsets[:, None] + bounds.offsets[None]
     return np.asarray(np.min(np.where(opposite, width, np.inf), axis=1, initial=np.inf))
+
+
+def find_plausible_parameters(
+    cad: CadPrior, base: BaseParameters, beta: Array, information_root: Array, limit: float
+) -> tuple[Array, float] | None:
+    """Return the standard parameters closest to CAD within the uncertainty, and their chi-square.
+
+    They have the least divergence from CAD with `|R (K chi - beta)|^2 <= limit`, within the bounds
+    of `bound_generously`. The entropic fit to R has the minimum of the divergence under this limit
+    at the weight of CAD that meets the limit; bisection finds it.
+
+    Parameters
+    ----------
+    cad, base
+        CAD values, and the base parameters.
+    beta
+        Base parameters (p,).
+    information_root
+        R (r, p) with `R^T R` the inverse covariance of beta.
+    limit
+        Largest chi-square.
+
+    Returns
+    -------
+    tuple or None
+        Standard parameters (n_standard,) and their chi-square; None if none are found.
+    """
+    factor = factor_distance(information_root, beta)
+
+    def fit(weight: float) -> tuple[Array, float]:
+        (chi,) = path.fit_unbarred(factor[None], weight)
+        return chi, float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
+
+    with suppress(IdentifiabilityError):
+        path, above = EntropicPath(cad, base, bound_generously(cad)), np.inf
+        for weight in TO_THE_DATA:
+            below, found = weight, fit(weight)
+            if found[1] <= limit:
+                break
+            above = weight
+        else:
+            return None
+        for _ in range(MOST_HALVINGS if np.isfinite(above) else 0):
+            if found[1] >= (1.0 - CLOSE) * limit:
+                break
+            weight = float(np.sqrt(above * below))
+            tried = fit(weight)
+            if tried[1] <= limit:
+                below, found = weight, tried
+            else:
+                above = weight
+        return found
+    return None

@@ -23,16 +23,17 @@ from asbuilt.identification.bodies.body_bounds import (
     bound_widely,
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.bodies.conic_fit import (
     SMALLEST_PART,
-    fit_consistent_bodies,
+    ConicProblem,
     scale_near_one,
+    solve_cone_program,
 )
+from asbuilt.identification.bodies.consistency import check_base_parameters
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
-from asbuilt.identification.bodies.plausible import find_plausible_parameters
+from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
 from asbuilt.identification.information.random_motion import build_random_motion_rows
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.information.triangular import factor_distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +120,8 @@ class StandardParameters:
             f"the pseudo-inertia of every link is at least {self.part:.2g} of CAD's (smallest"
             f" eigenvalue {self.smallest_eigenvalue:.2g})"
         )
+        torques = self.torque_rms, self.torque_rms_of_motion
+        moved, whole = (float(np.sqrt(np.mean(torque**2))) for torque in torques)
         if not self.consistent:
             return (
                 "exact identified torques, standard parameters closest to CAD; the base parameters"
@@ -130,10 +133,6 @@ class StandardParameters:
                 f" CAD; {margin}"
             )
         if self.limit:
-            moved, whole = (
-                float(np.sqrt(np.mean(torque**2)))
-                for torque in (self.torque_rms, self.torque_rms_of_motion)
-            )
             return (
                 "physically consistent standard parameters closest to CAD within the standard"
                 f" errors (chi-square {self.chi_square:.3g}, limit {self.limit:.3g}), torque"
@@ -142,15 +141,14 @@ class StandardParameters:
             )
         away = "in the torque of the data used"
         if self.nearest_in == "random motion":
-            cost = float(np.sqrt(np.mean(self.torque_rms**2)))
-            of = float(np.sqrt(np.mean(self.torque_rms_of_motion**2)))
-            away = f"{cost:.2g} N m RMS away in random motion (of {of:.3g} N m)"
+            away = f"{moved:.2g} N m RMS away in random motion (of {whole:.3g} N m)"
         return (
             "nearest physically consistent model, since the identified base parameters are"
             f" inconsistent: {away}; {margin}"
         )
 
 
+@use_one_blas_thread()
 def find_standard_parameters(
     model: RobotModel,
     base: BaseParameters,
@@ -193,12 +191,7 @@ def find_standard_parameters(
     IdentifiabilityError
         If beta has another shape or is not finite.
     """
-    asked = np.asarray(beta, dtype=np.float64)
-    if asked.shape != (base.n_base,) or not np.all(np.isfinite(asked)):
-        raise IdentifiabilityError(
-            f"{base.robot} needs {base.n_base} finite base parameters, got shape {asked.shape}:"
-            f" {asked.tolist()}"
-        )
+    asked = check_base_parameters(base, beta)
     cad = build_cad_prior(model, base.drive)
     coordinates = Coordinates.of(base)
     drives = bound_passive_drives(cad)
@@ -211,33 +204,37 @@ def find_standard_parameters(
     of_motion = _measure_joint_rms(motion @ asked, model.n_joints)
     known = bound_known_masses(cad).wider(RULES.rounding, cad.parameters)
     shared, passive = shared.and_also(known), drives.and_also(bound_known_masses(cad))
-    with use_one_blas_thread():
-        within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
-        chi, part = find_deepest_inside(cad, coordinates, asked, within)
-        if part > RULES.exact_part:
-            shared = within
-        else:
-            chi, part = find_deepest_inside(cad, coordinates, asked, shared)
-        exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
-        consistent = exact or nearest
-        if not exact and nearest:
-            factor = _factor_distance(asked, motion, information)
-            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=passive).chi
-            least = (
-                RULES.least_share * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
-            )
-            chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
-            chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
-        plausible = None
-        if exact and uncertainty_root is not None and not np.any(alone < 0.0):
-            plausible = _fit_within_uncertainty(cad, base, asked, uncertainty_root)
-        chi = (
-            plausible[0]
-            if plausible is not None
-            else _find_closest_above(cad, coordinates, chi, part, shared)
-            if consistent
-            else _find_closest_in_metric(cad, coordinates, asked)
+    within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
+    chi, part = find_deepest_inside(cad, coordinates, asked, within)
+    if part > RULES.exact_part:
+        shared = within
+    else:
+        chi, part = find_deepest_inside(cad, coordinates, asked, shared)
+    exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
+    consistent = exact or nearest
+    if not exact and nearest:
+        distance = factor_distance(_find_root(asked, motion, information), asked)
+        chi = ConicProblem(cad, base.regrouping, passive).fit(distance)
+        scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
+        chi[cad.non_negative] = np.maximum(
+            chi[cad.non_negative], RULES.least_share * scale * moving
         )
+        chi, part = find_deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
+    plausible = None
+    # A beta that is sharper than rounding is kept exactly, as in simulations.
+    if (
+        (exact and uncertainty_root is not None and not np.any(alone < 0.0))
+        and len(uncertainty_root)
+        and np.linalg.norm(uncertainty_root @ asked) <= RULES.sharpest
+    ):
+        plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
+    chi = (
+        plausible[0]
+        if plausible is not None
+        else _find_closest_above(cad, coordinates, chi, part, shared)
+        if consistent
+        else _find_closest_in_metric(cad, coordinates, asked)
+    )
     kept = base.regrouping @ chi
     return StandardParameters(
         parameters=chi,
@@ -254,17 +251,8 @@ def find_standard_parameters(
         nearest_in="random motion" if information is None else "the data used",
         notes=cad.notes,
         chi_square=0.0 if plausible is None else plausible[1],
-        limit=0.0 if plausible is None or uncertainty_root is None else LIMIT,
+        limit=0.0 if plausible is None else LIMIT,
     )
-
-
-def _fit_within_uncertainty(
-    cad: CadPrior, base: BaseParameters, beta: Array, root: Array
-) -> tuple[Array, float] | None:
-    """Return parameters within the uncertainty, or None if that is as good as none."""
-    if not len(root) or np.linalg.norm(root @ beta) > RULES.sharpest:
-        return None
-    return find_plausible_parameters(cad, base, beta, root, LIMIT)
 
 
 def find_deepest_inside(
@@ -283,16 +271,12 @@ def find_deepest_inside(
     free = coordinates.dependent @ np.linalg.inv(triangle)
     slack = np.append(np.full(len(bounds.rows), RULES.least_share), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
-    constraints = np.vstack(
-        [np.hstack([-rows, slack]), np.hstack([-along[:inertial], q0[:inertial, None]])]
-    )
+    constraints = np.block([[-rows, slack], [-along[:inertial], q0[:inertial, None]]])
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
-    size = constraints.shape[1]
-    goal = np.append(np.zeros(size - 1), -1.0)
-    solution = solve_cone_program(
-        sparse.csc_matrix((size, size)), goal, sparse.csc_matrix(constraints), right, cones
-    )
+    goal = np.append(np.zeros(free.shape[1]), -1.0)
+    nothing = sparse.csc_matrix((len(goal), len(goal)))
+    solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
     if not solution.is_solved:
         raise IdentifiabilityError(
             f"the physical consistency of {len(beta)} base parameters of {cad.robot} is undecided"
@@ -310,10 +294,14 @@ def _find_closest_above(
     above the floor, least at CAD too.
     """
     floor = min(SMALLEST_PART, 0.5 * part)
-    inertial = 10 * cad.n_links
-    below = np.concatenate([floor * cad.parameters[:inertial], np.zeros(len(chi) - inertial)])
-    above = replace(cad, parameters=cad.parameters - below)
-    problem = EntropicProblem(above, coordinates, bounds.raised(below), held=True)
+    below = floor * cad.parameters
+    below[10 * cad.n_links :] = 0.0
+    problem = EntropicProblem(
+        replace(cad, parameters=cad.parameters - below),
+        coordinates,
+        bounds.raised(below),
+        held=True,
+    )
     return np.asarray(
         problem.fit(None, 1.0, (chi - below)[None], barrier=RULES.fine_barrier).chi[0] + below
     )
@@ -329,20 +317,15 @@ def _find_closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array
     return np.asarray(coordinates.kept @ beta + coordinates.dependent @ d)
 
 
-def _factor_distance(beta: Array, motion: Array, information: ArrayLike | None) -> Array:
-    """Return the triangular factor [R R beta] (p + 1, p + 1) of the distance from beta."""
-    p = len(beta)
+def _find_root(beta: Array, motion: Array, information: ArrayLike | None) -> Array:
+    """Return the root R (r, p) of the distance from beta."""
     if information is None:
         torque = float(np.sqrt(np.mean((motion @ beta) ** 2)))
-        root = motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
-    else:
-        A = np.asarray(information, dtype=np.float64)
-        size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
-        eigenvalues, axes = np.linalg.eigh(A / np.outer(size, size))
-        root = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * axes.T * size
-    return triangular_factor(
-        np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))])
-    )
+        return motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
+    A = np.asarray(information, dtype=np.float64)
+    size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
+    eigenvalues, axes = np.linalg.eigh(A / np.outer(size, size))
+    return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * axes.T * size)
 
 
 def _measure_joint_rms(torque: Array, n_joints: int) -> Array:

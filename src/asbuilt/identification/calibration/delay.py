@@ -15,7 +15,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification.bodies.cad_prior import build_cad_prior, design_values
 from asbuilt.identification.errors.delay_errors import DelayColumns, build_delay_columns
 from asbuilt.identification.estimators.consistent_fit import fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -30,7 +30,6 @@ from asbuilt.identification.information.square_root_information import (
     accumulate_stream,
     reduce_rows,
 )
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.statistics import estimate_mean_error
 
 Prepare = Callable[[Array], Sequence["Samples"]]

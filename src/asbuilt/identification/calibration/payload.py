@@ -24,7 +24,7 @@ from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
-from asbuilt.identification.bodies.cone_program import solve_cone_program
+from asbuilt.identification.bodies.conic_fit import solve_cone_program
 from asbuilt.identification.calibration.gain_uncertainty import (
     derive_gain_errors,
     gain_covariance,
@@ -32,12 +32,14 @@ from asbuilt.identification.calibration.gain_uncertainty import (
     split_by_joint,
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows
-from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.known_information import find_determined_directions
-from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
+from asbuilt.identification.information.triangular import solve_factor, triangular_factor
+from asbuilt.identification.result.as_built_parameters import find_determined_directions
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import predict_torque
+from asbuilt.identification.result.torque_prediction import (
+    TorqueMetrics,
+    predict_torque,
+    torque_metrics,
+)
 from asbuilt.tables import Column, Table, format_plus_minus, round_with_error
 
 Arm = Literal["refined", "frozen"]

@@ -70,7 +70,7 @@ class PayloadRows:
                 [factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]]
             )
 
-        blocks = [with_payload(under.block_stacked(b, weights)) for b in range(under.n_blocks)]
+        blocks = [with_payload(under.stacked(weights, b)) for b in range(under.n_blocks)]
         joints = [
             with_payload(weight * factor)
             for weight, factor in zip(weights, _widen_factors(under), strict=True)
@@ -78,7 +78,7 @@ class PayloadRows:
         if unloaded:
             bare = accumulate_stream(arm_model, result.base, unloaded, block_seconds=block_seconds)
             blocks += [
-                _insert_payload_columns(bare.block_stacked(b, weights), kept)
+                _insert_payload_columns(bare.stacked(weights, b), kept)
                 for b in range(bare.n_blocks)
             ]
             joints = [

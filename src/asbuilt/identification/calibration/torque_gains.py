@@ -22,7 +22,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.block_scatter import BlockScores
 from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks

@@ -10,8 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Indices
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.bodies.drive_prior import with_drive_scale
+from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect

@@ -17,13 +17,13 @@ from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.body_bounds import bound_generously
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.bodies.entropic_fit import Coordinates
-from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
-from asbuilt.identification.bodies.plausible import WEAKEST
+from asbuilt.identification.bodies.entropic_path import TO_THE_DATA, EntropicPath
 from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_degrees, widening
-from asbuilt.identification.information.known_information import find_determined_directions
-from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.identification.information.triangular import factor_distance
+from asbuilt.identification.result.as_built_parameters import (
+    as_built_parameters,
+    find_determined_directions,
+)
 from asbuilt.identification.result.result import IdentificationResult
 
 FAITHFUL = 0.1
@@ -77,33 +77,30 @@ def make_draws_consistent(
     IdentifiabilityError
         If no fit converges.
     """
-    parts = [drawn[first : first + AT_ONCE] for first in range(0, len(drawn), AT_ONCE)]
+    parts = np.split(drawn, range(AT_ONCE, len(drawn), AT_ONCE))
     fit = partial(_fit_draws, cad, base, information_root)
     chi, chi_square = zip(*run_in_order(fit, parts, workers), strict=True)
     return np.concatenate(chi), np.concatenate(chi_square)
 
 
+@use_one_blas_thread()
 def _fit_draws(
     cad: CadPrior, base: BaseParameters, information_root: Array, drawn: Array
 ) -> tuple[Array, Array]:
     """Return the consistent parameters next to the draws of a part, and their chi-squares."""
-    factors = np.stack([_build_factor(information_root, beta) for beta in drawn])
-    weights = [*DESCENT]
-    while weights[-1] > WEAKEST * 1.5:
-        weights.append(weights[-1] / 10.0)
+    factors = np.stack([factor_distance(information_root, beta) for beta in drawn])
     fits, distances = list[Array](), list[Array]()
-    with use_one_blas_thread():
-        path = EntropicPath.of(cad, Coordinates.of(base), bound_generously(cad))
-        for weight in weights:
-            try:
-                chi = path.unbarred(factors, weight)
-            except IdentifiabilityError:
-                continue
-            moved = (chi @ base.regrouping.T - drawn) @ information_root.T
-            fits.append(chi)
-            distances.append(np.linalg.norm(moved, axis=1))
-            if np.max(distances[-1]) <= FAITHFUL:
-                break
+    path = EntropicPath(cad, base, bound_generously(cad))
+    for weight in TO_THE_DATA:
+        try:
+            chi = path.fit_unbarred(factors, weight)
+        except IdentifiabilityError:
+            continue
+        moved = (chi @ base.regrouping.T - drawn) @ information_root.T
+        fits.append(chi)
+        distances.append(np.linalg.norm(moved, axis=1))
+        if np.max(distances[-1]) <= FAITHFUL:
+            break
     if not fits:
         raise IdentifiabilityError(
             f"no physically consistent parameters of {base.robot} were found for the draws"
@@ -111,14 +108,8 @@ def _fit_draws(
     distance = np.stack(distances)
     nearest = distance.min(axis=0)
     first = np.argmax(distance <= nearest + FAITHFUL * np.maximum(nearest, 1.0), axis=0)
-    every = np.arange(len(drawn))
-    return np.stack(fits)[first, every], distance[first, every] ** 2
-
-
-def _build_factor(root: Array, beta: Array) -> Array:
-    """Return the triangular factor of [R | R beta], shape (p + 1, p + 1)."""
-    rows = np.column_stack([root, root @ beta])
-    return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
+    place = first, np.arange(len(drawn))
+    return np.stack(fits)[place], distance[place] ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,8 +180,9 @@ class Ensemble:
         servo = self.result.servo
         if servo is None or self.kp is None:
             return self.centre
-        gains = np.nan_to_num(np.concatenate([servo.kp, servo.kd]))
-        return np.concatenate([self.centre, gains, [servo.delay or 0.0]])
+        return np.concatenate(
+            [self.centre, np.nan_to_num(np.concatenate([servo.kp, servo.kd])), [servo.delay or 0.0]]
+        )
 
     @property
     def quantiles(self) -> Array:
@@ -267,19 +259,21 @@ def draw_ensemble(
         random.normal(size=(n, len(variances))) * np.sqrt(variances) @ directions.T
     )
     kp, kd, delay, notes = None, None, None, list[str]()
+    errors = result.servo_errors
     if result.servo is not None:
         kp, factors, notes = _draw_stiffness(result, n, random)
         drawn = _scale_draws(result, drawn, factors)
         kd = np.tile(np.nan_to_num(np.array(result.servo.kd)), (n, 1))
-        error = 0.0 if result.servo_errors is None else result.servo_errors.delay
-        delay = np.maximum((result.servo.delay or 0.0) + error * random.normal(size=n), 0.0)
+        late = (0.0 if errors is None else errors.delay) * random.normal(size=n)
+        delay = np.maximum((result.servo.delay or 0.0) + late, 0.0)
     root = (directions / np.sqrt(variances)).T * scale
     prior = build_cad_prior(result.model, result.base.drive)
-    asked = np.vstack([result.estimates, drawn])
-    chi, chi_square = make_draws_consistent(prior, result.base, asked, root, workers=workers)
+    chi, chi_square = make_draws_consistent(
+        prior, result.base, np.vstack([result.estimates, drawn]), root, workers=workers
+    )
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
-    far = chi_square > 1.0
-    lead = 0.0 if result.servo_errors is None else result.servo_errors.lead
+    far = int(np.sum(chi_square > 1.0))
+    lead = 0.0 if errors is None else errors.lead
     possible = (
         (
             lead,
@@ -291,8 +285,8 @@ def draw_ensemble(
             "nonlinear parameters of drive terms are the identified ones in every draw",
         ),
         (
-            np.any(far),
-            f"{np.sum(far)} of {n} draws were physically impossible; the nearest possible robot"
+            far > 0,
+            f"{far} of {n} draws were physically impossible; the nearest possible robot"
             " stands for each",
         ),
     )
@@ -325,9 +319,7 @@ def _draw_tails(result: IdentificationResult, n: int, random: np.random.Generato
     hold 95 % of Student's distribution. The 5 and 95 % quantiles of a normal distribution of
     that width are 7 % too far out with five.
     """
-    if result.scatter is None:
-        return np.ones(n)
-    nu = max(mean_degrees(result.scatter.degrees_of_freedom), FEWEST_DEGREES)
+    nu = max(mean_degrees(result.degrees_of_freedom), FEWEST_DEGREES)
     if not np.isfinite(nu):
         return np.ones(n)
     return np.asarray(np.sqrt(nu / random.chisquare(nu, n)) / widening(np.array([nu])))
@@ -346,8 +338,7 @@ def _draw_stiffness(
     unknown = ~np.isfinite(relative)
     relative[unknown] = 0.0
     shared = errors is not None and errors.shared
-    logs = relative * random.normal(size=(n, 1 if shared else joints))
-    factors = np.exp(logs)
+    factors = np.exp(relative * random.normal(size=(n, 1 if shared else joints)))
     notes = []
     if np.any(unknown):
         names = [name for name, each in zip(result.joint_names, unknown, strict=True) if each]

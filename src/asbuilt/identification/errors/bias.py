@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -80,15 +81,6 @@ def derive_estimate_moves(information: SquareRootInformation, estimate: Estimate
     return np.asarray(root @ (seen @ root).T @ seen)
 
 
-def acceleration_noise(density: Array, band: float) -> Array:
-    """Return the variance of the accelerations (n,) below `band` [Hz] by noise of the positions.
-
-    `density` (n,) is the spectrum of the noise [rad^2/Hz]; the integral of (2 pi f)^4 over the band
-    is (2 pi)^4 band^5 / 5.
-    """
-    return np.asarray(density * (2.0 * np.pi) ** 4 * band**5 / 5.0, dtype=np.float64)
-
-
 def position_noise_bias(
     result: IdentificationResult, training: Sequence[Samples], noise: Sequence[Array]
 ) -> Array:
@@ -104,20 +96,18 @@ def position_noise_bias(
         # States of a recording over which W_k is averaged; it depends on the positions alone.
         q = samples.q[:: max(1, -(-len(samples.q) // 400))]
         still = np.zeros_like(q)
-        rest = observation_matrix(model, q, still, still, drive=base.drive, columns=base.columns)
+        evaluate = partial(
+            observation_matrix, model, q, still, drive=base.drive, columns=base.columns
+        )
+        rest = evaluate(still)
         for k in np.flatnonzero(variance > 0.0):
             unit = still.copy()
             unit[:, k] = 1.0
-            rows = (
-                observation_matrix(model, q, still, unit, drive=base.drive, columns=base.columns)
-                - rest
-            )
+            rows = evaluate(unit) - rest
             weighted = rows * np.tile(weights, len(q))[:, None]
             normal += variance[k] * len(samples.q) / total * (rows.T @ weighted) / len(q)
-    values = np.array([parameter.estimate for parameter in result.parameters])
-    return np.asarray(
-        -result.textbook_covariance @ (result.n_samples * normal) @ values, dtype=np.float64
-    )
+    normal *= result.n_samples
+    return np.asarray(-result.textbook_covariance @ normal @ result.estimates)
 
 
 def report_position_noise(
@@ -133,11 +123,11 @@ def report_position_noise(
     n = result.model.n_joints
     if cutoff is None or len(densities) < len(training):
         return ()
+    bands = [each.parallel.cutoff if each.parallel else cutoff for each in training]
+    # Noise of the accelerations: the integral of (2 pi f)^4 over the band is (2 pi)^4 band^5 / 5.
     noise = [
-        acceleration_noise(np.array(each), samples.parallel.cutoff if samples.parallel else cutoff)
-        if len(each) == n
-        else np.zeros(n)
-        for samples, each in zip(training, densities, strict=False)
+        np.array(each if len(each) == n else [0.0] * n) * (2.0 * np.pi) ** 4 * band**5 / 5.0
+        for band, each in zip(bands, densities, strict=False)
     ]
     if not np.any(noise):
         return ()
@@ -151,8 +141,8 @@ def report_position_noise(
     if not found.size:
         return ()
     # Parameters named in the message.
-    worst = found[np.argsort(-share[found])][:3]
-    named = [f"{result.base.names[k]} by {share[k]:.2g}" for k in worst.tolist()]
+    worst = found[np.argsort(-share[found])][:3].tolist()
+    named = [f"{result.base.names[k]} by {share[k]:.2g}" for k in worst]
     return (
         Finding(
             "position_noise_bias",

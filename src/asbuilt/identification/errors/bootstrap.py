@@ -45,39 +45,17 @@ class DrawRules:
 DRAWS = DrawRules()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bootstrap:
-    """Hold the estimates (n_draws, p) from time blocks drawn with replacement."""
-
-    estimates: Array
-
-    def __post_init__(self) -> None:
-        self.estimates.setflags(write=False)
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (p, p) of the estimates."""
-        return np.atleast_2d(np.cov(self.estimates, rowvar=False))
-
-    @property
-    def std_errors(self) -> Array:
-        """Standard errors, shape (p,)."""
-        return np.asarray(self.estimates.std(axis=0, ddof=1), dtype=np.float64)
-
-    def intervals(self, level: float = 0.95) -> Array:
-        """Return the percentile interval of each parameter, shape (p, 2)."""
-        outside = (1.0 - level) / 2.0
-        return np.quantile(self.estimates, [outside, 1.0 - outside], axis=0).T
-
-
+@use_one_blas_thread()
 def redraw(
     information: SquareRootInformation,
     estimate: Estimate,
     *,
     n_draws: int | None = None,
     rng: Seed = 0,
-) -> Bootstrap:
-    """Repeat a fit on time blocks drawn with replacement, with its choices held fixed.
+) -> Array:
+    """Return estimates (n_draws, p) of fits to time blocks drawn with replacement.
+
+    The choices of the estimate are held fixed.
 
     Each draw has as many blocks as the recording; residuals may be correlated within a block
     (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap). An estimate that is linear
@@ -100,15 +78,17 @@ def redraw(
                 settings={"errors": "blocks"},
             ),
         )
-    linear = estimate.refit is None
-    draws = (DRAWS.linear_draws if linear else DRAWS.refitted_draws) if n_draws is None else n_draws
+    draws = (
+        (DRAWS.linear_draws if estimate.refit is None else DRAWS.refitted_draws)
+        if n_draws is None
+        else n_draws
+    )
     counts = np.random.default_rng(rng).multinomial(n, np.full(n, 1.0 / n), size=draws)
-    with use_one_blas_thread():
-        estimates = (
-            _step_estimates(information, estimate, counts)
-            if estimate.refit is None
-            else _refit_draws(information, estimate.weights, estimate.refit, counts)
-        )
+    estimates = (
+        _step_estimates(information, estimate, counts)
+        if estimate.refit is None
+        else _refit_draws(information, estimate.weights, estimate.refit, counts)
+    )
     refused = draws - len(estimates)
     if refused > DRAWS.most_failures * draws or len(estimates) < 2:
         raise IdentifiabilityError(
@@ -119,7 +99,7 @@ def redraw(
                 settings={"errors": "blocks"},
             ),
         )
-    return Bootstrap(np.array(estimates))
+    return np.array(estimates)
 
 
 def _step_estimates(
@@ -127,10 +107,9 @@ def _step_estimates(
 ) -> list[Array]:
     root = estimate.solution.inverse_root
     gram, score = block_scores(information, estimate)
-    more, estimates = counts - 1.0, []
-    identity = np.eye(root.shape[1])
-    for extra in more:
-        values, axes = np.linalg.eigh(identity + np.tensordot(extra, gram, axes=1))
+    estimates = []
+    for extra in counts - 1.0:
+        values, axes = np.linalg.eigh(np.eye(root.shape[1]) + np.tensordot(extra, gram, axes=1))
         if values.min(initial=1.0) >= DRAWS.least_information:
             estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
     return estimates
@@ -139,28 +118,17 @@ def _step_estimates(
 def _refit_draws(
     information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]
 ) -> list[Array]:
-    blocks = [information.block_stacked(b, weights) for b in range(information.n_blocks)]
+    blocks = [information.stacked(weights, b) for b in range(information.n_blocks)]
     estimates = []
     for times in counts:
+        rows = [np.sqrt(c) * block for c, block in zip(times, blocks, strict=True) if c]
         with suppress(AsbuiltError):
-            estimates.append(
-                refit(
-                    triangular_factor(
-                        np.vstack(
-                            [
-                                np.sqrt(c) * block
-                                for c, block in zip(times, blocks, strict=True)
-                                if c
-                            ]
-                        )
-                    )
-                )
-            )
+            estimates.append(refit(triangular_factor(np.vstack(rows))))
     return estimates
 
 
 def estimate_bootstrap_uncertainty(
-    information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap
+    information: SquareRootInformation, estimate: Estimate, drawn: Array
 ) -> Uncertainty:
     """Return the scatter of the draws as standard errors, at least the textbook ones.
 
@@ -174,20 +142,16 @@ def estimate_bootstrap_uncertainty(
     few = 1.0 if estimate.refit is None else float(stdtrit(n - 1, COVERED) / ndtri(COVERED))
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
-    covariance = drawn.covariance * (few**2 * n / (n - 1.0))
+    covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) * (few**2 * n / (n - 1.0))
     still = np.flatnonzero(determined & (np.diag(covariance) == 0.0))
     covariance[still, still] = textbook[still]
-    swell = (
-        np.sqrt(
-            np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)
-        )
-        * determined
-    )
+    drawn_variance = np.maximum(np.diag(covariance), np.finfo(np.float64).tiny)
+    swell = np.sqrt(np.maximum(textbook / drawn_variance, 1.0)) * determined
     covariance = covariance * np.outer(swell, swell)
     ratio = np.diag(covariance)[determined] / textbook[determined]
     basis = replace(
         choose_error_basis(information, "bootstrap"),
-        n_draws=len(drawn.estimates),
+        n_draws=len(drawn),
         held_fixed=list_fixed_choices(estimate),
         growth=float(np.sqrt(np.median(ratio))) if determined.any() else None,
     )

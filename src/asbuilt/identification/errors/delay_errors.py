@@ -17,7 +17,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.block_scatter import BlockScores
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_scatter, unit_variance
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_motions
@@ -47,18 +47,15 @@ class DelaySolution:
 class DelayColumns:
     """Hold the normal equations of an estimate with a delay of each recording and joint, by block.
 
-    Joint k has two columns: k for the rate of its torque, n + k for that of its friction alone. In
-    coordinates `beta = S x` with S (p, r) the inverse root of the estimate: `grams` (B, r, r),
-    `across` (B, r, 2 n) with these columns, `own` (B, 2 n, 2 n) among them, and the scores
-    `beta_scores` (B, r) and `delay_scores` (B, 2 n) of the residual, joints weighted. `place` (B,)
-    is that of each block's recording among R; `n_rows` torques have residuals of this `variance`.
+    Joint k has two columns: k for the rate of its torque, n + k for the rate of its friction.
+    `normal` (B, r + 2 n + 1, r + 2 n + 1) has the products of the columns in coordinates
+    `beta = S x`, S (p, r) the inverse root of the estimate, of these and of the residual, joints
+    weighted. Only what is read is filled: above the diagonal, without the square of the residual.
+    `place` (B,) is the number of each block's recording among R; `n_rows` torques have residuals
+    of this `variance`.
     """
 
-    grams: Array
-    across: Array
-    own: Array
-    beta_scores: Array
-    delay_scores: Array
+    normal: Array
     place: Array
     root: Array
     blocks: tuple[TimeBlock, ...]
@@ -66,9 +63,10 @@ class DelayColumns:
     variance: float
 
     @property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return int(self.own.shape[1] // 2)
+    def grams(self) -> Array:
+        """The normal equations of the base parameters alone, (B, r, r)."""
+        r = self.root.shape[1]
+        return self.normal[:, :r, :r]
 
     @cached_property
     def _known(self) -> Array:
@@ -101,25 +99,27 @@ class DelayColumns:
     def _solved(self, shares: Array) -> _Solved:
         """Return the fit of base parameters and delays together, by elimination."""
         spread = shares[self.place]
-        A = np.einsum("brk,bkm->brm", self.across, spread)
-        D = np.einsum("bkl,bkj,bjm->blm", spread, self.own, spread, optimize=True)
-        of_delay = np.einsum("bkm,bk->bm", spread, self.delay_scores)
+        r, grams = self.root.shape[1], self.grams
+        # Contiguous, by which the order of sums in `einsum` does not depend on the other parts.
+        across, own, late = map(
+            np.ascontiguousarray,
+            (self.normal[:, :r, r:-1], self.normal[:, r:-1, r:-1], self.normal[:, r:-1, -1]),
+        )
+        A = np.einsum("brk,bkm->brm", across, spread)
+        D = np.einsum("bkl,bkj,bjm->blm", spread, own, spread, optimize=True)
+        of_delay = np.einsum("bkm,bk->bm", spread, late)
         moved, whole = self._known @ A.sum(axis=0), D.sum(axis=0)
-        left = whole - moved.T @ self.grams.sum(axis=0) @ moved
+        left = whole - moved.T @ grams.sum(axis=0) @ moved
         # Squared part of a delay's column outside all others below which it is undetermined.
         free = np.flatnonzero(
             np.diag(left) > 1e-9 * np.maximum(np.diag(whole), np.finfo(np.float64).tiny)
         )
-        A, D, of_delay, moved = (
-            A[..., free],
-            D[:, free][..., free],
-            of_delay[:, free],
-            moved[:, free],
-        )
+        A, D = A[..., free], D[:, free][..., free]
+        of_delay, moved = of_delay[:, free], moved[:, free]
         root = np.linalg.cholesky(np.linalg.inv(left[np.ix_(free, free)]))
-        grams = np.block([[self.grams, A], [A.transpose(0, 2, 1), D]])
-        scores = np.hstack([self.beta_scores, of_delay])
-        r, total = len(moved), scores.sum(axis=0)
+        grams = np.block([[grams, A], [A.transpose(0, 2, 1), D]])
+        scores = np.hstack([self.normal[:, :r, -1], of_delay])
+        total = scores.sum(axis=0)
         x = root @ root.T @ (total[r:] - moved.T @ total[:r])
         solution = np.append(self._known @ (total[:r] - A.sum(axis=0) @ x), x)
         return _Solved(grams, scores, solution, moved, root, free)
@@ -199,14 +199,14 @@ def estimate_delay_errors(
     solved = columns.solve(shares, textbook=textbook)
     known = np.array([samples[r].delay_errors[k] for r, k in free])
     found = np.isfinite(np.diag(solved.covariance))
-    size = np.sqrt(np.diag(solved.covariance)[found])
-    swell = np.maximum(known[found] / size, 1.0)
+    swell = np.maximum(known[found] / np.sqrt(np.diag(solved.covariance)[found]), 1.0)
     V = solved.covariance[np.ix_(found, found)] * np.outer(swell, swell)
     follows = solved.follows[:, found]
     delays = np.array([samples[r].delay[k] for r, k in free])[found]
     return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(-follows @ delays))
 
 
+@use_one_blas_thread()
 def build_delay_columns(
     model: RobotModel,
     base: BaseParameters,
@@ -218,44 +218,37 @@ def build_delay_columns(
 ) -> DelayColumns:
     """Return the normal equations of an estimate with a delay of each recording and joint.
 
-    `rows` are those of the samples, if they are at hand.
+    `rows` are the rows of the samples, if they are at hand.
     """
     rows = Rows(model, base, samples, block_seconds) if rows is None else rows
     root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints
     r = root.shape[1]
-    parts: list[tuple[Array, Array, Array, Array, Array, int]] = []
-    blocks: list[TimeBlock] = []
-    with use_one_blas_thread():
-        every = iter(rows)
-        for place, batch in enumerate(samples):
-            rates = _derive_torque_rates(model, base, estimate.beta, batch)
-            for part in divide_into_blocks(model, [batch], block_seconds):
-                late = np.array([part.filtered(rate.__getitem__) for rate in rates])
-                gram, across = np.zeros((r, r)), np.zeros((r, 2 * n))
-                own, by_delay, by_beta = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), np.zeros(r)
-                for k, (columns, support) in enumerate(
-                    zip(next(every).rows, rows.support, strict=True)
-                ):
-                    x = root[support].T @ columns[:-1] * weights[k]
-                    c = -weights[k] * late[:, k]
-                    e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
-                    both = slice(k, None, n)
-                    gram += x @ x.T
-                    across[:, both] += x @ c.T
-                    own[both, both] += c @ c.T
-                    by_delay[both] += c @ e
-                    by_beta += x @ e
-                parts.append((gram, across, own, by_beta, by_delay, place))
-                blocks.append(part.time)
-    grams, across, own, by_beta, by_delay, places = map(np.array, zip(*parts, strict=True))
+    every_normal, places, blocks = list[Array](), list[int](), list[TimeBlock]()
+    every = iter(rows)
+    for place, batch in enumerate(samples):
+        rates = _derive_torque_rates(model, base, estimate.beta, batch)
+        for part in divide_into_blocks(model, [batch], block_seconds):
+            late = np.array([part.filtered(rate.__getitem__) for rate in rates])
+            normal = np.zeros((r + 2 * n + 1,) * 2)
+            for k, (columns, support) in enumerate(
+                zip(next(every).rows, rows.support, strict=True)
+            ):
+                x = root[support].T @ columns[:-1] * weights[k]
+                c = -weights[k] * late[:, k]
+                e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
+                both = slice(r + k, -1, n)
+                normal[:r, :r] += x @ x.T
+                normal[:r, both] += x @ c.T
+                normal[both, both] += c @ c.T
+                normal[both, -1] += c @ e
+                normal[:r, -1] += x @ e
+            every_normal.append(normal)
+            places.append(place)
+            blocks.append(part.time)
     n_rows = sum(block.n_samples for block in blocks) * int(np.count_nonzero(weights))
     return DelayColumns(
-        grams,
-        across,
-        own,
-        by_beta,
-        by_delay,
-        places,
+        np.array(every_normal),
+        np.array(places),
         root,
         tuple(blocks),
         n_rows,

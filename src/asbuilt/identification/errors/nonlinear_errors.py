@@ -1,9 +1,10 @@
-"""Standard errors of fitted nonlinear parameters, and what they add to those of linear ones."""
+"""Standard errors of fitted nonlinear parameters, and what they add to errors of linear ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import divide_into_blocks
+from asbuilt.identification.result.torque_prediction import expand_parameters
 from asbuilt.tables import round_with_error
 
 STEP = 1e-3
@@ -38,7 +40,7 @@ class NonlinearPlace:
 class NonlinearErrors:
     """Hold values and standard errors (m,) of fitted nonlinear parameters, NaN if undetermined.
 
-    `covariance` (p, p) is what they add to that of the linear parameters.
+    `covariance` (p, p) is what they add to the covariance of the linear parameters.
     """
 
     places: tuple[NonlinearPlace, ...]
@@ -62,6 +64,7 @@ class NonlinearErrors:
         return f"Standard errors include those of the fitted nonlinear parameters: {listed}."
 
 
+@use_one_blas_thread()
 def estimate_nonlinear_errors(
     model: RobotModel,
     base: BaseParameters,
@@ -77,43 +80,42 @@ def estimate_nonlinear_errors(
     With `C` the change of the weighted torque per parameter, `W` the weighted columns and `C' = C -
     W (W^T W)^-1 W^T C`, their covariance is `V = (C'^T C')^-1`, each error at least that from time
     blocks (`sum_b (C'^T e)_b^2`) unless `textbook`. The estimate follows by `G = -(W^T W)^-1 W^T
-    C`, so its covariance grows by `G V G^T`: that of the fit with columns `[W C]` (Frisch and
-    Waugh, Econometrica 1, 1933). The load of load-dependent terms is that of `model`.
+    C`, so its covariance grows by `G V G^T`, as in the fit with columns `[W C]` (Frisch and
+    Waugh, Econometrica 1, 1933). Load-dependent terms have the load of `model`.
     """
-    nonlinear = {(place.term, place.parameter): None for place in places}
-    changes, first = (
-        _Changes(model, base, estimate.beta, list(nonlinear)),
-        [list(nonlinear).index((place.term, place.parameter)) for place in places],
-    )
+    names = [(place.term, place.parameter) for place in places]
+    nonlinear = list(dict.fromkeys(names))
+    changes = _derive_changes(model, base, estimate.beta, nonlinear)
+    first = [nonlinear.index(name) for name in names]
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + len(nonlinear))
     root, m = estimate.solution.inverse_root, len(places)
     r = root.shape[1]
     at = [[i for i, place in enumerate(places) if place.joint == k] for k in range(model.n_joints)]
     blocks = []
-    with use_one_blas_thread():
-        for part in divide_into_blocks(model, samples, block_seconds):
-            gram = np.zeros((r + m + 1, r + m + 1))
-            for chunk in part.chunks(plan, changes.of(part.samples)):
-                for k, rows in enumerate(chunk):
-                    p_k = len(plan.support[k])
-                    error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
-                    seen = np.vstack(
-                        [
-                            root[plan.support[k]].T @ rows[:p_k],
-                            *(rows[None, p_k + first[i]] for i in at[k]),
-                            error,
-                        ]
-                    )
-                    where = np.ix_(*[[*range(r), *(r + i for i in at[k]), r + m]] * 2)
-                    gram[where] += estimate.weights[k] ** 2 * (seen @ seen.T)
-            blocks.append(gram)
+    for part in divide_into_blocks(model, samples, block_seconds):
+        gram = np.zeros((r + m + 1, r + m + 1))
+        for chunk in part.chunks(plan, partial(changes, part.samples)):
+            for k, rows in enumerate(chunk):
+                p_k = len(plan.support[k])
+                error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
+                seen = np.vstack(
+                    [
+                        root[plan.support[k]].T @ rows[:p_k],
+                        *(rows[None, p_k + first[i]] for i in at[k]),
+                        error,
+                    ]
+                )
+                where = np.ix_(*[[*range(r), *(r + i for i in at[k]), r + m]] * 2)
+                gram[where] += estimate.weights[k] ** 2 * (seen @ seen.T)
+        blocks.append(gram)
     together = np.sum(blocks, axis=0)
     known, across = together[:r, :r], together[:r, r : r + m]
     own, moved = together[r : r + m, r : r + m], np.linalg.pinv(known, hermitian=True) @ across
     left = own - moved.T @ across
     # Squared part of that derivative outside all linear columns below which it is undetermined.
     determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(own)).tolist()
-    values = np.array([_read_value(base.drive, place) for place in places])
+    terms = {term.key: term for term in base.drive.terms}
+    values = np.array([terms[p.term].at(p.joint).value(p.parameter) for p in places])
     errors = np.full(m, np.nan)
     if not determined:
         return NonlinearErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
@@ -123,11 +125,9 @@ def estimate_nonlinear_errors(
     )
     V = inverse * np.outer(noise, noise)
     if not textbook and len(blocks) >= FEWEST_BLOCKS:
+        own_rows = [r + i for i in determined]
         scores = np.array(
-            [
-                gram[[r + i for i in determined], -1] - moved[:, determined].T @ gram[:r, -1]
-                for gram in blocks
-            ]
+            [gram[own_rows, -1] - moved[:, determined].T @ gram[:r, -1] for gram in blocks]
         )
         clustered = np.sum((scores @ inverse) ** 2, axis=0) * len(blocks) / (len(blocks) - 1)
         swell = np.sqrt(np.maximum(clustered / np.diag(V), 1.0))
@@ -137,57 +137,38 @@ def estimate_nonlinear_errors(
     return NonlinearErrors(tuple(places), values, errors, np.asarray(follows @ V @ follows.T))
 
 
-def _read_value(drive: DriveSet, place: NonlinearPlace) -> float:
-    return (
-        next(term for term in drive.terms if term.key == place.term)
-        .at(place.joint)
-        .value(place.parameter)
-    )
+def _derive_changes(
+    model: RobotModel, base: BaseParameters, beta: Array, nonlinear: Sequence[tuple[str, str]]
+) -> Callable[[Samples, slice], list[Array]]:
+    """Return a function that gives the derivatives of every joint's torque on a span of samples.
 
+    They are by each nonlinear parameter, (L, n) each.
+    """
+    n = model.n_joints
+    values = expand_parameters(base, beta)[10 * base.n_links :].reshape(n, -1)
+    of_terms = np.split(values, np.cumsum([len(term.symbols) for term in base.drive.terms]), axis=1)
+    terms = {term.key: term for term in base.drive.terms}
+    linear = dict(zip(terms, of_terms, strict=False))
+    moved = []
+    for key, name in nonlinear:
+        term = terms[key]
+        at = np.array([term.at(k).value(name) for k in range(n)])
+        sides = [
+            DriveSet((term.with_nonlinear({name: tuple((at * (1.0 + step)).tolist())}),))
+            for step in (STEP, -STEP)
+        ]
+        moved.append((sides, linear[key].ravel(), 2.0 * STEP * at))
 
-class _Changes:
-    """Hold the derivative of every joint's torque by each nonlinear parameter."""
+    def changes(samples: Samples, span: slice) -> list[Array]:
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        load = inverse_dynamics(model, *state) if base.drive.needs_load else None
+        return [
+            (
+                drive_torque(ahead, own, *state, load=load)
+                - drive_torque(behind, own, *state, load=load)
+            )
+            / step
+            for (ahead, behind), own, step in moved
+        ]
 
-    def __init__(
-        self,
-        model: RobotModel,
-        base: BaseParameters,
-        beta: Array,
-        nonlinear: Sequence[tuple[str, str]],
-    ) -> None:
-        n_joints = model.n_joints
-        self._loading = model if base.drive.needs_load else None
-        chi = np.zeros(base.n_standard)
-        chi[base.columns] = beta
-        values = chi[10 * base.n_links :].reshape(n_joints, -1)
-        self._moved = []
-        first = 0
-        places = {}
-        for term in base.drive.terms:
-            places[term.key] = values[:, first : first + len(term.symbols)].ravel()
-            first += len(term.symbols)
-        for key, name in nonlinear:
-            term = next(term for term in base.drive.terms if term.key == key)
-            at = np.array([term.at(k).value(name) for k in range(n_joints)])
-            sides = [
-                DriveSet((term.with_nonlinear({name: tuple((at * (1.0 + step)).tolist())}),))
-                for step in (STEP, -STEP)
-            ]
-            self._moved.append((sides, places[key], 2.0 * STEP * at))
-
-    def of(self, samples: Samples) -> Callable[[slice], list[Array]]:
-        """Return what gives the changes, each (L, n), on a span of samples."""
-
-        def on(span: slice) -> list[Array]:
-            state = samples.q[span], samples.qd[span], samples.qdd[span]
-            load = None if self._loading is None else inverse_dynamics(self._loading, *state)
-
-            def torque(side: DriveSet, values: Array) -> Array:
-                return drive_torque(side, values, *state, load=load)
-
-            return [
-                (torque(ahead, values) - torque(behind, values)) / step
-                for (ahead, behind), values, step in self._moved
-            ]
-
-        return on
+    return changes

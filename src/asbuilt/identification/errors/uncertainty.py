@@ -2,43 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
+from asbuilt.codec import store_as
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import (
     BlockScatter,
-    ErrorBasis,
-    ErrorKind,
-    widening,
-)
-from asbuilt.identification.errors.common_growth import (
     BlockScores,
     CommonGrowth,
+    ErrorBasis,
+    ErrorKind,
     estimate_common_growth,
+    widening,
 )
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import pack_triangle, unpack_symmetric
 
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""
-FEWEST_BLOCKS = 8
-"""Blocks below which their scatter gives no usable variance."""
-
-
-FEWEST_RECORDINGS = 4
-"""Recordings below which their scatter gives no usable variance."""
+FEWEST_BLOCKS, FEWEST_RECORDINGS = 8, 4
+"""Blocks, and recordings, below which their scatter gives no usable variance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """Hold the covariance (p, p), the effective number of samples and how both were estimated.
 
-    `scatter` is that of the time blocks, by which parameters are tested; None without blocks.
-    `shared` is the factor on variances by what blocks of like motion share.
+    `scatter` is the scatter of the time blocks, by which parameters are tested; None without
+    blocks. `shared` is the factor on variances by what blocks of like motion share.
     """
 
     covariance: Array
@@ -48,14 +47,14 @@ class Uncertainty:
     shared: float = 1.0
 
     @property
-    def n_blocks(self) -> int:
-        """Number of time blocks."""
-        return self.basis.n_blocks
-
-    @property
     def std_errors(self) -> Array:
         """Standard errors, shape (p,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    def with_further(self, covariance: Array, bias: Array | None = None) -> Uncertainty:
+        """Return the uncertainty with further errors, as `BlockScatter.with_further` adds them."""
+        scatter = None if self.scatter is None else self.scatter.with_further(covariance, bias)
+        return replace(self, covariance=self.covariance + covariance, scatter=scatter)
 
 
 def estimate_block_uncertainty(
@@ -97,12 +96,11 @@ def estimate_block_uncertainty(
     found = estimate_scatter(data, estimate.solution.inverse_root)
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
-    variance = np.maximum(found.variance, textbook)
-    swell = np.where(determined, np.sqrt(variance / np.where(determined, textbook, 1.0)), 1.0)
-    shrinkage = (
-        float(np.exp(-2.0 * np.mean(np.log(swell[determined])))) if determined.any() else 1.0
-    )
-    growth = float(np.median(swell[determined])) if determined.any() else None
+    swell = np.ones_like(textbook)
+    variance = np.maximum(found.variance, textbook)[determined]
+    swell[determined] = grown = np.sqrt(variance / textbook[determined])
+    shrinkage = float(np.exp(-2.0 * np.mean(np.log(grown)))) if grown.size else 1.0
+    growth = float(np.median(grown)) if grown.size else None
     return Uncertainty(
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
@@ -143,6 +141,7 @@ def unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
+@use_one_blas_thread()
 def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Array, float, Array]:
     """Return scores of clusters corrected for their leverage as CR2 does, and what follows.
 
@@ -155,18 +154,16 @@ def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Arra
     moves, absorbed, trace = np.empty_like(scores), np.empty_like(grams), 0.0
     leverages = np.empty((len(grams), root.shape[1], root.shape[0]))
     weight = np.empty((len(grams), root.shape[0]))
-    with use_one_blas_thread():
-        for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
-            leverage, axes = np.linalg.eigh(gram)
-            leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-            score = axes.T @ score_b
-            moves[b] = axes @ (score / np.sqrt(1.0 - leverage))
-            turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
-            leverages[b] = axes @ (leverage[:, None] * turned)
-            weight[b] = leverage @ turned**2
-            absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
-            trace += float(leverage.sum())
-        freedom = _estimate_degrees_of_freedom(leverages, weight)
+    for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
+        leverage, axes = np.linalg.eigh(gram)
+        leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
+        moves[b] = axes @ ((axes.T @ score_b) / np.sqrt(1.0 - leverage))
+        turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
+        leverages[b] = axes @ (leverage[:, None] * turned)
+        weight[b] = leverage @ turned**2
+        absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
+        trace += float(leverage.sum())
+    freedom = _estimate_degrees_of_freedom(leverages, weight)
     return moves, absorbed, trace, freedom
 
 
@@ -190,27 +187,21 @@ def choose_error_basis(
         (block.stop - block.start) * block.n_samples / max(block.n_samples - 1, 1)
         for block in information.blocks
     ]
-    return ErrorBasis(
-        kind,
-        kind if asked is None else asked,
-        information.n_blocks,
-        float(np.median(lengths)) if lengths else None,
-    )
+    return ErrorBasis(kind, asked or kind, information.n_blocks, float(np.median(lengths)))
 
 
+@use_one_blas_thread()
 def block_scores(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
     """Return `S^T W_b^T W_b S` (n_blocks, rank, rank) and `S^T W_b^T e_b` (n_blocks, rank).
 
     e is the weighted residual, S the inverse root.
     """
-    root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
-    grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
-    scores = np.empty((information.n_blocks, root.shape[1]))
-    with use_one_blas_thread():
-        for b in range(information.n_blocks):
-            factor = information.block_stacked(b, estimate.weights)
-            whitened = factor[:, :-1] @ root
-            grams[b], scores[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
+    residual, found = np.append(-estimate.beta, 1.0), []
+    for b in range(information.n_blocks):
+        factor = information.stacked(estimate.weights, b)
+        whitened = factor[:, :-1] @ estimate.solution.inverse_root
+        found.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
+    grams, scores = map(np.array, zip(*found, strict=True))
     return grams, scores
 
 
@@ -223,39 +214,83 @@ def _estimate_degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     """
     own = np.einsum("brp,brp->bp", leverages, leverages)
     trace = np.sum(weight - own, axis=0)
-    across = np.array(
-        [
-            np.sum((leverages[:, :, j] @ leverages[:, :, j].T) ** 2)
-            for j in range(leverages.shape[2])
-        ]
-    )
+    across = np.array([np.sum((each @ each.T) ** 2) for each in np.moveaxis(leverages, 2, 0)])
     square = np.sum(weight**2 - 2.0 * weight * own, axis=0) + across
-    freedom = np.full(len(square), float(len(leverages) - 1))
-    np.divide(trace**2, square, out=freedom, where=square > 0)
-    return freedom
+    most = np.full(len(square), float(len(leverages) - 1))
+    return np.asarray(np.divide(trace**2, square, out=most, where=square > 0))
 
 
 def estimate_recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
     """Return the variances (p,) of base parameters with whole recordings as clusters.
 
     Blocks of one recording share what the model lacks in its motion, such as a law of the servo
-    that only steps show; then the scatter of blocks is too small, and that of recordings is not
+    that only steps show; then the scatter of blocks is too small, and of recordings it is not
     (CR2, as in `estimate_block_uncertainty`, Student's quantile of its few degrees of freedom
     included).
     Zero if there are fewer than `FEWEST_RECORDINGS`.
     """
-    sources = [block.source for block in information.blocks]
-    names = list(dict.fromkeys(sources))
-    if len(names) < FEWEST_RECORDINGS or estimate.rank == 0:
+    sources = np.array([block.source for block in information.blocks])
+    members = [sources == name for name in information.sources]
+    if len(members) < FEWEST_RECORDINGS or estimate.rank == 0:
         return np.zeros(len(estimate.beta))
-    number = np.array([names.index(each) for each in sources])
-    grams, scores = block_scores(information, estimate)
-    members = [number == k for k in range(len(names))]
-    root = estimate.solution.inverse_root
-    moves, _, _, freedom = correct_moves(
-        np.array([grams[each].sum(axis=0) for each in members]),
-        np.array([scores[each].sum(axis=0) for each in members]),
-        root,
+    of_blocks, root = block_scores(information, estimate), estimate.solution.inverse_root
+    grams, scores = (np.array([each[own].sum(axis=0) for own in members]) for each in of_blocks)
+    moves, _, _, freedom = correct_moves(grams, scores, root)
+    return np.asarray(np.sum((moves @ root.T) ** 2, axis=0) * widening(freedom) ** 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeValues:
+    """Hold the p base parameters by weighted least squares without bounds or regularisation.
+
+    `estimates` (p,), their block-robust `covariance` (p, p), the `textbook_std_errors` (p,) that
+    were widened for it, which are `determined` (p,), and the `scatter` of the time blocks.
+    """
+
+    estimates: Array
+    covariance: Array = field(metadata=store_as(encode=pack_triangle, decode=unpack_symmetric))
+    textbook_std_errors: Array
+    determined: NDArray[np.bool_]
+    scatter: BlockScatter | None = None
+
+    def __post_init__(self) -> None:
+        p = len(self.estimates)
+        shapes = [self.covariance.shape, self.textbook_std_errors.shape, self.determined.shape]
+        if shapes != [(p, p), (p,), (p,)]:
+            raise ResultError(f"{p} free values need as many errors, got {shapes}; identify again")
+        for values in (self.estimates, self.covariance, self.textbook_std_errors, self.determined):
+            values.setflags(write=False)
+
+    @property
+    def std_errors(self) -> Array:
+        """Standard errors, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit_free_values(
+    information: SquareRootInformation,
+    toward: ArrayLike,
+    further: Array | None = None,
+    bias: Array | None = None,
+) -> FreeValues:
+    """Fit by `wls` with errors from time blocks.
+
+    Parameters
+    ----------
+    information
+        Information of the recordings.
+    toward
+        Values (p,) of directions that the recordings leave undetermined; NaN counts as zero.
+    further
+        Covariance (p, p) of further errors, such as of fitted nonlinear parameters.
+    bias
+        Bias (p,) whose square is part of it.
+    """
+    fitted = fit_least_squares(information, weights="joint", prior=toward)
+    uncertainty = estimate_block_uncertainty(information, fitted)
+    if further is not None:
+        uncertainty = uncertainty.with_further(further, bias)
+    covariance = 0.5 * (uncertainty.covariance + uncertainty.covariance.T)
+    return FreeValues(
+        fitted.beta, covariance, fitted.std_errors, fitted.determined, uncertainty.scatter
     )
-    variance = np.sum((moves @ root.T) ** 2, axis=0)
-    return np.asarray(variance * widening(freedom) ** 2)

@@ -9,23 +9,23 @@ from functools import partial
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.body_bounds import bound_generously, bound_with_certainty
-from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.bodies.conic_fit import ConicProblem
-from asbuilt.identification.bodies.consistency import (
-    consistency_margin,
-    margin_is_consistent,
-    non_passive_drives,
-)
-from asbuilt.identification.bodies.drive_prior import (
+from asbuilt.identification.bodies.cad_prior import (
     USUAL_DESIGN_EFFECT,
+    CadPrior,
+    build_cad_prior,
     with_drive_rows,
     with_drive_scale,
 )
-from asbuilt.identification.bodies.entropic_fit import Coordinates
+from asbuilt.identification.bodies.conic_fit import ConicProblem
+from asbuilt.identification.bodies.consistency import (
+    decide_consistency,
+    non_passive_drives,
+)
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
@@ -37,28 +37,27 @@ from asbuilt.identification.estimators.consistent_fit import (
     fit_toward_cad,
     quietest_noise,
 )
-from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
-from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.estimators.robust import (
-    continue_huber,
-    estimate_outlying_share,
-    huber_loss,
-    reweight,
-)
-from asbuilt.identification.information.candidate_choice import (
+from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
     MotionChoice,
     choose_candidate,
 )
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
+from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
+from asbuilt.identification.estimators.methods import estimator
+from asbuilt.identification.estimators.robust import (
+    HUBER,
+    continue_huber,
+    estimate_outlying_share,
+    reweight,
+)
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
 from asbuilt.identification.information.random_motion import (
     build_random_motion_rows,
     measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import FactorSolution, solve_factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +78,12 @@ class SelectionRules:
     design_effect: float = USUAL_DESIGN_EFFECT
     """Samples per independent sample where the blocks are too few to estimate it."""
     costly: float = 0.05
-    """Rise of the torque error by a consistent fit beyond that of its lost degrees of freedom."""
+    """Rise of the torque error by a consistent fit beyond what its lost degrees of freedom cost."""
 
 
 RULES = SelectionRules()
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
-CURE = Cure("check gains, description and what acts on the robot beside what was found")
+CURE = Cure("check gains, description and what else acts on the robot than what was found")
 
 
 @estimator(
@@ -100,10 +99,10 @@ def estimate_auto(data: EstimationData) -> Estimate:
     1. Weighted least squares; `huber` if more than 7 % of the torques lie beyond 4 robust standard
        deviations, or the residual variance of a joint exceeds 30 robust variances.
     2. Candidates are `entropic` with weights of CAD of 25 to 1 times the design effect, as far as
-       the distance from CAD supports them (`choose_cad_weight`; that of 1 always), `consistent`,
-       and the values of step 1, in this order. The first is chosen whose error on other motions is
-       within one standard error of the least; physically inconsistent values only if they are
-       better than every consistent candidate beyond chance (Student's test).
+       the distance from CAD supports them (`choose_cad_weight`; the weight of 1 always),
+       `consistent`, and the values of step 1, in this order. The first is chosen whose error on
+       other motions is within one standard error of the least; physically inconsistent values only
+       if they are better than every consistent candidate beyond chance (Student's test).
 
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
@@ -114,7 +113,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
     reasons = []
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // RULES.screened))
-        robust = reweight(sample, huber_loss(), estimate, together=True)
+        robust = reweight(sample, HUBER, estimate, together=True)
         share, ratio = estimate_outlying_share(sample, robust)
         if share > RULES.outlying_share or ratio > RULES.outlying_variance:
             estimate = continue_huber(data, estimate)
@@ -128,16 +127,16 @@ def estimate_auto(data: EstimationData) -> Estimate:
     else:
         estimate, why, notes = _choose_closest_to_cad(data, estimate)
         reasons.append(why)
-    said = (f"Chosen automatically: {'; '.join(reasons)}.", *notes)
-    return replace(estimate, notes=(*said, *estimate.notes))
+    return replace(
+        estimate, notes=(f"Chosen automatically: {'; '.join(reasons)}.", *notes, *estimate.notes)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Hold candidates, the fit of each to all blocks, and the names of those that failed."""
+    """Hold candidates, and the names of those that failed."""
 
     known: list[Candidate] = field(default_factory=list)
-    fits: list[Callable[[], Estimate]] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
 
     def add(
@@ -150,55 +149,57 @@ class _Candidates:
     ) -> None:
         """Add a candidate, or its name to those that failed."""
         try:
-            self.known.append(Candidate(name, weight, held_out(), certain))
+            self.known.append(Candidate(name, weight, held_out(), certain, fit))
         except AsbuiltError:
             self.failed.append(name)
-        else:
-            self.fits.append(fit)
+
+    @property
+    def note(self) -> tuple[str, ...]:
+        """A note that names the candidates that did not converge."""
+        if not self.failed:
+            return ()
+        return (f"Left out, since the fit did not converge: {', '.join(self.failed)}",)
 
 
+@use_one_blas_thread()
 def _choose_closest_to_cad(
     data: EstimationData, free: Estimate
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the chosen candidate, why it was chosen, and notes."""
     information = free.information or data.information
     prior = with_drive_scale(build_cad_prior(data.model, data.base.drive), information)
-    with use_one_blas_thread():
-        free = _with_drive_prior(information, free, prior)
-        try:
-            consistent = fit_consistent(information, prior)
-        except AsbuiltError as problem:
-            return free, f"{free.method}: the consistent fit failed ({problem})", ()
-        effect = design_effect(information, consistent)
-        masses = data.model.has_masses
-        weights = [effect * each for each in RULES.beliefs] if masses else []
-        groups = group_different_motions(information, consistent.weights)
-        parts = [
-            (used.together(), held.together())
-            for used, held in divide_into_folds(information, groups)
-        ]
-        if len(parts) < RULES.fewest_folds:
-            return _fit_usual_weight(information, prior, free, consistent, masses)
-        candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
-        rates = None if data.samples is None else measure_recorded_rates(data.samples)
-        motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
-        motion *= np.resize(consistent.weights, len(motion))[:, None]
-        free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
-        return _choose_converging(
+    free = _with_drive_prior(information, free, prior)
+    try:
+        consistent = fit_consistent(information, prior)
+    except AsbuiltError as problem:
+        return free, f"{free.method}: the consistent fit failed ({problem})", ()
+    effect = design_effect(information, consistent)
+    masses = data.model.has_masses
+    weights = [effect * each for each in RULES.beliefs] if masses else []
+    folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
+    parts = [(used.together(), held.together()) for used, held in folds]
+    if len(parts) < RULES.fewest_folds:
+        return _fit_usual_weight(information, prior, free, consistent, masses)
+    candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
+    rates = None if data.samples is None else measure_recorded_rates(data.samples)
+    motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
+    motion *= np.resize(consistent.weights, len(motion))[:, None]
+    free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
+    return _choose_converging(
+        information,
+        free,
+        candidates,
+        masses,
+        lambda: choose_candidate(
+            candidates.known,
+            parts,
             information,
-            free,
-            candidates,
-            masses,
-            lambda: choose_candidate(
-                candidates.known,
-                parts,
-                information,
-                consistent.weights,
-                prior_information(information, prior),
-                motion,
-                effect * free_energy / information.n_rows,
-            ),
-        )
+            consistent.weights,
+            prior_information(information, prior),
+            motion,
+            effect * free_energy / information.n_rows,
+        ),
+    )
 
 
 def _with_drive_prior(
@@ -206,16 +207,9 @@ def _with_drive_prior(
 ) -> Estimate:
     """Return least squares with the prior of drive parameters, alike where they are determined."""
     solved = _with_drive_rows(information, free.weights, prior)
-    of_data = replace(
-        solved,
-        rank=free.rank,
-        open_directions=free.solution.open_directions,
-        singular_values=free.solution.singular_values,
-        condition_number=free.solution.condition_number,
-        scaled_condition_number=free.solution.scaled_condition_number,
-    )
+    solution = replace(free.solution, x=solved.x, inverse_root=solved.inverse_root)
     return free.renewed(
-        free.method, information, of_data, own_information=free.information, notes=free.notes
+        free.method, information, solution, own_information=free.information, notes=free.notes
     )
 
 
@@ -239,8 +233,7 @@ def design_effect(information: SquareRootInformation, estimate: Estimate) -> flo
     if information.n_blocks < FEWEST_BLOCKS:
         return RULES.design_effect
     found = estimate_block_uncertainty(information, estimate)
-    effective = found.effective_samples * found.shared
-    return max(1.0, information.n_samples / max(effective, 1.0))
+    return max(1.0, information.n_samples / max(found.effective_samples * found.shared, 1.0))
 
 
 def prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
@@ -266,13 +259,13 @@ def _fit_candidates(
     candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
     rough: dict[float, Array] = {}
 
-    def trainings() -> Iterator[SquareRootInformation]:
+    def select_trainings() -> Iterator[SquareRootInformation]:
         for each, _ in parts:
             refuse_few_rows(each)
             yield each
 
     if weights:
-        path = EntropicPath.of(prior, Coordinates.of(information.base), bound_with_certainty(prior))
+        path = EntropicPath(prior, information.base, bound_with_certainty(prior))
         factors = np.array(
             [each.stacked(of_joints) for each in (*(t for t, _ in parts), information)]
         )
@@ -284,28 +277,26 @@ def _fit_candidates(
         )
     for weight in weights:
         name = f"entropic (weight {weight:.3g})"
-        if weight not in rough:
+        fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
+        if weight in rough:
+            candidates.known.append(Candidate(name, weight, rough[weight][:-1] @ K.T, fit=fit))
+        else:
             candidates.failed.append(name)
-            continue
-        candidates.add(
-            name,
-            weight,
-            partial(np.matmul, rough[weight][:-1], K.T),
-            partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
-        )
-    conic = ConicProblem.of(prior, K, bound_generously(prior))
+    conic = ConicProblem(prior, K, bound_generously(prior))
     candidates.add(
         "consistent",
         WEAKEST_BELIEF,
-        lambda: np.array([K @ conic.fit(each.stacked(of_joints)).chi for each in trainings()]),
+        lambda: np.array([K @ conic.fit(each.stacked(of_joints)) for each in select_trainings()]),
         lambda: consistent,
     )
     candidates.add(
         free.method,
         0.0,
-        lambda: np.array([_with_drive_rows(each, of_joints, prior).x for each in trainings()]),
+        lambda: np.array(
+            [_with_drive_rows(each, of_joints, prior).x for each in select_trainings()]
+        ),
         lambda: free,
-        certain=not free.undetermined and _is_consistent(information, free),
+        certain=not free.undetermined and _is_consistent(information.base, free),
     )
     return candidates
 
@@ -318,19 +309,19 @@ def _fit_supported_weights(
 ) -> tuple[dict[float, Array], list[float]]:
     """Return rough fits by weight, and the weights that the distance from CAD supports.
 
-    The last factor is that of all blocks. Weights above the one that its fit with the strongest
+    The last factor is of all blocks. Weights above the one that its fit with the strongest
     weight supports give way to it; the weakest always stays. At weaker weights model errors take
     links further from CAD than its tolerance does.
     """
     effect = weights[-1] / RULES.beliefs[-1]
-    rough = path.descending(factors, weights)
+    rough = path.fit_descending(factors, weights)
     fitted = [weight for weight in weights if weight in rough]
     if not fitted:
         return rough, weights
     limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), RULES.beliefs[-1])
     kept = [weight for weight in weights if weight <= limit]
     if len(kept) < len(weights) and limit > kept[0]:
-        rough |= path.descending(factors, [limit])
+        rough |= path.fit_descending(factors, [limit])
         kept = [limit, *kept]
     return rough, kept
 
@@ -343,38 +334,34 @@ def _choose_converging(
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
-    while True:
+    fit: Estimate | None = None
+    while fit is None:
         if not candidates.known:
-            return free, f"{free.method}: no other fit converged", _name_failures(candidates)
+            return free, f"{free.method}: no other fit converged", candidates.note
         choice = choose()
+        chosen = candidates.known[choice.chosen]
         try:
-            fit = candidates.fits[choice.chosen]()
-            break
+            fit = chosen.fit() if chosen.fit else free
         except AsbuiltError:
             candidates.failed.append(candidates.known.pop(choice.chosen).name)
-            candidates.fits.pop(choice.chosen)
     n_folds = choice.errors.shape[1]
-    name, error = choice.candidates[choice.chosen].name, choice.sentence(choice.chosen)
-    why = f"{name} has the least error on other motion"
+    error = choice.sentence(choice.chosen)
+    why = f"{chosen.name} has the least error on other motion"
     if choice.chosen != choice.best:
         nearest = "the fit closest to CAD" if masses else "the first consistent fit"
         why = (
-            f"{name} is {nearest} whose error on other motion is within one standard error of the"
-            " least"
+            f"{chosen.name} is {nearest} whose error on other motion is within one standard error"
+            " of the least"
         )
         error += f", least {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", {choice.sentence(len(choice.candidates) - 1)}"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
-    notes = (
-        choice.motion_note,
-        *_name_failures(candidates),
-        *(() if masses else (SCALE_OF_TORQUE,)),
-    )
+    notes = (choice.note, *candidates.note, *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
         return _join_notes(information, fit, free), why, notes
-    if _is_consistent(information, free):
+    if _is_consistent(information.base, free):
         return free, why, notes
     finding = Finding(
         "consistent_fit_rejected",
@@ -406,13 +393,6 @@ def _fit_usual_weight(
     return _join_notes(information, consistent, free), f"consistent: {why}", ()
 
 
-def _name_failures(candidates: _Candidates) -> tuple[str, ...]:
-    """Return a note that names the candidates that did not converge."""
-    if not candidates.failed:
-        return ()
-    return (f"Left out, since the fit did not converge: {', '.join(candidates.failed)}",)
-
-
 def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimate) -> Estimate:
     """Return a fit with notes and findings of the free one, and a finding if it fits far worse."""
     fit = replace(
@@ -423,10 +403,8 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         findings=(*free.findings, *fit.findings),
     )
     energy, n = information.residual_energy(free.beta), information.n_samples
-    sigma = np.maximum(
-        np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
-        quietest_noise(information),
-    )
+    noise = np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0))
+    sigma = np.maximum(noise, quietest_noise(information))
     ratio = (information.residual_energy(fit.beta) / n / sigma**2)[information.has_torque]
     rise = float(np.sqrt(np.mean(ratio))) - 1.0
     if rise <= RULES.costly:
@@ -441,12 +419,7 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
     return replace(fit, findings=(*fit.findings, finding))
 
 
-def _is_consistent(information: SquareRootInformation, estimate: Estimate) -> bool:
+def _is_consistent(base: BaseParameters, estimate: Estimate) -> bool:
     """Return whether an estimate is physically consistent; True if that cannot be decided."""
-    base = information.base
-    if non_passive_drives(base, estimate.beta):
-        return False
-    try:
-        return margin_is_consistent(consistency_margin(base, estimate.beta), estimate.beta)
-    except AsbuiltError:
-        return True
+    passive = not non_passive_drives(base, estimate.beta)
+    return passive and decide_consistency(base, estimate.beta)[1] is not False

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -17,25 +19,25 @@ from asbuilt.identification.bodies.body_bounds import (
     bound_generously,
     bound_with_certainty,
 )
-from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, build_cad_prior
+from asbuilt.identification.bodies.cad_prior import (
+    CadPrior,
+    body_metric_root,
+    build_cad_prior,
+    with_drive_scale,
+)
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
-from asbuilt.identification.bodies.drive_prior import with_drive_scale
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
+from asbuilt.identification.estimators.held_out_choice import choose_weight
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
-from asbuilt.identification.estimators.prior_weight import choose_weight
 from asbuilt.identification.information.estimate import (
     Estimate,
-    Refit,
+    EstimationData,
     noise_floor,
     residual_deviation,
 )
-from asbuilt.identification.information.factor_solution import FactorSolution
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-
-if TYPE_CHECKING:
-    from asbuilt.identification.information.estimation_data import EstimationData
 
 Metric = Literal["entropic", "euclidean"]
 
@@ -112,6 +114,7 @@ def _build_prior(data: EstimationData) -> CadPrior:
     return with_drive_scale(build_cad_prior(data.model, data.base.drive), data.information)
 
 
+@use_one_blas_thread()
 def fit_consistent(
     information: SquareRootInformation,
     prior: CadPrior,
@@ -126,26 +129,16 @@ def fit_consistent(
     directions stay next to CAD.
     """
     limits = bound_generously(prior) if bounds is None else bounds
-    with use_one_blas_thread():
-        problem = ConicProblem.of(prior, information.base.regrouping, limits)
-        w, rounds = _fit_joint_weights(information, problem, weights)
-        fit = problem.fit(information.stacked(w))
-        near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
-        active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
-        note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
-        return _estimate(
-            "consistent",
-            information,
-            prior,
-            w,
-            fit.chi,
-            TINY_WEIGHT,
-            rounds,
-            (f"{note}{active}",),
-            lambda factor: problem.fit(factor).chi,
-        )
+    problem = ConicProblem(prior, information.base.regrouping, limits)
+    w, rounds = _fit_joint_weights(information, problem, weights)
+    fit = _estimate("consistent", information, prior, w, problem.fit, TINY_WEIGHT, rounds)
+    near = np.flatnonzero(limits.slack(fit.standard) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
+    active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
+    note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
+    return replace(fit, notes=(f"{note}{active}", *fit.notes))
 
 
+@use_one_blas_thread()
 def fit_toward_cad(
     information: SquareRootInformation,
     prior: CadPrior,
@@ -160,54 +153,30 @@ def fit_toward_cad(
     The minimum is over physically consistent links and passive drives. The distance is the
     divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its
     quadratic form at CAD (`"euclidean"`: a conic program). The entropic minimum is reached through
-    those of larger weights, each from the last, since links may lie far from CAD. `choose_weight`
+    minima of larger weights, each from the last, since links may lie far from CAD. `choose_weight`
     chooses a `weight` of None. Drive parameters, for which CAD has no reliable values, are not
     regularised. Raises `UsageError` for another metric.
     """
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"unknown metric {metric!r}; available: entropic, euclidean")
     base = information.base
-    limits = (
-        bound_with_certainty(prior)
-        if bounds is None
-        else bound_with_certainty(prior).and_also(bounds)
-    )
+    limits = bound_with_certainty(prior)
+    limits = limits if bounds is None else limits.and_also(bounds)
+    conic = ConicProblem(prior, base.regrouping, limits)
+    w, rounds = _fit_joint_weights(information, conic, weights)
+    path = EntropicPath(prior, base, limits) if metric == "entropic" else None
 
-    with use_one_blas_thread():
-        conic = ConicProblem.of(prior, base.regrouping, limits)
-        w, rounds = _fit_joint_weights(information, conic, weights)
-        path = EntropicPath.of(prior, Coordinates.of(base), limits)
+    def fit_roughly(factors: Array, weight: float) -> Array:
+        if path is not None:
+            return path.fit_roughly(factors, weight)
+        return np.array([conic.fit(factor, weight, rough=True) for factor in factors])
 
-        def roughly(factors: Array, weight: float) -> Array:
-            return (
-                path.roughly(factors, weight)
-                if metric == "entropic"
-                else np.array([conic.fit(factor, weight, rough=True).chi for factor in factors])
-            )
-
-        def exactly(factor: Array) -> Array:
-            return (
-                path.exactly(factor, chosen)
-                if metric == "entropic"
-                else conic.fit(factor, chosen).chi
-            )
-
-        if weight is None:
-            choice = choose_weight(information, w, base.regrouping, roughly)
-            chosen, reason = choice.weight, choice.reason
-        else:
-            chosen, reason = float(weight), f"weight of CAD {weight:g}"
-        return _estimate(
-            metric,
-            information,
-            prior,
-            w,
-            exactly(information.stacked(w)),
-            chosen,
-            rounds,
-            (reason,),
-            exactly,
-        )
+    reason = "" if weight is None else f"weight of CAD {weight:g}"
+    if weight is None:
+        choice = choose_weight(information, w, base.regrouping, fit_roughly)
+        weight, reason = choice.weight, choice.reason
+    fit = partial(conic.fit if path is None else path.fit_exactly, weight=float(weight))
+    return _estimate(metric, information, prior, w, fit, weight, rounds, reason)
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
@@ -225,28 +194,13 @@ def _fit_joint_weights(
 ) -> tuple[Array, int]:
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
     if weights is not None:
-        return (
-            fit_least_squares(
-                information, weights=weights, prior=np.zeros(information.base.n_base)
-            ).weights,
-            0,
-        )
-    quietest = quietest_noise(information)
-    w = 1.0 / np.maximum(
-        fit_least_squares(
-            information, weights="joint", prior=np.zeros(information.base.n_base)
-        ).sigma,
-        quietest,
-    )
+        return np.where(information.has_torque, weights, 0.0), 0
+    quietest, base = quietest_noise(information), information.base
+    free = fit_least_squares(information, weights="joint", prior=np.zeros(base.n_base))
+    w = 1.0 / np.maximum(free.sigma, quietest)
     for _ in range(REWEIGHTINGS):
-        chi = problem.fit(information.stacked(w)).chi
-        w = 1.0 / np.maximum(
-            np.sqrt(
-                information.residual_energy(information.base.regrouping @ chi)
-                / information.n_samples
-            ),
-            quietest,
-        )
+        energy = information.residual_energy(base.regrouping @ problem.fit(information.stacked(w)))
+        w = 1.0 / np.maximum(np.sqrt(energy / information.n_samples), quietest)
     return w, REWEIGHTINGS
 
 
@@ -255,15 +209,14 @@ def _estimate(
     information: SquareRootInformation,
     prior: CadPrior,
     weights: Array,
-    chi: Array,
+    fit: Callable[[Array], Array],
     prior_weight: float,
     rounds: int,
-    notes: tuple[str, ...],
-    again: Refit,
+    *notes: str,
 ) -> ConsistentEstimate:
-    """Return the estimate with its errors.
+    """Return the estimate with its errors, `fit` giving chi for a factor of weighted rows.
 
-    The errors are those of the normal approximation to the posterior, `K H^-1 K^T` with H the
+    The errors follow from the normal approximation to the posterior, `K H^-1 K^T` with H the
     information of the data plus `belief` times the metric halfway between CAD and estimate. The
     belief is the smallest of 25, the weight used (1 without regularisation), and the weight that
     the distance from CAD supports (as many determined parameters as twice the divergence times the
@@ -272,6 +225,8 @@ def _estimate(
     """
     base = information.base
     free = fit_least_squares(information, weights=weights, prior=base.regrouping @ prior.parameters)
+    factor = information.stacked(weights)
+    chi = fit(factor)
     beta = base.regrouping @ chi
     belief, root = _estimate_belief_and_root(
         information,
@@ -280,22 +235,17 @@ def _estimate(
         chi,
         WEAKEST_BELIEF if prior_weight <= TINY_WEIGHT else prior_weight,
     )
-    n_rows = information.n_rows
-    factor = information.stacked(weights)
     error = factor @ np.append(-beta, 1.0)
     energy = float(error @ error)
-    solution: FactorSolution = replace(
-        free.solution, x=beta, inverse_root=root, residual_energy=energy
-    )
     part = float(prior.relative_eigenvalues(chi).min())
     known = "CAD" if np.any(prior.strength == 1.0) else "the bodies assumed"
     return ConsistentEstimate(
         method=method,
         beta=beta,
-        covariance=max(energy / max(n_rows - free.rank, 1), 1.0) * root @ root.T,
+        covariance=max(energy / max(information.n_rows - free.rank, 1), 1.0) * root @ root.T,
         sigma=residual_deviation(information, beta, root, weights),
         weights=weights,
-        solution=solution,
+        solution=replace(free.solution, x=beta, inverse_root=root, residual_energy=energy),
         undetermined=free.undetermined,
         determined=free.determined,
         iterations=rounds,
@@ -307,7 +257,7 @@ def _estimate(
             f"Standard errors use {known} with weight {belief:.3g}",
             *prior.notes,
         ),
-        refit=lambda factor: base.regrouping @ again(factor),
+        refit=lambda factor: base.regrouping @ fit(factor),
         standard=chi,
         part=part,
         prior_weight=prior_weight,
@@ -348,8 +298,11 @@ def _stack_rows(
     drives = np.sqrt(prior.drive_weight) / prior.drive_scale[:, None] * free[inertial:]
     known = _weigh_known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
-    data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
-    return data, bodies, np.vstack([drives, known])
+    return (
+        np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))]),
+        bodies,
+        np.vstack([drives, known]),
+    )
 
 
 def _invert_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
@@ -365,8 +318,8 @@ def _estimate_weight(
     data: Array, bodies: Array, others: Array, prior: CadPrior, chi: Array, weight: float
 ) -> float:
     """Return the weight of CAD that the distance of `chi` supports."""
-    root = _invert_root(data, bodies, others, weight)
-    determined = len(bodies) - float(np.sum((np.sqrt(weight) * bodies @ root) ** 2))
+    pulled = np.sqrt(weight) * bodies @ _invert_root(data, bodies, others, weight)
+    determined = len(bodies) - float(np.sum(pulled**2))
     moved = 2.0 * float(prior.strength @ prior.divergence(chi))
     return max(determined, 1.0) / max(moved, float(np.finfo(np.float64).tiny))
 
@@ -379,7 +332,6 @@ def _estimate_belief_and_root(
     belief = min(
         weight, STRONGEST_BELIEF, _estimate_weight(data, bodies, others, prior, chi, weight)
     )
-    p = information.base.n_base
-    wide = _invert_root(data, bodies, others, belief)[:p]
+    wide = _invert_root(data, bodies, others, belief)[: information.base.n_base]
     triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
-    return belief, np.asarray(np.triu(triangle[:p]).T)
+    return belief, np.asarray(np.triu(triangle[: len(wide)]).T)

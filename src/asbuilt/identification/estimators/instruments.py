@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,21 +13,19 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import mass_matrix
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    solve_factor,
     triangular_factor,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.result.torque_prediction import expand_parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +73,7 @@ def estimate_iv(data: EstimationData) -> Estimate:
     below w remains. Rows are weighted joint by joint. Simulation and estimation alternate to
     convergence.
     """
-    information, base = data.information, data.base
-    start = estimate_wls(data)
+    base, start = data.base, estimate_wls(data)
     estimate, moves, iterations = start, np.inf, 0
     hertz = max(
         RULES.lowest,
@@ -88,34 +84,19 @@ def estimate_iv(data: EstimationData) -> Estimate:
             follow(data.model, base, estimate.beta, samples, hertz) for samples in data.batches
         ]
         renewed = _fit_two_stages(data, start, data.rows_of(simulated))
-        moves = float(
-            np.max(
-                np.abs(renewed.beta - estimate.beta)
-                / np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)
-            )
-        )
+        errors = np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)
+        moves = float(np.max(np.abs(renewed.beta - estimate.beta) / errors))
         estimate, iterations = renewed, iterations + 1
-    determined = estimate.std_errors > 0
-    shift = np.where(
-        determined,
-        np.abs(estimate.beta - start.beta) / np.where(determined, estimate.std_errors, 1.0),
-        0.0,
-    )
+    shift, errors = np.abs(estimate.beta - start.beta), estimate.std_errors
+    shift = np.divide(shift, errors, out=np.zeros_like(shift), where=errors > 0)
     largest = int(np.argmax(shift))
     note = (
         f"Instruments from {iterations} simulations that follow the recorded positions up to"
-        f" {hertz:.3g} Hz. The largest change from wls is that of {base.names[largest]},"
+        f" {hertz:.3g} Hz. The largest change from wls is of {base.names[largest]},"
         f" {shift[largest]:.2g} textbook standard errors."
     )
-    return estimate.renewed(
-        "iv",
-        estimate.information or information,
-        estimate.solution,
-        sigma=estimate.sigma,
-        own_information=estimate.information,
-        iterations=iterations,
-        converged=moves <= 1.0,
-        notes=(note,),
+    return replace(
+        estimate, method="iv", iterations=iterations, converged=moves <= 1.0, notes=(note,)
     )
 
 
@@ -125,7 +106,7 @@ def follow(
     """Return the samples with the motion of a simulated robot that follows their positions.
 
     Torques stay. Linearly implicit Euler steps, many segments side by side, each led in by a
-    second. If the mass matrix of beta is not positive definite that of the design serves, or unit
+    second. If the mass matrix of beta is not positive definite, the design's serves, or unit
     inertias.
     """
     samples = samples.compact()
@@ -146,13 +127,11 @@ def follow(
         counts = (step >= lead) & (step < lead + length)
         acceleration = np.zeros_like(state)
         for part in range(substeps if step else 1):
-            target = samples.q[before] + (samples.q[index] - samples.q[before]) * (
-                (part + 1) / substeps
+            target, wanted = (
+                x[before] + (x[index] - x[before]) * ((part + 1) / substeps)
+                for x in (samples.q, samples.qd)
             )
             mass = mass_matrix(model, state, parameters=links) + armature * identity
-            wanted = samples.qd[before] + (samples.qd[index] - samples.qd[before]) * (
-                (part + 1) / substeps
-            )
             force = inertia * (
                 w**2 * (target - state - (h * rate if step else 0.0)) + 2.0 * w * (wanted - rate)
             )
@@ -161,11 +140,8 @@ def follow(
             if step:
                 rate = rate + h * acceleration
                 state = state + h * rate
-        q[index[counts]], qd[index[counts]], qdd[index[counts]] = (
-            state[counts],
-            rate[counts],
-            acceleration[counts],
-        )
+        for own, found in ((q, state), (qd, rate), (qdd, acceleration)):
+            own[index[counts]] = found[counts]
     return replace(samples, q=q, qd=qd, qdd=qdd)
 
 
@@ -173,8 +149,7 @@ def _estimate_inertia(
     model: RobotModel, base: BaseParameters, beta: Array, postures: Array
 ) -> tuple[Array, Array, Array]:
     """Return inertial parameters, armatures and mean joint inertias of the simulated robot."""
-    chi = np.zeros(base.n_standard)
-    chi[base.columns] = beta
+    chi = expand_parameters(base, beta)
     found = dict(zip(base.standard_names, chi, strict=True))
     armature = np.array([found.get(f"Ia{k + 1}", 0.0) for k in range(model.n_joints)])
     for links, rotors in (
@@ -197,64 +172,56 @@ def _split_segments(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return first sample, length and lead-in of each segment, none across a gap."""
     longest = max(1, -(-samples.n_samples // RULES.segments))
-    first, length, lead = [], [], []
-    for start, stop in samples.segments:
-        for a in range(start, stop, longest):
-            first.append(a)
-            length.append(min(longest, stop - a))
-            lead.append(min(a - start, round(RULES.led_in * samples.rate)))
-    return np.array(first), np.array(length), np.array(lead)
+    parts = [
+        (a, min(longest, stop - a), min(a - start, round(RULES.led_in * samples.rate)))
+        for start, stop in samples.segments
+        for a in range(start, stop, longest)
+    ]
+    first, length, lead = np.array(parts).T
+    return first, length, lead
 
 
 def _measure_bandwidth(samples: Samples) -> float:
     """Return the frequency [Hz] below which 95 % of the velocity's power lies (longest segment)."""
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
-    power = np.sum(
-        np.abs(np.fft.rfft(velocity / np.maximum(velocity.std(axis=0), 1e-9), axis=0)) ** 2, axis=1
-    )
-    return float(
-        np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[
-            np.searchsorted(np.cumsum(power), 0.95 * power.sum())
-        ]
-    )
+    scaled = velocity / np.maximum(velocity.std(axis=0), 1e-9)
+    power = np.sum(np.abs(np.fft.rfft(scaled, axis=0)) ** 2, axis=1)
+    place = np.searchsorted(np.cumsum(power), 0.95 * power.sum())
+    return float(np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[place])
 
 
+@use_one_blas_thread()
 def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
     """Return the estimate by two-stage least squares: W projected on Z, then the torque on that."""
     information, rows, base = data.information, data.rows, data.base
     p, n, weights = base.n_base, information.n_joints, start.weights
-    with use_one_blas_thread():
-        growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
+    growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
+    for z, block in zip(instruments, rows, strict=True):
+        for k, support in enumerate(rows.support):
+            both = np.zeros((2 * p + 1, block.time.n_samples))
+            both[support], both[np.append(p + support, -1)] = z.rows[k][:-1], block.rows[k]
+            growing.append(weights[k] * both)
+    factor = growing.factor()
+    zz, zw = factor[:p, :p], factor[:p, p:]
+    excited = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
+    projection = np.linalg.lstsq(zz[:, excited], zw[:, :-1], rcond=1e-12)[0]
+    beta = solve_factor(
+        triangular_factor(zw[excited]), information.n_samples * n, data.prior_values
+    ).x
+
+    def project_rows() -> Iterator[RowBlock]:
         for z, block in zip(instruments, rows, strict=True):
+            made = []
             for k, support in enumerate(rows.support):
-                both = np.zeros((2 * p + 1, block.time.n_samples))
-                both[support], both[p + support], both[-1] = (
-                    z.rows[k][:-1],
-                    block.rows[k][:-1],
-                    block.rows[k][-1],
-                )
-                growing.append(weights[k] * both)
-        factor = growing.factor()
-        zz, zw = factor[:p, :p], factor[:p, p:]
-        excited = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
-        projection = np.linalg.lstsq(zz[:, excited], zw[:, :-1], rcond=1e-12)[0]
-        beta = solve_factor(
-            triangular_factor(zw[excited]), information.n_samples * n, data.prior_values
-        ).x
+                full = np.zeros((p, block.time.n_samples))
+                full[support] = z.rows[k][:-1]
+                stage = projection.T @ full[excited]
+                error = block.rows[k][-1] - beta[support] @ block.rows[k][:-1]
+                made.append(np.vstack([stage, error + beta @ stage]))
+            yield RowBlock(tuple(made), block.time, block.seconds)
 
-        def projected() -> Iterator[RowBlock]:
-            for z, block in zip(instruments, rows, strict=True):
-                made = []
-                for k, support in enumerate(rows.support):
-                    full = np.zeros((p, block.time.n_samples))
-                    full[support] = z.rows[k][:-1]
-                    stage = projection.T @ full[excited]
-                    error = block.rows[k][-1] - beta[support] @ block.rows[k][:-1]
-                    made.append(np.vstack([stage, error + beta @ stage]))
-                yield RowBlock(tuple(made), block.time, block.seconds)
-
-        solved = reduce_rows(base, information.joint_names, [np.arange(p)] * n, projected())
+    solved = reduce_rows(base, information.joint_names, [np.arange(p)] * n, project_rows())
     return replace(
         fit_least_squares(
             solved, weights=weights, prior=data.prior, undetermined=data.undetermined

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,17 +12,19 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.information.estimate import Estimate, noise_floor, residual_deviation
-from asbuilt.identification.information.factor_solution import (
+from asbuilt.identification.information.estimate import (
+    Estimate,
+    EstimationData,
+    noise_floor,
+    residual_deviation,
+)
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import (
     NEGLIGIBLE_COEFFICIENT,
     FactorSolution,
     solve_factor,
     solve_fast,
 )
-from asbuilt.identification.information.square_root_information import SquareRootInformation
-
-if TYPE_CHECKING:
-    from asbuilt.identification.information.estimation_data import EstimationData
 
 Weighting = Literal["joint"]
 
@@ -37,6 +39,7 @@ Khalil, Int. J. Robotics Research 11, 1992).
 MOST_TERMS = 6
 
 
+@use_one_blas_thread()
 def fit_least_squares(
     information: SquareRootInformation,
     *,
@@ -78,34 +81,29 @@ def fit_least_squares(
     seen = information.has_torque
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
     w = np.where(seen, check_weights(given, seen), 0.0)
-    iterations, converged, ahead = 0, True, _Extrapolation()
-    with use_one_blas_thread():
-        while True:
-            iterations += 1
-            if not iterated:
-                break
-            x, root = solve_fast(information.stacked(w), rows, toward)
-            renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
-            converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
-            if converged or iterations > MOST_ITERATIONS:
-                break
-            w[seen] = ahead.weights(w[seen], renewed[seen])
-        solution = solve_factor(information.stacked(w), rows, toward)
-        sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
+    iterations, converged, ahead = int(not iterated), True, _Extrapolation()
+    while iterated:
+        iterations += 1
+        x, root = solve_fast(information.stacked(w), rows, toward)
+        renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
+        converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
+        if converged or iterations > MOST_ITERATIONS:
+            break
+        w[seen] = ahead.weights(w[seen], renewed[seen])
+    solution = solve_factor(information.stacked(w), rows, toward)
+    sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
         raise _make_refusal(information, solution)
-    variance = solution.residual_energy / max(rows - solution.rank, 1)
     return Estimate(
         method="ols" if weights is None else "wls",
         beta=solution.x,
-        covariance=variance * solution.inverse_root @ solution.inverse_root.T,
+        covariance=(solution.residual_energy / max(rows - solution.rank, 1))
+        * solution.inverse_root
+        @ solution.inverse_root.T,
         sigma=sigma,
         weights=w,
         solution=solution,
-        undetermined=tuple(
-            format_combination(direction, information.base.names)
-            for direction in solution.open_directions
-        ),
+        undetermined=_name_directions(information, solution),
         determined=np.all(np.abs(solution.open_directions) <= NEGLIGIBLE_COEFFICIENT, axis=0),
         iterations=iterations,
         converged=converged,
@@ -169,9 +167,9 @@ def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     >>> format_combination(np.array([0.0, -0.5, 1.0]), ("Ixx1", "mx2", "Fv1"))
     'Fv1 - 0.5 mx2'
     """
-    order = np.argsort(-np.abs(direction), kind="stable")
+    order: list[int] = np.argsort(-np.abs(direction), kind="stable").tolist()
     lead = direction[order[0]]
-    shown = [int(j) for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
+    shown = [j for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
     text = names[shown[0]]
     for j in shown[1:MOST_TERMS]:
         factor = direction[j] / lead
@@ -180,13 +178,18 @@ def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     return text + (f" + ... ({len(shown) - MOST_TERMS} more)" if len(shown) > MOST_TERMS else "")
 
 
+def _name_directions(
+    information: SquareRootInformation, solution: FactorSolution
+) -> tuple[str, ...]:
+    """Return the undetermined directions as text."""
+    names = information.base.names
+    return tuple(format_combination(each, names) for each in solution.open_directions)
+
+
 def _make_refusal(
     information: SquareRootInformation, solution: FactorSolution
 ) -> IdentifiabilityError:
-    names = [
-        format_combination(direction, information.base.names)
-        for direction in solution.open_directions
-    ]
+    names = _name_directions(information, solution)
     listed = "; ".join(names[:8]) + (f"; and {len(names) - 8} more" if len(names) > 8 else "")
     return IdentifiabilityError(
         f"the recording determines {solution.rank} of {information.base.n_base} parameters of"

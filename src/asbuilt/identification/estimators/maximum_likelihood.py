@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -14,15 +15,15 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
 )
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.information.estimate import Estimate, noise_floor
-from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
+from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
 from asbuilt.identification.information.rows import RowBlock
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    solve_factor,
     triangular_factor,
+    widen_factor,
 )
 
 MOST_ITERATIONS = 100
@@ -35,6 +36,7 @@ MOST_ITERATIONS = 100
     needs="samples",
     held_fixed=("the noise covariance of the joints",),
 )
+@use_one_blas_thread()
 def estimate_ml(data: EstimationData) -> Estimate:
     """Minimise `N log det Omega + sum_t e_t^T Omega^-1 e_t` over beta and Omega (n, n).
 
@@ -46,44 +48,34 @@ def estimate_ml(data: EstimationData) -> Estimate:
     Econometrica 42, 1974 (iterated: maximum likelihood).
     """
     information, rows, base = data.information, data.rows, data.base
-    start = estimate_wls(data)
     n, p, n_samples = information.n_joints, base.n_base, information.n_samples
-    floor = noise_floor(information)
-    every = np.arange(p)
-    with use_one_blas_thread():
-        growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
+    floor, every = noise_floor(information), np.arange(p)
+    growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
+    for block in rows:
+        growing.append(np.vstack(block.rows))
+    ends = np.cumsum([len(support) + 1 for support in rows.support])[:-1]
+    parts = np.split(growing.factor(), ends, axis=1)
+    stack = np.array([widen_factor(*each, p) for each in zip(parts, rows.support, strict=True)])
+    beta, whitener, iterations, converged = estimate_wls(data).beta, np.eye(n), 0, False
+    while not converged and iterations < MOST_ITERATIONS:
+        errors = stack @ np.append(-beta, 1.0)
+        covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
+        renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
+        change = np.max(np.abs(renewed - whitener))
+        converged = bool(change <= WEIGHT_CONVERGENCE * np.max(np.abs(renewed)))
+        whitener = renewed
+        whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
+        beta = solve_factor(triangular_factor(whitened), n_samples * n, data.prior_values).x
+        iterations += 1
+
+    def mix_rows() -> Iterator[RowBlock]:
         for block in rows:
-            growing.append(np.vstack(block.rows))
-        factor, joints, first = growing.factor(), [], 0
-        for support in rows.support:
-            joint = np.zeros((len(factor), p + 1))
-            joint[:, np.append(support, p)] = factor[:, first : first + len(support) + 1]
-            joints.append(joint)
-            first += len(support) + 1
-        stack = np.array(joints)
-        beta, whitener, iterations, converged = start.beta, np.eye(n), 0, False
-        while not converged and iterations < MOST_ITERATIONS:
-            errors = stack @ np.append(-beta, 1.0)
-            covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
-            renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
-            converged = bool(
-                np.max(np.abs(renewed - whitener)) <= WEIGHT_CONVERGENCE * np.max(np.abs(renewed))
-            )
-            whitener = renewed
-            whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
-            beta = solve_factor(triangular_factor(whitened), n_samples * n, data.prior_values).x
-            iterations += 1
+            own = np.zeros((n, p + 1, block.time.n_samples))
+            for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                own[k, np.append(support, p)] = columns
+            yield RowBlock(tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds)
 
-        def mixed() -> Iterator[RowBlock]:
-            for block in rows:
-                own = np.zeros((n, p + 1, block.time.n_samples))
-                for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
-                    own[k, np.append(support, p)] = columns
-                yield RowBlock(
-                    tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds
-                )
-
-        solved = reduce_rows(base, information.joint_names, [every] * n, mixed())
+    solved = reduce_rows(base, information.joint_names, [every] * n, mix_rows())
     fitted = fit_least_squares(
         solved, weights=np.ones(n), prior=data.prior, undetermined=data.undetermined
     )
@@ -94,13 +86,12 @@ def estimate_ml(data: EstimationData) -> Estimate:
         f"Residuals are most correlated between {information.joint_names[i]} and"
         f" {information.joint_names[j]} ({correlation[i, j]:+.2f}); the estimate accounts for it."
     )
-    return fitted.renewed(
-        "ml",
-        solved,
-        fitted.solution,
+    return replace(
+        fitted,
+        method="ml",
         sigma=np.where(information.has_torque, deviation, np.inf),
         iterations=iterations,
         converged=converged,
-        own_information=solved,
+        information=solved,
         notes=(note,) if n > 1 else (),
     )

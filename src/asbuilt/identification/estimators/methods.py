@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
-    from asbuilt.identification.information.estimate import Estimate
-    from asbuilt.identification.information.estimation_data import EstimationData
+    from asbuilt.identification.information.estimate import Estimate, EstimationData
 
 Needs = Literal["information", "samples", "simulation"]
 Estimation = Callable[["EstimationData"], "Estimate"]

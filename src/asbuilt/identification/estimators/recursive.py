@@ -14,7 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.estimators.least_squares import check_weights
-from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
+from asbuilt.identification.information.triangular import FactorSolution, solve_factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +23,7 @@ class RecursiveEstimate:
 
     `beta` and `std_errors` (p,), `sigma` of a weighted residual and the samples that still count.
 
-    Standard errors take residuals as independent; those of directions without excitation are zero,
+    Standard errors take residuals as independent; directions without excitation have zero,
     and `rank` says how many have some.
     """
 
@@ -39,11 +39,12 @@ class RecursiveIdentification:
 
     `R <- triangle of [sqrt(f) R; weights [Y | tau]]`.
 
-    With `forgetting` f = 1 the estimate is that of all samples at once; with f < 1 a sample counts
-    f^age, a memory of 1 / (1 - f) samples, so that a change of load is followed. `weights` (n,) are
-    one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds values of what no sample
-    excites. With `prior_strength` > 0 (how many samples of unit weighted torque it is worth) it is
-    never forgotten, so that rest loses nothing. Friction that depends on load uses that of `model`.
+    With `forgetting` f = 1 the estimate is the fit of all samples at once; with f < 1 a sample
+    counts f^age, a memory of 1 / (1 - f) samples, so that a change of load is followed. `weights`
+    (n,) are one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds values of what no
+    sample excites. With `prior_strength` > 0 (how many samples of unit weighted torque it is worth)
+    it is never forgotten, so that rest loses nothing. Friction that depends on load uses the load
+    of `model`.
 
     Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 5;
     square-root form of recursive least squares with forgetting.
@@ -80,11 +81,7 @@ class RecursiveIdentification:
                 "the strength of the prior must be a number of samples and not negative, got"
                 f" {prior_strength}"
             )
-        toward = (
-            np.zeros(p)
-            if prior is None
-            else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
-        )
+        toward = np.nan_to_num(np.zeros(p) if prior is None else np.array(prior, float), nan=0.0)
         if toward.shape != (p,):
             raise UsageError(
                 f"the prior of {base.robot} needs {p} base parameters, got shape {toward.shape}"
@@ -98,8 +95,7 @@ class RecursiveIdentification:
     @property
     def factor(self) -> Array:
         """The triangular factor (p + 1, p + 1) of the weighted, forgotten stack."""
-        p = self.base.n_base
-        return np.triu(self._rows[: p + 1])
+        return np.triu(self._rows[: self.base.n_base + 1])
 
     def update(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, tau: ArrayLike
@@ -133,10 +129,9 @@ class RecursiveIdentification:
         variance = solution.residual_energy / max(
             self._counted * self.model.n_joints - solution.rank, 1.0
         )
-        root = solution.inverse_root
         return RecursiveEstimate(
             beta=solution.x,
-            std_errors=np.sqrt(variance * np.sum(root**2, axis=1)),
+            std_errors=np.sqrt(variance * np.sum(solution.inverse_root**2, axis=1)),
             sigma=float(np.sqrt(variance)),
             rank=solution.rank,
             n_effective=self._counted,

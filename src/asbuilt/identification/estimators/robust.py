@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
-from asbuilt.identification.information.estimate import Estimate, noise_floor
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 
@@ -56,21 +55,18 @@ class Loss:
     slope: Callable[[Array], Array]
 
 
-def huber_loss(threshold: float = ROBUST.huber) -> Loss:
-    """Return Huber's loss, linear beyond the threshold (Huber, Ann. Math. Stat. 35, 1964)."""
-    return Loss(
-        lambda r: threshold / np.maximum(np.abs(r), threshold),
-        lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
-    )
-
-
-def bisquare_loss(threshold: float = ROBUST.bisquare) -> Loss:
-    """Return Tukey's bisquare, constant beyond the threshold (Technometrics 16, 1974)."""
-
-    def share(r: Array) -> Array:
-        return np.asarray(np.maximum(1.0 - (r / threshold) ** 2, 0.0))
-
-    return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
+HUBER = Loss(
+    lambda r: ROBUST.huber / np.maximum(np.abs(r), ROBUST.huber),
+    lambda r: np.where(np.abs(r) <= ROBUST.huber, 1.0, 0.0),
+)
+"""Huber's loss, linear beyond the threshold (Huber, Ann. Math. Stat. 35, 1964)."""
+BISQUARE = Loss(
+    lambda r: np.maximum(1.0 - (r / ROBUST.bisquare) ** 2, 0.0) ** 2,
+    lambda r: (
+        np.maximum(1.0 - (r / ROBUST.bisquare) ** 2, 0.0) * (1.0 - 5.0 * (r / ROBUST.bisquare) ** 2)
+    ),
+)
+"""Tukey's bisquare, constant beyond the threshold (Technometrics 16, 1974)."""
 
 
 @estimator(
@@ -84,7 +80,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
     """Minimise `sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss.
 
     By iteratively reweighted least squares; sigma_k is 1.4826 times the median absolute residual of
-    joint k. Errors are those of least squares on pseudo-values `W beta + sigma rho'(r) / s` with
+    joint k. Errors follow from least squares on pseudo-values `W beta + sigma rho'(r) / s` with
     weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981,
     chapter 7, with s = mean(rho''); here `_average_informed_slope` lowers s, since outliers of a
     robot cluster where its joints reverse.
@@ -94,7 +90,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
 
 def continue_huber(data: EstimationData, start: Estimate) -> Estimate:
     """Continue weighted least squares as `estimate_huber` does."""
-    return _fit_robust(data, "huber", huber_loss(), start)
+    return _fit_robust(data, "huber", HUBER, start)
 
 
 @estimator(
@@ -110,7 +106,7 @@ def estimate_bisquare(data: EstimationData) -> Estimate:
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
     start = estimate_huber(data)
-    return _fit_robust(data, "bisquare", bisquare_loss(), start, scale=start.sigma)
+    return _fit_robust(data, "bisquare", BISQUARE, start, scale=start.sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +119,7 @@ class Reweighted:
     converged: bool
 
 
+@use_one_blas_thread()
 def reweight(
     data: EstimationData,
     loss: Loss,
@@ -135,42 +132,34 @@ def reweight(
 
     The rows of all blocks `together` are faster, and round what data hardly determine otherwise.
     """
-    information, support = data.information, data.rows.support
+    information, support, floor = data.information, data.rows.support, noise_floor(data.information)
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
-    floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
     parts = data.rows.parts if together else data.rows.by_block
-    with use_one_blas_thread():
-        while not converged and iterations < ROBUST.most_iterations:
-            residuals = _evaluate_residuals(parts(), support, beta)
-            if scale is None and iterations < ROBUST.scale_iterations:
-                sigma = np.array(
-                    [
-                        max(
-                            ROBUST.mad_to_sigma * float(np.median(np.abs(_drop_uncounted(e)))),
-                            floor,
-                        )
-                        for e in residuals
-                    ]
-                ) + np.where(information.has_torque, 0.0, np.inf)
-            gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
-            sums = [np.zeros((own.size, own.size + 1)) for own in support]
-            for b, rows in enumerate(parts()):
-                for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
-                    weight = loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
-                    weighted = columns[:-1] * weight
-                    total[:, :-1] += weighted @ columns[:-1].T
-                    total[:, -1] += weighted @ residuals[k][b]
-            for own, total in zip(support, sums, strict=True):
-                gram += root[own].T @ total[:, :-1] @ root[own]
-                score += root[own].T @ total[:, -1]
-            step = np.linalg.lstsq(gram, score, rcond=None)[0]
-            beta = beta + root @ step
-            converged = bool(step @ gram @ step <= ROBUST.step**2)
-            iterations += 1
+    while not converged and iterations < ROBUST.most_iterations:
+        residuals = _evaluate_residuals(parts(), support, beta)
+        if scale is None and iterations < ROBUST.scale_iterations:
+            medians = np.array([np.median(np.abs(_drop_uncounted(e))) for e in residuals])
+            sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
+            sigma[~information.has_torque] = np.inf
+        gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
+        sums = [np.zeros((own.size, own.size + 1)) for own in support]
+        for b, rows in enumerate(parts()):
+            for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
+                weighted = columns[:-1] * (loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2)
+                total[:, :-1] += weighted @ columns[:-1].T
+                total[:, -1] += weighted @ residuals[k][b]
+        for own, total in zip(support, sums, strict=True):
+            gram += root[own].T @ total[:, :-1] @ root[own]
+            score += root[own].T @ total[:, -1]
+        step = np.linalg.lstsq(gram, score, rcond=None)[0]
+        beta = beta + root @ step
+        converged = bool(step @ gram @ step <= ROBUST.step**2)
+        iterations += 1
     return Reweighted(beta, sigma, iterations, converged)
 
 
+@use_one_blas_thread()
 def _fit_robust(
     data: EstimationData, name: str, loss: Loss, start: Estimate, scale: Array | None = None
 ) -> Estimate:
@@ -178,28 +167,21 @@ def _fit_robust(
     reached = reweight(data, loss, start, scale)
     information, rows, sigma = data.information, data.rows, reached.sigma
     root = start.solution.inverse_root / start.weights.max()
-    with use_one_blas_thread():
-        residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
-        standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
-        slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
-        slope = slope * _average_informed_slope(rows, residuals, sigma, slope, loss, root)
+    residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
+    standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
+    slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
+    slope = slope * _average_informed_slope(rows, residuals, sigma, slope, loss, root)
 
-        def pseudo() -> Iterator[RowBlock]:
-            for b, block in enumerate(rows):
-                made = []
-                for k, columns in enumerate(block.rows):
-                    e = residuals[k][b]
-                    made.append(
-                        np.vstack(
-                            [
-                                columns[:-1],
-                                columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k],
-                            ]
-                        )
-                    )
-                yield RowBlock(tuple(made), block.time, block.seconds)
+    def replace_torques() -> Iterator[RowBlock]:
+        for b, block in enumerate(rows):
+            made = []
+            for k, columns in enumerate(block.rows):
+                e = residuals[k][b]
+                torque = columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]
+                made.append(np.vstack([columns[:-1], torque]))
+            yield RowBlock(tuple(made), block.time, block.seconds)
 
-        solved = reduce_rows(data.base, information.joint_names, rows.support, pseudo())
+    solved = reduce_rows(data.base, information.joint_names, rows.support, replace_torques())
     fitted = fit_least_squares(
         solved, weights=np.sqrt(slope) / sigma, prior=data.prior, undetermined=data.undetermined
     )
@@ -212,14 +194,13 @@ def _fit_robust(
         if outlying.any()
         else f"No torque is beyond {ROBUST.outlying:g} robust standard deviations."
     )
-    return fitted.renewed(
-        name,
-        solved,
-        fitted.solution,
+    return replace(
+        fitted,
+        method=name,
         sigma=sigma,
         iterations=reached.iterations,
         converged=reached.converged,
-        own_information=solved,
+        information=solved,
         notes=(note,),
     )
 
@@ -270,7 +251,6 @@ def _evaluate_residuals(
 
 
 def _drop_uncounted(residuals: Sequence[Array]) -> Array:
-    """Return the residuals of a joint without those of rows that do not count, which are zero."""
+    """Return the residuals of a joint without zeros, which are of rows that do not count."""
     together = np.concatenate(residuals)
-    counting = together[together != 0.0]
-    return counting if counting.size else together
+    return together[together != 0.0] if together.any() else together

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +15,14 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import JointFactors, SampleBlock, divide_into_blocks
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.information.rows import SampleBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import (
+    GrowingFactor,
     pack_triangle,
     unpack_triangle,
     widen_factor,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 TILT = "tilt"
 """Column of the torque that a tilt which was found adds to the weight of the links by design."""
@@ -92,11 +89,10 @@ class CauseData:
         """Return the RMS torque error (n,) on held-out data of named parameters, others zero."""
         places = self.places(names)
         errors = [factor[:, -1] - factor[:, places] @ values for factor in self.whole(self.judged)]
-        return np.asarray(
-            [float(np.linalg.norm(error)) for error in errors] / np.sqrt(self.n_judged)
-        )
+        return np.asarray([np.linalg.norm(error) for error in errors] / np.sqrt(self.n_judged))
 
 
+@use_one_blas_thread()
 def gather_cause_data(
     model: RobotModel,
     base: BaseParameters,
@@ -126,33 +122,38 @@ def gather_cause_data(
     tilts = () if model.described_gravity is None else (TILT,)
     turning = model.with_gravity(model.gravity - model.as_described.gravity)
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=len(tilts) + 1)
-    two = JointFactors(plan), JointFactors(plan)
-    sources: dict[str, None] = {}
+    growing = [
+        [GrowingFactor(len(own) + plan.spare_rows) for own in plan.support] for _ in range(2)
+    ]
+    counts, sources = [0, 0], dict[str, None]()
 
     def add(place: int, part: SampleBlock) -> None:
         q = part.samples.q
-        two[place].add(part, lambda span: [gravity_torque(turning, q[span]) for _ in tilts])
+        counts[place] += part.n_outputs
+        for chunk in part.chunks(
+            plan, lambda span: [gravity_torque(turning, q[span]) for _ in tilts]
+        ):
+            for own, rows in zip(growing[place], chunk, strict=True):
+                own.append(rows)
 
-    with use_one_blas_thread():
-        for part in divide_into_blocks(model, judged, block_seconds):
-            sources[part.samples.source] = None
-            add(1, part)
-        for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
-            held_back = not sources and number % HELD_BACK == HELD_BACK - 1
-            add(1 if held_back else 0, part)
-        factors = [reduction.factors() for reduction in two]
-    if not two[0].n_samples or not two[1].n_samples:
+    for part in divide_into_blocks(model, judged, block_seconds):
+        sources[part.samples.source] = None
+        add(1, part)
+    for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
+        add(int(not sources and number % HELD_BACK == HELD_BACK - 1), part)
+    of_fitted, of_judged = (tuple(own.factor() for own in each) for each in growing)
+    if not all(counts):
         raise IdentifiabilityError(
-            f"too few samples of {model.name} to compare causes: {two[0].n_samples} to fit,"
-            f" {two[1].n_samples} held out"
+            f"too few samples of {model.name} to compare causes: {counts[0]} to fit,"
+            f" {counts[1]} held out"
         )
     return CauseData(
         joint_names=model.joint_names,
         names=(*base.names, *tilts),
         support=tuple(np.append(own, base.n_base + np.arange(len(tilts))) for own in plan.support),
-        fitted=factors[0],
-        judged=factors[1],
-        n_fitted=two[0].n_samples,
-        n_judged=two[1].n_samples,
+        fitted=of_fitted,
+        judged=of_judged,
+        n_fitted=counts[0],
+        n_judged=counts[1],
         judged_by=", ".join(sources) or f"every {HELD_BACK}rd block of the data used",
     )

@@ -1,16 +1,23 @@
-"""The outcome of an estimator."""
+"""What estimators use, and what they return."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
-from asbuilt.identification.information.factor_solution import FactorSolution
+from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import FactorSolution
 
 Refit = Callable[[Array], Array]
 """A fit of the triangular factor [R z] (p + 1, p + 1) of weighted rows: beta (p,)."""
@@ -89,10 +96,7 @@ class Estimate:
         *,
         beta: Array | None = None,
         inverse_root: Array | None = None,
-        sigma: Array | None = None,
         own_information: SquareRootInformation | None = None,
-        iterations: int | None = None,
-        converged: bool | None = None,
         notes: tuple[str, ...] = (),
         dropped: Mask | None = None,
     ) -> Estimate:
@@ -106,14 +110,8 @@ class Estimate:
             method=method,
             beta=found,
             covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
-            sigma=(
-                residual_deviation(information, found, solution.inverse_root, self.weights)
-                if sigma is None
-                else sigma
-            ),
+            sigma=residual_deviation(information, found, solution.inverse_root, self.weights),
             solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
-            iterations=self.iterations if iterations is None else iterations,
-            converged=self.converged if converged is None else converged,
             information=own_information,
             notes=notes,
             dropped=dropped,
@@ -123,10 +121,8 @@ class Estimate:
 
 def noise_floor(information: SquareRootInformation) -> float:
     """Return the least noise: `SMALLEST_NOISE` of the largest torque RMS, 1 without torque."""
-    return (
-        SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples))
-        or 1.0
-    )
+    largest = float(np.sqrt(information.torque_energy.max() / information.n_samples))
+    return SMALLEST_NOISE * largest or 1.0
 
 
 def residual_deviation(
@@ -136,21 +132,89 @@ def residual_deviation(
 
     Joints whose rows were mixed, since contact forces were projected away, have one noise.
     """
-    spent = _measure_leverage(information, inverse_root, weights)
+    roots = zip(information.support, information.joint_factors, weights, strict=True)
+    parts = [weight * factor[:-1, :-1] @ inverse_root[own] for own, factor, weight in roots]
+    # Traces of each joint's part of the hat matrix; their sum is the rank.
+    spent = np.array([np.sum(part * part) for part in parts])
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
     if information.mixed:
         energy, spent = np.full_like(energy, energy.mean()), np.full_like(spent, spent.mean())
     return np.asarray(np.sqrt(energy / np.maximum(information.n_samples - spent, 1.0)))
 
 
-def _measure_leverage(
-    information: SquareRootInformation, inverse_root: Array, weights: Array
-) -> Array:
-    """Return the trace (n,) of each joint's part of the hat matrix; the sum is the rank."""
-    parts = []
-    for support, factor, weight in zip(
-        information.support, information.joint_factors, weights, strict=True
-    ):
-        part = weight * factor[:-1, :-1] @ inverse_root[support]
-        parts.append(float(np.sum(part * part)))
-    return np.array(parts)
+Undetermined = Literal["toward_prior", "refuse"]
+
+
+@dataclass(frozen=True, eq=False)
+class EstimationData:
+    """Hold all that an estimator may use.
+
+    Parameters
+    ----------
+    model
+        The robot as designed.
+    information
+        Square-root information of the samples.
+    samples
+        The samples themselves, iterable more than once; None if only the information is at hand.
+    prior
+        Base parameters by design (p,), NaN where the description has no value.
+    undetermined
+        Whether directions without excitation are resolved toward `prior`, or refused.
+    block_seconds
+        Length of a time block [s].
+    every
+        Use the rows of every n-th time block alone.
+    loading
+        Robot whose rigid-body torque loads load-dependent friction; `model` if None.
+    less
+        Parameters of each joint (p_k,) whose torque was taken from the torque in `information`, and
+        is taken from the torque of the rows; empty: none.
+    """
+
+    model: RobotModel
+    information: SquareRootInformation
+    samples: Iterable[Samples] | None = None
+    prior: Array | None = None
+    undetermined: Undetermined = "toward_prior"
+    block_seconds: float | None = None
+    every: int = 1
+    loading: RobotModel | None = None
+    less: tuple[Array, ...] = ()
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters."""
+        return self.information.base
+
+    @property
+    def prior_values(self) -> Array:
+        """The prior with 0 where the description has no value, shape (p,)."""
+        prior = np.zeros(self.base.n_base) if self.prior is None else self.prior
+        return np.nan_to_num(prior, nan=0.0)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """The rows behind the information, by time block."""
+        return self.rows_of(self.batches)
+
+    def rows_of(self, samples: Iterable[Samples]) -> Rows:
+        """Return the rows of other samples with the same time blocks."""
+        return Rows(
+            self.loading or self.model,
+            self.base,
+            samples,
+            self.block_seconds,
+            self.every,
+            self.less,
+        )
+
+    @property
+    def batches(self) -> Iterable[Samples]:
+        """The samples; raises `UsageError` if only the information is at hand."""
+        if self.samples is None:
+            raise UsageError(
+                "this estimator needs the samples, and only their information is at hand; use an"
+                " estimator that needs the information alone, such as wls"
+            )
+        return self.samples

@@ -33,9 +33,12 @@ def group_different_motions(
     Blocks are alike if their information per sample is, in parameters scaled to equal torque
     (Ward's linkage; Ward, J. American Statistical Association 58, 1963).
     """
-    roots = (information.block_stacked(b, weights)[:, :-1] for b in range(information.n_blocks))
-    grams = np.array([root.T @ root for root in roots])
-    return group_motions(grams, np.array([block.n_samples for block in information.blocks]), most)
+    roots = (information.stacked(weights, b)[:, :-1] for b in range(information.n_blocks))
+    return group_motions(
+        np.array([root.T @ root for root in roots]),
+        np.array([block.n_samples for block in information.blocks]),
+        most,
+    )
 
 
 def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS) -> list[Indices]:
@@ -44,8 +47,8 @@ def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS)
         return group_neighbours(len(grams))
     length = np.sqrt(np.diag(grams.sum(axis=0)))
     scale = np.where(length > 0.0, length, 1.0) / np.sqrt(n_samples.sum())
-    upper = np.triu_indices(len(scale))
-    features = (grams / np.outer(scale, scale))[:, *upper] / n_samples[:, None]
+    scaled = grams / np.outer(scale, scale)
+    features = scaled[:, *np.triu_indices(len(scale))] / n_samples[:, None]
     every = -(-len(grams) // MOST_SORTED)
     group = fcluster(linkage(features[::every], "ward"), most, "maxclust")
     if every > 1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +10,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import observation_matrix
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.samples import Samples
 
 RANDOM_STATES = 500
 RANDOM_RATE = 2.0
@@ -44,35 +41,22 @@ def build_random_motion_rows(
 
 def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
     """Return positions (N, n) that are uniform within the limits."""
-    limits = [joint.limits for joint in model.joints]
-    reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
-    low = np.array(
-        [
-            limit.lower if np.isfinite(limit.lower) else -far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
-    high = np.array(
-        [
-            limit.upper if np.isfinite(limit.upper) else far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
+    limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in model.joints]).T
+    far = np.array([np.pi if joint.is_revolute else 1.0 for joint in model.joints])
+    low, high = np.where(np.isfinite(limits), limits, [-far, far])
     return np.asarray(rng.uniform(low, high, (RANDOM_STATES, model.n_joints)))
 
 
 def measure_recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
     """Return the standard deviations of velocities and accelerations of samples, each (n,)."""
-    count, sums = 0, np.zeros(0)
+    count, sums = 0, np.zeros((2, 1))
     for batch, span in ((each, span) for each in samples for span in each.spans()):
         rates = (batch.qd[span], batch.qdd[span])
-        found = np.vstack(
-            [
-                np.concatenate([rate.sum(axis=0) for rate in rates]),
-                np.concatenate([np.einsum("ij,ij->j", rate, rate) for rate in rates]),
-            ]
-        )
-        count, sums = count + len(rates[0]), found if not count else sums + found
+        found = [
+            np.concatenate([rate.sum(axis=0) for rate in rates]),
+            np.concatenate([np.einsum("ij,ij->j", rate, rate) for rate in rates]),
+        ]
+        count, sums = count + len(rates[0]), sums + np.vstack(found)
     mean, square = sums / max(count, 1)
     velocity, acceleration = np.split(np.sqrt(np.maximum(square - mean**2, 0.0)), 2)
     return velocity, acceleration

@@ -4,23 +4,62 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice, pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.kernels.joint_space import project
+from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.information.triangular import ROWS_AT_ONCE, GrowingFactor
+from asbuilt.experiment.signal.samples import Samples
 
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+
+@dataclass(slots=True, eq=False)
+class FurtherColumns:
+    """Gather `[W_k | tau_k | T_k]^T T_k` of further columns T of every joint k, in order of time.
+
+    T are the torques of the links by design under gravity `g x axis` for the two axes across
+    gravity: the torque of a base tilted by an angle [rad] about an axis, to first order. With the
+    factors of `[W_k | tau_k]` a change of the tilt can be estimated like one of any parameter.
+
+    Parameters
+    ----------
+    models
+        The robot under each tilted gravity.
+    products
+        The inner products of each joint, (p_k + 1 + m, m), m = 2; empty before the first block.
+    """
+
+    models: tuple[RobotModel, ...]
+    products: list[Array] = field(default_factory=list)
+
+    @classmethod
+    def tilts(cls, model: RobotModel) -> FurtherColumns:
+        """Return the columns of two base tilts."""
+        axes = find_axes_across(model.gravity)
+        return cls(tuple(model.with_gravity(np.cross(model.gravity, axis)) for axis in axes))
+
+    @property
+    def count(self) -> int:
+        """Number of columns m."""
+        return len(self.models)
+
+    def columns(self, q: Array) -> Sequence[Array]:
+        """Return the columns of positions (L, n), each (L, n), before filtering."""
+        return [gravity_torque(model, q) for model in self.models]
+
+    def add(self, products: Sequence[Array]) -> None:
+        """Add the inner products of the next time block."""
+        if not self.products:
+            self.products = [np.zeros_like(each) for each in products]
+        self.products = [a + b for a, b in zip(self.products, products, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,22 +124,25 @@ class SampleBlock:
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
         span = slice(self.start + self.first * step, self.start + (self.last - 1) * step + width)
-        rows, speed = values(span).T, samples.qd[span].T
-        if parallel:
-            rows = parallel.apply(np.ascontiguousarray(rows))
+        rows = self._filter(values(span))
         if samples.slowest:
-            speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)
-            rows = np.where(speed < np.array(samples.slowest)[:, None], 0.0, rows)
+            slow = np.abs(self._filter(samples.qd[span])) < np.array(samples.slowest)[:, None]
+            rows = np.where(slow, 0.0, rows)
         return rows
 
+    def _filter(self, values: Array) -> Array:
+        """Filter values of consecutive samples (m, n), giving (n, n_outputs)."""
+        parallel = self.samples.parallel
+        return parallel.apply(np.ascontiguousarray(values.T)) if parallel else values.T
+
     def chunks(
-        self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
+        self, plan: RegressorPlan, further: Callable[[slice], Sequence[Array]] | None = None
     ) -> Iterator[tuple[Array, ...]]:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
         A chunk is valid until the next. Rows of a joint that moves slower than `samples.slowest`
         are zero. Where forces at contacts are projected away, they are in units of `samples.noise`,
-        in which that loses nothing (Aitken, 1935). `beside` returns further columns of a span of
+        in which that loses nothing (Aitken, 1935). `further` returns more columns of a span of
         samples, each (L, n), placed before the torque; `plan` has a spare row for each and one
         more.
         """
@@ -113,23 +155,23 @@ class SampleBlock:
             last = min(first + at_once, self.last)
             span = slice(self.start + first * step, self.start + (last - 1) * step + width)
             rows = plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)
-            further = (*(beside(span) if beside else ()), samples.tau[span])
+            last_rows = (*(further(span) if further else ()), samples.tau[span])
             for k, columns in enumerate(rows):
-                for place, values in enumerate(further, start=-len(further)):
+                for place, values in enumerate(last_rows, start=-len(last_rows)):
                     columns[place] = values[:, k]
             if samples.contact is not None:
                 for k, noise in enumerate(samples.noise):
                     np.divide(rows[k], noise, out=rows[k])
-                state = samples.q[span], samples.contact[span]
-                basis = contact_basis(plan.model, *state, samples.noise)
+                basis = contact_basis(
+                    plan.model, samples.q[span], samples.contact[span], samples.noise
+                )
                 project(basis, buffer, span.stop - span.start)
             filtered = rows
             if parallel:
                 parallel.apply(buffer[:, : span.stop - span.start], out=output[:, : last - first])
                 filtered = plan.joint_rows(output, last - first)
             if samples.slowest:
-                speed = samples.qd[span].T
-                speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)
+                speed = np.abs(self._filter(samples.qd[span]))
                 for columns, own, slowest in zip(filtered, speed, samples.slowest, strict=True):
                     columns[:, own < slowest] = 0.0
             yield filtered
@@ -150,53 +192,15 @@ def divide_into_blocks(
                 " model=..., which matches joints by name"
             )
         rate = samples.parallel.output_rate if samples.parallel else samples.rate
-        runs = [
-            (
-                start,
-                stop,
-                samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start,
-            )
-            for start, stop in samples.segments
-        ]
-        seconds = block_seconds
-        if seconds is None:
-            seconds = float(
-                np.clip(
-                    sum(n for _, _, n in runs) / rate / ROWS.usual_blocks,
-                    ROWS.shortest_block,
-                    LONGEST_BLOCK,
-                )
-            )
-        for start, stop, n in runs:
+        usual = samples.n_filtered / rate / ROWS.usual_blocks
+        seconds = block_seconds or float(np.clip(usual, ROWS.shortest_block, LONGEST_BLOCK))
+        for start, stop in samples.segments:
+            n = samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start
             if n < 1:
                 continue
             edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
             for first, last in pairwise(edges.tolist()):
                 yield SampleBlock(samples, start, stop, first, last, seconds)
-
-
-class JointFactors:
-    """Reduce rows, and further columns, to one factor of each joint for all time blocks."""
-
-    def __init__(self, plan: RegressorPlan) -> None:
-        self._plan = plan
-        self._growing = [
-            GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support
-        ]
-        self.n_samples = 0
-
-    def add(
-        self, part: SampleBlock, beside: Callable[[slice], Sequence[Array]] | None = None
-    ) -> None:
-        """Add the rows of a time block, with `beside` as in `SampleBlock.chunks`."""
-        self.n_samples += part.n_outputs
-        for chunk in part.chunks(self._plan, beside):
-            for growing, rows in zip(self._growing, chunk, strict=True):
-                growing.append(rows)
-
-    def factors(self) -> tuple[Array, ...]:
-        """Return the factor of each joint's rows so far."""
-        return tuple(growing.factor() for growing in self._growing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,17 +243,23 @@ class Rows:
 
         Return whether they are.
         """
-        own = tuple(self._samples)
-        if self._held is None or self._less or not all(map(_same_motion, own, samples)):
+        if (
+            self._held is None
+            or self._less
+            or not all(map(_same_motion, tuple(self._samples), samples))
+        ):
             return False
-        parts = divide_into_blocks(self._plan.model, samples, self._block_seconds)
-        for part, block in zip(islice(parts, 0, None, self._every), self._held, strict=True):
-            for rows, torque in zip(
-                block.rows, part.filtered(part.samples.tau.__getitem__), strict=True
-            ):
+        for part, block in zip(self._divide(samples), self._held, strict=True):
+            torques = part.filtered(part.samples.tau.__getitem__)
+            for rows, torque in zip(block.rows, torques, strict=True):
                 rows[-1] = torque
         self._samples, self._parts = samples, None
         return True
+
+    def _divide(self, samples: Iterable[Samples]) -> Iterator[SampleBlock]:
+        """Return the time blocks that are used."""
+        blocks = divide_into_blocks(self._plan.model, samples, self._block_seconds)
+        return islice(blocks, 0, None, self._every)
 
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
@@ -267,14 +277,8 @@ class Rows:
         if self._held is not None:
             yield from self._held
             return
-        kept: list[RowBlock] | None = []
-        size = 0
-        for part in islice(
-            divide_into_blocks(self._plan.model, self._samples, self._block_seconds),
-            0,
-            None,
-            self._every,
-        ):
+        kept, size = list[RowBlock](), 0
+        for part in self._divide(self._samples):
             chunks = [tuple(rows.copy() for rows in chunk) for chunk in part.chunks(self._plan)]
             block = RowBlock(
                 tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
@@ -283,13 +287,10 @@ class Rows:
             )
             for rows, x in zip(block.rows, self._less, strict=False):
                 rows[-1] -= x @ rows[:-1]
-            if kept is not None:
-                size += sum(rows.nbytes for rows in block.rows)
-                kept.append(block)
-                if size > ROWS.most_held:
-                    kept = None
+            size += sum(rows.nbytes for rows in block.rows)
+            kept = [*kept, block] if size <= ROWS.most_held else []
             yield block
-        self._held = kept
+        self._held = kept if size <= ROWS.most_held else None
 
 
 def _same_motion(one: Samples, other: Samples) -> bool:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import io
-import json
 from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +18,10 @@ from asbuilt.dynamics.batches import choose_threads, count_cores
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
-from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.rows import (
+    FurtherColumns,
     RowBlock,
     SampleBlock,
     TimeBlock,
@@ -33,12 +30,9 @@ from asbuilt.identification.information.rows import (
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
+    reduce_columns,
     triangular_factor,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 MOST_BLOCKS = 128
 """Half the number of blocks at which neighbours are merged, which bounds memory."""
@@ -133,7 +127,7 @@ class SquareRootInformation:
     @property
     def torque_energy(self) -> Array:
         """Sum of tau^2 over all samples, shape (n,)."""
-        return np.array([float(factor[:, -1] @ factor[:, -1]) for factor in self.joint_factors])
+        return np.array([factor[:, -1] @ factor[:, -1] for factor in self.joint_factors])
 
     def select(self, blocks: Sequence[int] | Array | Indices) -> SquareRootInformation:
         """Return the information of these blocks only; an index that comes twice counts twice.
@@ -143,25 +137,21 @@ class SquareRootInformation:
         chosen = np.arange(self.n_blocks)[np.asarray(blocks)]
         if chosen.size == 0:
             raise IdentifiabilityError(f"no block is selected; there are {self.n_blocks}")
-        return SquareRootInformation(
-            self.base,
-            self.joint_names,
-            self.support,
-            tuple(factors[chosen] for factors in self.factors),
-            self.torque_sum[chosen],
-            tuple(self.blocks[b] for b in chosen),
+        return replace(
+            self,
+            factors=tuple(factors[chosen] for factors in self.factors),
+            torque_sum=self.torque_sum[chosen],
+            blocks=tuple(self.blocks[b] for b in chosen),
         )
 
     def together(self) -> SquareRootInformation:
         """Return the information of all blocks as one, which takes the memory of one."""
         first, last = self.blocks[0], self.blocks[-1]
-        return SquareRootInformation(
-            self.base,
-            self.joint_names,
-            self.support,
-            tuple(factor[None] for factor in self.joint_factors),
-            self.torque_sum.sum(axis=0, keepdims=True),
-            (TimeBlock(first.source, first.start, last.stop, self.n_samples),),
+        return replace(
+            self,
+            factors=tuple(factor[None] for factor in self.joint_factors),
+            torque_sum=self.torque_sum.sum(axis=0, keepdims=True),
+            blocks=(TimeBlock(first.source, first.start, last.stop, self.n_samples),),
         )
 
     def less(self, torques: Sequence[Array]) -> SquareRootInformation:
@@ -174,7 +164,7 @@ class SquareRootInformation:
             changed = own.copy()
             changed[:, :, -1] -= own[:, :, :-1] @ x
             factors.append(changed)
-        return replace(self, factors=tuple(factors), torque_sum=self.torque_sum.copy())
+        return replace(self, factors=tuple(factors))
 
     def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
         """Return the information of this and other recordings of the same robot.
@@ -190,46 +180,36 @@ class SquareRootInformation:
                     " parameters)"
                 )
         parts = (self, *others)
-        return SquareRootInformation(
-            self.base,
-            self.joint_names,
-            self.support,
-            tuple(
-                np.concatenate([part.factors[k] for part in parts]) for k in range(self.n_joints)
-            ),
-            np.concatenate([part.torque_sum for part in parts]),
-            tuple(block for part in parts for block in part.blocks),
+        return replace(
+            self,
+            factors=tuple(map(np.concatenate, zip(*(part.factors for part in parts), strict=True))),
+            torque_sum=np.concatenate([part.torque_sum for part in parts]),
+            blocks=tuple(block for part in parts for block in part.blocks),
         )
-
-    def stacked(self, weights: ArrayLike | None = None) -> Array:
-        """Return the factor (p + 1, p + 1) of all joints' rows, joint k times `weights[k]` or 1."""
-        return self._stacked(None, weights)
-
-    def block_stacked(self, block: int, weights: ArrayLike | None = None) -> Array:
-        """Return the factor (p + 1, p + 1) of one time block."""
-        return self._stacked(block, weights)
 
     @cached_property
     def _known(self) -> dict[tuple[int | None, bytes], Array]:
         """Factors by block and weights: many questions are asked with one set of weights."""
         return {}
 
-    def _stacked(self, block: int | None, weights: ArrayLike | None) -> Array:
+    def stacked(self, weights: ArrayLike | None = None, block: int | None = None) -> Array:
+        """Return the factor (p + 1, p + 1) of all joints' rows, joint k times `weights[k]` or 1.
+
+        With `block` it is the factor of one time block.
+        """
         w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
-        found = self._known.get((block, w.tobytes()))
-        if found is not None:
-            return found
-        factors = self.joint_factors if block is None else [own[block] for own in self.factors]
-        p = self.base.n_base
-        growing = GrowingFactor(p + 1, sum(map(len, factors)))
-        for support, factor, weight in zip(self.support, factors, w, strict=True):
-            growing.append(weight * factor.T, np.append(support, p))
-        found = growing.factor()
-        found.setflags(write=False)
-        if len(self._known) > 2 * MOST_BLOCKS:  # factors of every block with one set of weights
-            self._known.clear()
-        self._known[block, w.tobytes()] = found
-        return found
+        known = block, w.tobytes()
+        if known not in self._known:
+            factors = self.joint_factors if block is None else [own[block] for own in self.factors]
+            p = self.base.n_base
+            growing = GrowingFactor(p + 1, sum(map(len, factors)))
+            for support, factor, weight in zip(self.support, factors, w, strict=True):
+                growing.append(weight * factor.T, np.append(support, p))
+            if len(self._known) > 2 * MOST_BLOCKS:  # factors of every block with one set of weights
+                self._known.clear()
+            self._known[known] = growing.factor()
+            self._known[known].setflags(write=False)
+        return self._known[known]
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).
@@ -246,58 +226,7 @@ class SquareRootInformation:
             factor @ np.append(-values[s], 1.0)
             for s, factor in zip(self.support, self.joint_factors, strict=True)
         ]
-        return np.array([float(error @ error) for error in errors])
-
-    def to_bytes(self) -> bytes:
-        """Return the content of an NPZ file (upper triangles, no pickle) for `from_bytes`."""
-        header = {
-            "robot": self.base.robot,
-            "drive": str(self.base.drive),
-            "parameters": list(self.base.names),
-            "joints": list(self.joint_names),
-        }
-        arrays = {
-            "torque_sum": self.torque_sum,
-            "header": np.array(
-                json.dumps(header | {"blocks": [asdict(block) for block in self.blocks]})
-            ),
-        }
-        for k, (support, factors) in enumerate(zip(self.support, self.factors, strict=True)):
-            arrays[f"support_{k}"] = support
-            arrays[f"factors_{k}"] = factors[(slice(None), *np.triu_indices(factors.shape[-1]))]
-        stream = io.BytesIO()
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
-        return stream.getvalue()
-
-    @classmethod
-    def from_bytes(cls, base: BaseParameters, content: bytes) -> SquareRootInformation:
-        """Rebuild what `to_bytes` wrote; raises `ResultError` for other base parameters."""
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-                header = json.loads(str(arrays["header"]))
-                supports, every = [], []
-                for k in range(len(header["joints"])):
-                    supports.append(arrays[f"support_{k}"].astype(np.int64))
-                    q = len(supports[-1]) + 1
-                    packed = arrays[f"factors_{k}"]
-                    factors = np.zeros((len(packed), q, q))
-                    factors[(slice(None), *np.triu_indices(q))] = packed
-                    every.append(factors)
-                torque_sum = arrays["torque_sum"].astype(np.float64)
-            blocks = tuple(TimeBlock(**block) for block in header["blocks"])
-            names, joints = tuple(header["parameters"]), tuple(header["joints"])
-        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as problem:
-            raise ResultError(
-                f"square-root information cannot be read: {type(problem).__name__} {problem};"
-                " expected what `to_bytes` wrote"
-            ) from problem
-        if names != base.names:
-            raise ResultError(
-                f"the information belongs to {header['robot']} with drive terms {header['drive']}"
-                f" ({len(names)} parameters), not to {base.robot} with drive terms {base.drive}"
-                f" ({base.n_base} parameters)"
-            )
-        return cls(base, joints, tuple(supports), tuple(every), torque_sum, blocks)
+        return np.array([error @ error for error in errors])
 
 
 def accumulate(
@@ -312,6 +241,7 @@ def accumulate(
     return accumulate_stream(model, base, (samples,), block_seconds=block_seconds, threads=threads)
 
 
+@use_one_blas_thread()
 def accumulate_stream(
     model: RobotModel,
     base: BaseParameters,
@@ -319,7 +249,7 @@ def accumulate_stream(
     *,
     block_seconds: float | None = None,
     threads: int | None = None,
-    beside: ColumnsBeside | None = None,
+    further: FurtherColumns | None = None,
 ) -> SquareRootInformation:
     """Reduce a stream of samples to their square-root information, in bounded memory.
 
@@ -335,7 +265,7 @@ def accumulate_stream(
         beyond 256 blocks.
     threads
         Threads that share the blocks, by default one per core; the result does not depend on it.
-    beside
+    further
         Further columns, whose inner products it gathers in the same pass.
 
     Raises
@@ -343,19 +273,26 @@ def accumulate_stream(
     IdentifiabilityError
         If nothing is left after filtering, or the joints differ from the model's.
     """
-    n_beside = beside.count if beside else 0
-    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + n_beside)
-    gathered = _Gathering(beside)
+    spare_rows = 1 + (further.count if further else 0)
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=spare_rows)
+    gathered = _Gathering()
     pending: deque[Future[_Reduced]] = deque()
+
+    def gather_next() -> None:
+        block = pending.popleft().result()
+        gathered.add(block)
+        if further is not None:
+            further.add(block.products)
+
     workers = choose_threads(threads, count_cores())
-    with use_one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
+    with ThreadPoolExecutor(max_workers=workers) as pool:
         for part in divide_into_blocks(model, stream, block_seconds):
-            pending.append(pool.submit(_reduce_block, plan, part, beside))
+            pending.append(pool.submit(_reduce_block, plan, part, further))
             gathered.seconds = max(gathered.seconds, part.seconds)
             if len(pending) > 2 * workers:
-                gathered.add(pending.popleft().result())
+                gather_next()
         while pending:
-            gathered.add(pending.popleft().result())
+            gather_next()
     if not gathered.blocks:
         raise IdentifiabilityError(
             f"no samples of {model.name} are left: every contiguous segment is shorter than the"
@@ -365,6 +302,7 @@ def accumulate_stream(
     return gathered.information(base, model.joint_names, plan.support)
 
 
+@use_one_blas_thread()
 def reduce_rows(
     base: BaseParameters,
     joint_names: tuple[str, ...],
@@ -373,19 +311,10 @@ def reduce_rows(
 ) -> SquareRootInformation:
     """Reduce rows of an estimator, such as reweighted ones; joint k has columns `support[k]`."""
     gathered = _Gathering()
-    with use_one_blas_thread():
-        for block in blocks:
-            gathered.seconds = max(gathered.seconds, block.seconds)
-            factors = []
-            for rows in block.rows:
-                growing = GrowingFactor(len(rows), min(ROWS_AT_ONCE, rows.shape[1]))
-                growing.append(rows)
-                factors.append(growing.factor())
-            gathered.add(
-                _Reduced(
-                    tuple(factors), np.array([rows[-1].sum() for rows in block.rows]), block.time
-                )
-            )
+    for block in blocks:
+        gathered.seconds = max(gathered.seconds, block.seconds)
+        torque_sum = np.array([rows[-1].sum() for rows in block.rows])
+        gathered.add(_Reduced(tuple(map(reduce_columns, block.rows)), torque_sum, block.time))
     return gathered.information(base, joint_names, tuple(support))
 
 
@@ -397,40 +326,34 @@ class _Reduced:
     products: tuple[Array, ...] = ()
 
 
-def _reduce_block(plan: RegressorPlan, part: SampleBlock, beside: ColumnsBeside | None) -> _Reduced:
+def _reduce_block(
+    plan: RegressorPlan, part: SampleBlock, further: FurtherColumns | None
+) -> _Reduced:
     growing = [
-        GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, part.n_outputs))
-        for columns in plan.support
+        GrowingFactor(len(own) + 1, min(ROWS_AT_ONCE, part.n_outputs)) for own in plan.support
     ]
     torque_sum = np.zeros(plan.model.n_joints)
-    m, q = (beside.count if beside else 0), part.samples.q
-    products = tuple(np.zeros((len(columns) + 1 + m, m)) for columns in plan.support)
-    further = None if beside is None else lambda span: beside.columns(q[span])
-    for chunk in part.chunks(plan, beside=further):
+    m, q = (further.count if further else 0), part.samples.q
+    products = tuple(np.zeros((len(own) + 1 + m, m)) for own in plan.support)
+    columns = None if further is None else lambda span: further.columns(q[span])
+    for chunk in part.chunks(plan, columns):
         for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
-            if m:
-                products[k][:] += rows @ rows[-1 - m : -1].T
+            products[k][:] += rows @ rows[-1 - m : -1].T
             growing[k].append(np.concatenate([rows[: -1 - m], rows[-1:]]) if m else rows)
-    for each in products if m else ():
+    for each in products:
         each[:] = np.concatenate([each[: -1 - m], each[-1:], each[-1 - m : -1]])
-    return _Reduced(
-        tuple(factor.factor() for factor in growing), torque_sum, part.time, products if m else ()
-    )
+    return _Reduced(tuple(each.factor() for each in growing), torque_sum, part.time, products)
 
 
 class _Gathering:
     """Keep the blocks in order, merging neighbours if there are too many."""
 
-    def __init__(self, beside: ColumnsBeside | None = None) -> None:
+    def __init__(self) -> None:
         self.blocks: list[_Reduced] = []
         self.seconds = 0.0
-        self._beside = beside
 
     def add(self, block: _Reduced) -> None:
-        if self._beside is not None and block.products:
-            self._beside.add(block.products)
-            block = _Reduced(block.factors, block.torque_sum, block.time)
         if self.blocks and _is_successor(self.blocks[-1].time, block.time, self.seconds):
             self.blocks[-1] = _merge_blocks(self.blocks[-1], block)
         else:
@@ -445,16 +368,12 @@ class _Gathering:
         self, base: BaseParameters, joint_names: tuple[str, ...], support: tuple[Indices, ...]
     ) -> SquareRootInformation:
         """Return all blocks as one."""
-        factors = tuple(
-            np.array([block.factors[k] for block in self.blocks]) for k in range(len(joint_names))
-        )
-        torque_sum = np.array([block.torque_sum for block in self.blocks])
         return SquareRootInformation(
             base,
             joint_names,
             support,
-            factors,
-            torque_sum,
+            tuple(map(np.array, zip(*(block.factors for block in self.blocks), strict=True))),
+            np.array([block.torque_sum for block in self.blocks]),
             tuple(block.time for block in self.blocks),
         )
 
@@ -465,14 +384,10 @@ def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
 
 
 def _merge_blocks(earlier: _Reduced, later: _Reduced) -> _Reduced:
-    factors = tuple(
-        triangular_factor(np.vstack(pair))
-        for pair in zip(earlier.factors, later.factors, strict=True)
+    pairs = zip(earlier.factors, later.factors, strict=True)
+    n_samples = earlier.time.n_samples + later.time.n_samples
+    return _Reduced(
+        tuple(triangular_factor(np.vstack(pair)) for pair in pairs),
+        earlier.torque_sum + later.torque_sum,
+        replace(earlier.time, stop=later.time.stop, n_samples=n_samples),
     )
-    time = TimeBlock(
-        earlier.time.source,
-        earlier.time.start,
-        later.time.stop,
-        earlier.time.n_samples + later.time.n_samples,
-    )
-    return _Reduced(factors, earlier.torque_sum + later.torque_sum, time)

@@ -1,22 +1,37 @@
-"""Rows of any number reduced to a triangle by Householder QR, a cache full at a time."""
+"""Triangular factors of any number of rows by Householder QR, and least squares from them."""
 
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, qr
 
 from asbuilt.arrays import Array, Indices
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
+NEGLIGIBLE_COEFFICIENT = 1e-6
+"""Coefficient of a direction, relative to the largest, that is rounding."""
 
 
 def triangular_factor(rows: Array) -> Array:
     """Return the upper triangular R (p, p), diagonal >= 0, with `R^T R = rows^T rows`."""
-    growing = GrowingFactor(rows.shape[1], len(rows))
-    growing.append(np.ascontiguousarray(rows.T))
+    return reduce_columns(np.ascontiguousarray(rows.T), len(rows))
+
+
+def factor_distance(root: Array, beta: Array) -> Array:
+    """Return the factor (p + 1, p + 1) of the distance `|R (x - beta)|^2` with the root R."""
+    return triangular_factor(
+        np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))])
+    )
+
+
+def reduce_columns(columns: Array, capacity: int = ROWS_AT_ONCE) -> Array:
+    """Return the factor of rows given as columns (p, m), at most `capacity` at a time."""
+    growing = GrowingFactor(len(columns), min(capacity, columns.shape[1]))
+    growing.append(columns)
     return growing.factor()
 
 
@@ -85,11 +100,121 @@ class GrowingFactor:
 
     def _reduce(self) -> None:
         if self._filled > self._p:
-            full = self._filled == self._rows.shape[1]
-            rows = self._rows.T if full else self._rows[:, : self._filled].T.copy(order="F")
+            rows = (
+                self._rows.T
+                if (self._filled == self._rows.shape[1])
+                else self._rows[:, : self._filled].T.copy(order="F")
+            )
             # Columns that one block reflector takes. The panels of `geqrf` are as wide as these
             # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
             # time.
             lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
             self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorSolution:
+    """Hold the minimiser x of `|W x - tau|`.
+
+    `x = toward + D^-1 V S^-1 U^T (z - R toward)` over the `rank` singular values above
+    `rank_tolerance`, columns scaled by D to unit length.
+
+    Parameters
+    ----------
+    x
+        Minimiser, shape (p,).
+    rank
+        Numeric rank of W.
+    residual_energy
+        Squared norm of the residual.
+    inverse_root
+        `D^-1 V S^-1`, shape (p, rank); times its transpose it is the pseudo-inverse of `W^T W`.
+    open_directions
+        Directions that do not change `W x`, in units of x, shape (p - rank, p).
+    singular_values
+        Of the scaled columns, largest first, shape (p,).
+    condition_number, scaled_condition_number
+        Of W, and with columns scaled to unit length; infinite without full rank.
+    """
+
+    x: Array
+    rank: int
+    residual_energy: float
+    inverse_root: Array
+    open_directions: Array
+    singular_values: Array
+    condition_number: float
+    scaled_condition_number: float
+
+
+def rank_tolerance(n_rows: int, n_columns: int) -> float:
+    """Return `4 eps max(m, p)`, below which a relative singular value is rounding."""
+    return 4.0 * float(np.finfo(np.float64).eps) * max(n_rows, n_columns)
+
+
+def solve_factor(
+    factor: Array, n_rows: int, toward: Array | None = None, ridge: float = 0.0
+) -> FactorSolution:
+    """Minimise `|W x - tau|^2 + ridge |D (x - toward)|^2` from the triangular factor [R | z].
+
+    The factor (p + 1, p + 1) is of `n_rows` rows, and D scales columns to length 1,
+    `R D^-1 = U S V^T`. Undetermined directions are resolved toward `toward` (p,), zero by default.
+    Source: Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5
+    (rank).
+    """
+    p = len(factor) - 1
+    r, z = factor[:p, :p], factor[:p, p]
+    length = np.linalg.norm(r, axis=0)
+    present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
+    scale = np.where(present, length, 1.0)
+    u, every, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
+    rank = int(np.sum(every > rank_tolerance(n_rows, p) * every.max(initial=0.0)))
+    s, start = every[:rank], np.zeros(p) if toward is None else toward
+    damped = np.sqrt(s**2 + ridge)
+    inverse_root = (vt[:rank].T / damped) / scale[:, None]
+    x = start + inverse_root @ ((s / damped) * (u[:, :rank].T @ (z - r @ start)))
+    error = factor @ np.append(-x, 1.0)
+    return FactorSolution(
+        x=x,
+        rank=rank,
+        residual_energy=float(error @ error),
+        inverse_root=inverse_root,
+        open_directions=_reduce_to_echelon(vt[rank:], scale),
+        singular_values=every,
+        condition_number=_evaluate_condition(np.asarray(np.linalg.svd(r, compute_uv=False)), rank),
+        scaled_condition_number=_evaluate_condition(every, rank),
+    )
+
+
+def solve_fast(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Array]:
+    """Return x and the inverse root of `solve_factor`, by substitution if well conditioned."""
+    r = factor[:-1, :-1]
+    scale = np.linalg.norm(r, axis=0)
+    if np.all(scale > 0.0):
+        scaled = r / scale
+        inverse, singular = lapack.dtrtri(scaled)
+        # Scaled condition number (Frobenius) up to which substitution is as good as singular
+        # values.
+        if not singular and np.linalg.norm(inverse) * np.linalg.norm(scaled) < 1e7:
+            root = inverse / scale[:, None]
+            return root @ factor[:-1, -1], root
+    solution = solve_factor(factor, n_rows, toward)
+    return solution.x, solution.inverse_root
+
+
+def _reduce_to_echelon(null: Array, scale: Array) -> Array:
+    """Return rows that span the rows of `null` / `scale`, few non-zeros, largest coefficient 1."""
+    if len(null) == 0:
+        return np.zeros((0, len(scale)))
+    pivots = qr(null, mode="r", pivoting=True)[-1][: len(null)]
+    reduced = np.linalg.solve(null[:, pivots], null)
+    reduced[np.abs(reduced) < NEGLIGIBLE_COEFFICIENT] = 0.0
+    rows = reduced / scale
+    rows /= np.abs(rows).max(axis=1, keepdims=True)
+    return np.asarray(rows[np.argsort(pivots)])
+
+
+def _evaluate_condition(singular_values: Array, rank: int) -> float:
+    full = rank == len(singular_values) and singular_values[-1] > 0
+    return float(singular_values[0] / singular_values[-1]) if full else np.inf

@@ -1,4 +1,4 @@
-"""Standard parameters of the robot as built, by a result."""
+"""Information about base parameters in a result, and standard parameters of the robot as built."""
 
 from __future__ import annotations
 
@@ -11,8 +11,41 @@ from asbuilt.identification.bodies.standard_parameters import (
     StandardParameters,
     find_standard_parameters,
 )
-from asbuilt.identification.information.known_information import find_determined_directions
 from asbuilt.identification.result.result import IdentificationResult
+
+
+def find_determined_directions(
+    result: IdentificationResult, *, with_bias: bool = True
+) -> tuple[Array, Array, Array]:
+    """Return scale (p,), variances (r,) and directions V (p, r) of the information of a result.
+
+    `information = D V diag(1 / variances) V^T D`, D = diag(scale). The scale is one over the
+    standard errors, zero for dropped and undetermined parameters. Directions beyond the rank of the
+    result are left out if its covariance is singular there; the covariance of estimates
+    regularised toward CAD is not. Without bias the covariance counts scatter alone.
+    """
+    covariance = np.array(result.covariance)
+    if result.bias is not None and not with_bias:
+        covariance -= result.bias
+    size = np.sqrt(np.diag(covariance))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    variances, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
+    largest, short = max(float(variances[-1]), 0.0), max(0, len(variances) - result.rank)
+    kept = variances > largest * len(variances) * np.finfo(float).eps
+    # Variance of a direction, relative to the largest, that is rounding.
+    if short and variances[short - 1] <= 1e-10 * largest:
+        kept[:short] = False
+    return scale, variances[kept], directions[:, kept]
+
+
+def known_information(result: IdentificationResult) -> Array:
+    """Return the information matrix (p, p) of a result: the pseudo-inverse of its covariance.
+
+    Undetermined directions and dropped parameters carry no information. The information allows for
+    correlated residuals, since the standard errors do.
+    """
+    scale, variances, directions = find_determined_directions(result)
+    return np.asarray(((directions / variances) @ directions.T) * np.outer(scale, scale))
 
 
 @lru_cache(maxsize=8)
@@ -49,12 +82,9 @@ def _add_up_torque_information(result: IdentificationResult) -> Array:
         quietest = np.finfo(np.float64).tiny + 1e-6 * float(
             result.sigma[np.isfinite(result.sigma)].max(initial=0.0)
         )
-        rows = [
-            factor[:, places] / max(float(sigma), quietest)
-            for factor, sigma in zip(
-                result.cause_data.whole(result.cause_data.fitted), result.sigma, strict=True
-            )
-        ]
+        factors = result.cause_data.whole(result.cause_data.fitted)
+        pairs = zip(factors, np.maximum(result.sigma, quietest), strict=True)
+        rows = [factor[:, places] / sigma for factor, sigma in pairs]
         return np.asarray(sum(R.T @ R for R in rows))
     covariance = np.array(result.textbook_covariance)
     size = np.sqrt(np.diag(covariance))

@@ -1,9 +1,9 @@
-"""From an estimate to a result: errors, physical consistency, verdicts."""
+"""From an estimate to a result: errors, physical consistency, verdicts, and its findings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,24 +11,28 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import IdentifiabilityError
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.bodies.consistency import (
-    consistency_margin,
-    margin_is_consistent,
+    decide_consistency,
     non_passive_drives,
 )
 from asbuilt.identification.errors.bias import OmittedBias
+from asbuilt.identification.errors.block_scatter import TELLING_GROWTH
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
-from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
+from asbuilt.identification.errors.uncertainty import (
+    Uncertainty,
+    estimate_block_uncertainty,
+    fit_free_values,
+)
+from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
+from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.estimation_findings import report_estimation
-from asbuilt.identification.result.free_values import fit_free_values
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
+from asbuilt.identification.result.torque_prediction import TorqueMetrics
+from asbuilt.tables import format_plus_minus
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,7 @@ class PoorDetermination:
 
 
 POOR = PoorDetermination()
+MOST_DIRECTIONS, MOST_NAMES = 6, 12
 
 
 def conclude(
@@ -93,29 +98,18 @@ def conclude(
     uncertainty = uncertainty or estimate_block_uncertainty(
         estimate.information or information, estimate
     )
-    further_errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
-    free_errors = list(further_errors)
+    errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
+    free_errors = list(errors)
     if omitted is not None:
-        further_errors.append(omitted.covariance)
+        errors.append(omitted.covariance)
         free_errors.append(omitted.free_covariance)
-        notes = (*notes, *([omitted.sentence] if omitted.sentence else []))
-    if further_errors:
-        added, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
-        uncertainty = replace(
-            uncertainty,
-            covariance=uncertainty.covariance + added,
-            scatter=(
-                None
-                if scatter is None
-                else scatter.beside(added, None if omitted is None else omitted.bias)
-            ),
+        notes = (*notes, *filter(None, [omitted.sentence]))
+    if errors:
+        uncertainty = uncertainty.with_further(
+            np.sum(errors, axis=0), None if omitted is None else omitted.bias
         )
     parameters = _list_parameters(information, estimate, uncertainty, design)
-    try:
-        margin: float | None = consistency_margin(base, estimate.beta)
-    except IdentifiabilityError:
-        margin = None
-    consistent = None if margin is None else margin_is_consistent(margin, estimate.beta)
+    margin, consistent = decide_consistency(base, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
     estimation = report_estimation(
         parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
@@ -221,3 +215,145 @@ def _find_poorly_determined(
     )
     torque = error * column / np.sqrt(information.n_samples)
     return np.asarray((error > POOR.relative_error * size) & (torque > POOR.torque))
+
+
+def report_estimation(
+    parameters: Sequence[IdentifiedParameter],
+    estimate: Estimate,
+    uncertainty: Uncertainty,
+    inconsistent: float | None,
+    non_passive: Sequence[str],
+) -> tuple[Finding, ...]:
+    """Return what an estimate says of itself.
+
+    `inconsistent` is the negative margin of links that are physically inconsistent, None if they
+    are consistent or that is unknown; `non_passive` names drive parameters below zero.
+    """
+    return (
+        *_report_determination(parameters, estimate),
+        *_report_errors(estimate, uncertainty),
+        *_report_consistency(parameters, inconsistent, non_passive),
+        *_report_convergence(estimate),
+        *estimate.findings,
+    )
+
+
+def _report_determination(
+    parameters: Sequence[IdentifiedParameter], estimate: Estimate
+) -> Iterator[Finding]:
+    if estimate.undetermined:
+        yield Finding(
+            "not_excited",
+            "warning",
+            "Not excited by this recording, kept at CAD:"
+            f" {join_names(estimate.undetermined, MOST_DIRECTIONS)}",
+            Cure("move these joints more, or leave out drive terms"),
+        )
+    poor = [parameter.name for parameter in parameters if parameter.poorly_determined]
+    if poor:
+        yield Finding(
+            "poorly_determined",
+            "info",
+            f"{len(poor)} parameters have standard errors above half their value:"
+            f" {join_names(poor, MOST_NAMES)}",
+            Cure("record longer, enrich the motion, or leave out drive terms"),
+        )
+    condition = estimate.solution.scaled_condition_number
+    if LARGE_CONDITION < condition < np.inf:
+        yield Finding(
+            "ill_conditioned",
+            "warning",
+            f"The scaled condition number is {condition:.3g}, above {LARGE_CONDITION:g}: small"
+            " model errors change these values much",
+            Cure("enrich the motion"),
+        )
+
+
+def _report_errors(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Finding]:
+    basis, blocks = uncertainty.basis, {"errors": "blocks"}
+    if basis.kind == "textbook" and basis.growth is None:
+        yield Finding(
+            "few_blocks",
+            "warning",
+            f"Only {basis.n_blocks} time blocks: standard errors assume independent residuals"
+            " and are too small",
+            Cure("record longer"),
+        )
+    elif (
+        basis.kind == basis.asked == "textbook"
+        and basis.growth is not None
+        and basis.growth >= TELLING_GROWTH
+    ):
+        yield Finding(
+            "textbook_errors",
+            "warning",
+            "Textbook standard errors are too small, since residuals are correlated: errors from"
+            f" time blocks are {basis.growth:.2g} times as large (median)",
+            Cure("estimate errors from time blocks", blocks),
+        )
+    if basis.kind != "bootstrap":
+        return
+    if estimate.method in methods and methods[estimate.method].regularised:
+        yield Finding(
+            "bootstrap_of_regularised",
+            "warning",
+            "Bootstrap errors leave out the bias of a fit regularised toward CAD, so they are too"
+            " small if CAD is off",
+            Cure("estimate errors by formula, which allow for it", blocks),
+        )
+    elif estimate.refit is not None:
+        yield Finding(
+            "bootstrap_near_bounds",
+            "warning",
+            "Bootstrap errors of single parameters near a bound of physical consistency may be too"
+            " small, though not over all parameters",
+            Cure("estimate errors by formula, which are rather too large", blocks),
+        )
+
+
+def _report_consistency(
+    parameters: Sequence[IdentifiedParameter],
+    inconsistent: float | None,
+    non_passive: Sequence[str],
+) -> Iterator[Finding]:
+    consistent = {"method": "consistent"}
+    if inconsistent is not None:
+        yield Finding(
+            "inconsistent",
+            "warning",
+            "The links are physically inconsistent: the best attainable smallest eigenvalue is"
+            f" {inconsistent:.3g}, below 0. Predictions hold, simulators may fail",
+            Cure("impose physical consistency", consistent),
+        )
+    if non_passive:
+        listed = [
+            f"{parameter.name} {format_plus_minus(parameter.estimate, parameter.std_error)}"
+            for parameter in parameters
+            if parameter.name in non_passive
+        ]
+        yield Finding(
+            "non_passive_drives",
+            "warning",
+            f"Negative friction or armature: {', '.join(listed)}. Other software gets no file of"
+            " such a robot",
+            Cure(
+                "impose physical consistency, or leave out drive terms that are not determined",
+                consistent,
+            ),
+        )
+
+
+def _report_convergence(estimate: Estimate) -> Iterator[Finding]:
+    if not estimate.converged:
+        cure = (
+            Cure("check that no joint is free of noise")
+            if estimate.method == "wls"
+            else Cure("compare with weighted least squares", {"method": "wls"})
+        )
+        yield Finding(
+            "not_converged",
+            "warning",
+            f"The weights of {estimate.method} had not converged after"
+            f" {estimate.iterations} iterations",
+            cure,
+        )

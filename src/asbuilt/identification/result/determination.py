@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
@@ -16,11 +18,9 @@ from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.as_built_parameters import known_information
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import format_share, round_significant
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class DeterminationThresholds:
     """Smallest ratio of an error to its value with the other parameters known (the square root of
     the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
     shown: float = 3.0
-    """Errors, with the other parameters known, from which a spring is told from none."""
+    """Errors, with the other parameters known, from which a spring differs from none."""
     named: float = 0.35
     """Smallest coefficient, relative to the largest, of a parameter named in a combination."""
     combinations: int = 6
@@ -92,7 +92,7 @@ class Determination:
     | `well` | with a standard error of at most 10 % |
     | `fairly` | of at most 50 % |
     | `hardly` | of more than 50 % |
-    | `negligible` | those of `hardly` whose error changes the torque of this motion little |
+    | `negligible` | members of `hardly` whose error changes the torque of this motion little |
     | `not_at_all` | undetermined |
     | `dropped` | set to zero by the estimator, without an error |
     """
@@ -149,34 +149,26 @@ class Determination:
             for what, names, remark in classes
             if names
         ]
-        for each in self.combinations:
-            found.append(
-                f"Correlated: {each.text} hardly changes the torque of this recording. The error of"
-                f" {each.names[0]} is {round_significant(each.spread, 2)} times its error with"
-                " the others"
-                " known."
-            )
-        for tip in self.advice:
-            found.append(
-                f"{LIMITS.seconds:g} s more of {tip.motion} would reduce the errors of"
-                f" {join_names(tip.names, MOST_LISTED)} to about {format_share(tip.ratio, 0)}."
-            )
+        found += [
+            f"Correlated: {each.text} hardly changes the torque of this recording. The error of"
+            f" {each.names[0]} is {round_significant(each.spread, 2)} times its error with the"
+            " others known."
+            for each in self.combinations
+        ]
+        found += [
+            f"{LIMITS.seconds:g} s more of {tip.motion} would reduce the errors of"
+            f" {join_names(tip.names, MOST_LISTED)} to about {format_share(tip.ratio, 0)}."
+            for tip in self.advice
+        ]
         return tuple(found)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain texts, numbers and lists, ready for JSON."""
-        fields = {
-            name: list(getattr(self, name))
-            for name in ("well", "fairly", "hardly", "negligible", "not_at_all", "dropped")
-        }
-        return fields | {
-            "combinations": [asdict(each) for each in self.combinations],
-            "advice": [asdict(tip) for tip in self.advice],
-            "in_short": self.in_short,
-            "sentences": list(self.sentences),
-        }
+        fields: dict[str, Any] = make_plain(self)
+        return fields | {"in_short": self.in_short, "sentences": list(self.sentences)}
 
 
+@use_one_blas_thread()
 def determination(result: IdentificationResult, *, motions: bool = True) -> Determination:
     """Class the parameters of a result by how well its recordings determine them.
 
@@ -197,38 +189,40 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     Determination
         Classes, correlated parameters and advice.
     """
-    names = np.array(result.base.names)
-    dropped = result.dropped
-    determined = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
-    size, error = _sizes(result), result.std_errors
-    well, hardly = (
-        determined & (error <= LIMITS.well * size),
-        determined & (error > LIMITS.poor * size),
+    names, classes = np.array(result.base.names), _classify_parameters(result)
+    determined = classes["well"] | classes["fairly"] | classes["hardly"]
+    information = known_information(result)
+    combinations = _find_combinations(result, information, determined)
+    weak = weak_parameters(result)
+    # A base that floats does not take poses: `leg_advice` has the motions of legs.
+    advice = (
+        _choose_advice(result, information, weak)
+        if (motions and weak.size and not result.model.n_floating)
+        else ()
     )
-    with use_one_blas_thread():
-        information = known_information(result)
-        negligible = hardly & ~np.array(
-            [parameter.poorly_determined for parameter in result.parameters]
-        )
-        combinations = _find_combinations(result, information, determined)
-        weak = weak_parameters(result)
-        # A base that floats does not take poses: `leg_advice` has the motions of legs.
-        asked = motions and weak.size and not result.model.n_floating
-        advice = _choose_advice(result, information, weak) if asked else ()
-    return Determination(
-        well=tuple(names[well]),
-        fairly=tuple(names[determined & ~well & ~hardly]),
-        hardly=tuple(names[hardly]),
-        negligible=tuple(names[negligible]),
-        not_at_all=tuple(names[~determined & ~dropped]),
-        dropped=tuple(names[dropped]),
-        combinations=combinations,
-        advice=advice,
-    )
+    members = {key: tuple(names[mask].tolist()) for key, mask in classes.items()}
+    return Determination(**members, combinations=combinations, advice=advice)
+
+
+def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
+    """Return which parameters are in each class of `Determination`."""
+    size = np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
+    dropped, error = result.dropped, result.std_errors
+    determined = np.array([each.determined for each in result.parameters]) & ~dropped
+    well = determined & (error <= LIMITS.well * size)
+    hardly = determined & (error > LIMITS.poor * size)
+    return {
+        "well": well,
+        "fairly": determined & ~well & ~hardly,
+        "hardly": hardly,
+        "negligible": hardly & ~np.array([each.poorly_determined for each in result.parameters]),
+        "not_at_all": ~determined & ~dropped,
+        "dropped": dropped,
+    }
 
 
 def report_springs(result: IdentificationResult) -> tuple[Finding, ...]:
-    """Report springs, with the masses that no motion of this recording tells them apart from."""
+    """Report springs, with the masses that look the same in all motions of this recording."""
     base, names = result.base, result.model.joint_names
     springs = {
         f"{symbol}{k + 1}": names[k]
@@ -286,8 +280,7 @@ def _find_combinations(
     """Return directions of large variance with unit diagonal information, the largest first."""
     seen = np.flatnonzero(determined & (np.diag(information) > 0))
     scale = 1.0 / np.sqrt(np.diag(information)[seen])
-    scaled = information[np.ix_(seen, seen)] * np.outer(scale, scale)
-    eigenvalues, vectors = np.linalg.eigh(scaled)
+    eigenvalues, vectors = np.linalg.eigh(information[np.ix_(seen, seen)] * np.outer(scale, scale))
     found: list[Combination] = []
     for value, vector in zip(eigenvalues, vectors.T, strict=True):
         if value > 1.0 / LIMITS.correlated**2 or len(found) == LIMITS.combinations:
@@ -314,16 +307,8 @@ def _find_combinations(
 
 def weak_parameters(result: IdentificationResult) -> Indices:
     """Return the base parameters with an error above 10 % that matters, or undetermined."""
-    dropped, poor = result.dropped, [each.poorly_determined for each in result.parameters]
-    determined = np.array([each.determined for each in result.parameters]) & ~dropped
-    size, error = _sizes(result), result.std_errors
-    well = determined & (error <= LIMITS.well * size)
-    negligible = determined & (error > LIMITS.poor * size) & ~np.array(poor)
-    return np.flatnonzero(~well & ~negligible & ~dropped)
-
-
-def _sizes(result: IdentificationResult) -> Array:
-    return np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
+    classes = _classify_parameters(result)
+    return np.flatnonzero(~(classes["well"] | classes["negligible"] | classes["dropped"]))
 
 
 def error_ratios(
@@ -348,10 +333,8 @@ def _choose_advice(
     result: IdentificationResult, information: Array, weak: Indices
 ) -> tuple[Advice, ...]:
     """Return the motions that help the weak parameters: slow poses, one joint at a time, all."""
-    texts, states = zip(
-        *((text, state) for text, *state in _draw_motions(result.model)), strict=True
-    )
-    extras = (sample_information(result, *each) for each in states)
+    texts, *states = zip(*_draw_motions(result.model), strict=True)
+    extras = map(partial(sample_information, result), *states)
     table = error_ratios(result, information, weak, extras)
     some = (slice(0, 1), slice(1, -1), slice(1, -1), slice(-1, None))
     return best_motions(result, weak, table, texts, some)
@@ -378,11 +361,9 @@ def best_motions(
         best = int(np.argmax(helped >= nearly * helped.max()))
         if not served[best].any():
             continue
-        row = table[some][best]
-        mean = float(np.exp(np.mean(np.log(np.maximum(row[served[best]], 1e-6)))))
-        found.append(
-            Advice(texts[some][best], tuple(result.base.names[j] for j in weak[served[best]]), mean)
-        )
+        ratios = np.maximum(table[some][best][served[best]], 1e-6)
+        names = tuple(result.base.names[j] for j in weak[served[best]])
+        found.append(Advice(texts[some][best], names, float(np.exp(np.mean(np.log(ratios))))))
         left &= ~served[best]
     return tuple(found)
 
@@ -407,7 +388,7 @@ def sample_information(
 ) -> Array:
     """Return the mean information (p, p) of states (N, n), less forces at closed contacts.
 
-    `contact` and `noise` are those of `contact_basis`.
+    `contact` and `noise` are arguments of `contact_basis`.
     """
     plan = RegressorPlan.of(result.model, result.base.drive, result.base.columns)
     buffer = plan.buffer(len(q))
@@ -434,9 +415,7 @@ def _draw_motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]
     still = np.zeros_like(q)
     slow = LIMITS.slow * speed * bounds.velocity
     yield "slow motion through poses all over the joint ranges", q, slow, still
-    for k, name in enumerate(model.joint_names):
-        alone = np.zeros(n)
-        alone[k] = 1.0
+    for name, alone in zip(model.joint_names, np.eye(n), strict=True):
         yield (
             f"steady motion of {name} at all speeds, both ways",
             q,

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.motions.on_legs import leg_motions
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.determination import (
     LIMITS,
     Advice,
@@ -20,10 +20,7 @@ from asbuilt.identification.result.determination import (
     sample_information,
     weak_parameters,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-    from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.result import IdentificationResult
 
 MOTIONS, NAMES = 2, 4
 """Motions that are advised, and parameters that are named of each."""
@@ -32,6 +29,7 @@ NEARLY = 0.9
 since more parameters than that are lost if a hop fails."""
 
 
+@use_one_blas_thread()
 def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tuple[Finding, ...]:
     """Say which motion of legs would determine what the samples of a result leave open.
 
@@ -40,8 +38,7 @@ def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tu
     """
     if result.model.n_floating != 6:
         return ()
-    with use_one_blas_thread():
-        advice, weak = leg_advice(result, samples)
+    advice, weak = leg_advice(result, samples)
     if not advice:
         return ()
     parts = [
@@ -69,7 +66,6 @@ def leg_advice(
         return (), 0
     motions = list(leg_motions(result.model, standing_posture(samples)))
     noise = samples[0].noise
-    touching = samples[0].contact is not None
     extras = (
         each.share
         * sample_information(
@@ -77,14 +73,15 @@ def leg_advice(
             each.q,
             each.qd,
             each.qdd,
-            each.closed.astype(np.float64) if touching else None,
+            each.closed.astype(np.float64) if (samples[0].contact is not None) else None,
             noise,
         )
         for each in motions
     )
     table = error_ratios(result, known_information(result), weak, extras)
-    names = [each.name for each in motions]
-    return best_motions(result, weak, table, names, [slice(None)] * MOTIONS, NEARLY), weak.size
+    return best_motions(
+        result, weak, table, [each.name for each in motions], [slice(None)] * MOTIONS, NEARLY
+    ), weak.size
 
 
 def standing_posture(samples: Sequence[Samples]) -> Array:

@@ -28,9 +28,8 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.errors.block_scatter import BlockScatter, ErrorBasis
+from asbuilt.identification.errors.uncertainty import FreeValues
 from asbuilt.identification.information.cause_data import CauseData
-from asbuilt.identification.result.free_values import FreeValues
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.stored_document import (
     AGAIN,
@@ -40,6 +39,7 @@ from asbuilt.identification.result.stored_document import (
 )
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
+    TorqueMetrics,
     expand_parameters,
     predict_torque,
 )
@@ -251,8 +251,7 @@ class IdentificationResult:
         )
 
     def _repr_html_(self) -> str:
-        screen: str = self.summary()._repr_html_()
-        return screen
+        return str(self.summary()._repr_html_())
 
     @property
     def robot(self) -> str:
@@ -289,9 +288,12 @@ class IdentificationResult:
         """The result with the values of the fit that `validation` is of; itself if that is it."""
         if self.trained is None:
             return self
-        values = zip(self.parameters, self.trained.tolist(), strict=True)
         return replace(
-            self, parameters=tuple(replace(each, estimate=value) for each, value in values)
+            self,
+            parameters=tuple(
+                replace(each, estimate=x)
+                for each, x in zip(self.parameters, self.trained.tolist(), strict=True)
+            ),
         )
 
     @property
@@ -374,8 +376,7 @@ class IdentificationResult:
             If there is no such figure, no recording, or another number of axes.
         """
         prediction = self.predict(of) if isinstance(of, Recording | Samples) else of
-        drawn: Array = FIGURES.find(kind)(self, prediction, axes)
-        return drawn
+        return np.asarray(FIGURES.find(kind)(self, prediction, axes))
 
     @property
     def dropped(self) -> NDArray[np.bool_]:
@@ -553,14 +554,13 @@ class IdentificationResult:
         try:
             model = model_from_document(whole["model"])
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
-            result = cls(
-                model=model,
-                base=base,
-                **decode_fields(cls, whole, but=REBUILT),
-            )
+            result = cls(model=model, base=base, **decode_fields(cls, whole, but=REBUILT))
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as problem:
-            known = isinstance(problem, AsbuiltError | FieldError)
-            reason = str(problem) if known else f"{type(problem).__name__} {problem}"
+            reason = (
+                str(problem)
+                if isinstance(problem, AsbuiltError | FieldError)
+                else f"{type(problem).__name__} {problem}"
+            )
             raise ResultError(f"the stored result is damaged: {reason}", cure=AGAIN) from problem
         result._check_values()
         ids = [parameter.id for parameter in result.parameters]
@@ -575,19 +575,17 @@ class IdentificationResult:
 
     def _check_values(self) -> None:
         """Raise `ResultError` that names a value that no identification gives."""
-        variances = np.diag(self.covariance)
-        errors = [each.std_error for each in self.parameters if not each.dropped]
-        estimates = [each.estimate for each in self.parameters]
+        errors = self.std_errors[~self.dropped]
         for name, sound, expected in (
             ("n_samples", self.n_samples > 0, "positive"),
             ("rate", self.rate > 0, "positive"),
             ("duration", self.duration > 0, "positive"),
             ("rank", 0 <= self.rank <= self.base.n_base, f"from 0 to {self.base.n_base}"),
             ("sigma", bool(np.all(self.sigma > 0)), "positive"),
-            ("estimate", _is_finite(estimates), "finite"),
-            ("std_error", not np.any(np.array(errors) < 0), "at least 0"),
+            ("estimate", _is_finite(self.estimates), "finite"),
+            ("std_error", not np.any(errors < 0), "at least 0"),
             ("covariance", _is_finite(self.covariance), "finite"),
-            ("covariance", not np.any(variances < 0), "positive semidefinite"),
+            ("covariance", not np.any(np.diag(self.covariance) < 0), "positive semidefinite"),
         ):
             if not sound:
                 raise ResultError(

@@ -6,7 +6,6 @@ import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from asbuilt.identification.calibration.encoders import describe_encoders
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
+from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.screen import compose_screen
 from asbuilt.tables import (
     WIDTH,
@@ -32,9 +32,6 @@ from asbuilt.tables import (
     round_significant,
     wrap_text,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 
 EXPRESSION_WIDTH = 34
 MOST_PARAMETERS = 10
@@ -239,8 +236,7 @@ def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
 
 def _describe_delays(result: IdentificationResult) -> str:
     """Return the delays that were applied, as text; empty if there are none."""
-    late = [each for each in result.delay if each.delays]
-    return ", ".join(dict.fromkeys(each.text for each in late))
+    return ", ".join(dict.fromkeys(each.text for each in result.delay if each.delays))
 
 
 def _format_heading(heading: Sequence[tuple[str, str]]) -> list[str]:

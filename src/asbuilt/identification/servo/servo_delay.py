@@ -13,7 +13,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.expected_scores import DOUBT
+from asbuilt.identification.errors.pose_noise import DOUBT
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation

@@ -20,8 +20,7 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.errors.expected_scores import ExpectedScores
-from asbuilt.identification.information.equation_noise import with_equation_noise
+from asbuilt.identification.errors.pose_noise import ExpectedScores, with_equation_noise
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.deadband import estimate_deadband, with_deadband
 from asbuilt.identification.servo.goal_limit import (

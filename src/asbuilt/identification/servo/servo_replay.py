@@ -25,7 +25,7 @@ from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.errors.expected_scores import ExpectedScores
+from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,

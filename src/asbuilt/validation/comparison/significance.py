@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.identification.errors.common_growth import effective_rank
+from asbuilt.identification.errors.block_scatter import effective_rank
 from asbuilt.tables import round_significant
 
 SMALLEST_EIGENVALUE = 1e-10

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
 from asbuilt.validation.generalisation.standstill import RestingErrors, divide_resting_errors

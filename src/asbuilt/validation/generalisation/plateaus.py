@@ -19,9 +19,9 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_para
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
 from asbuilt.validation.prediction import torque_units
 

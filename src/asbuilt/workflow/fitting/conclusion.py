@@ -24,8 +24,8 @@ from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.leg_advice import leg_findings
-from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import recording_name

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.result.conclusion import conclude
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger

@@ -12,10 +12,10 @@ import numpy as np
 
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.effects.groups import locate_drive_parameters
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings

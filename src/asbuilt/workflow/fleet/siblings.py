@@ -13,16 +13,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.errors.block_scatter import ErrorBasis, widening
 from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
+from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
 

@@ -14,7 +14,7 @@ from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.bodies.inconsistency import find_inconsistency
+from asbuilt.identification.bodies.consistency import find_inconsistency
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import SIGNIFICANT_SIGMAS, round_significant
 from asbuilt.validation.comparison.significance import chi_square

@@ -141,7 +141,7 @@ class Entry:
         Codes of findings of the log.
     tilt
         Inner products `[W_k | tau_k | T_k]^T T_k` (p_k + 3, 2) of each joint k, with the torques T
-        of two base tilts by a radian (`ColumnsBeside`); empty if the entry has none.
+        of two base tilts by a radian (`FurtherColumns`); empty if the entry has none.
     """
 
     robot_id: str

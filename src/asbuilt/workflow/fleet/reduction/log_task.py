@@ -22,8 +22,7 @@ from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.information.columns_beside import ColumnsBeside
-from asbuilt.identification.information.rows import LONGEST_BLOCK
+from asbuilt.identification.information.rows import LONGEST_BLOCK, FurtherColumns
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
@@ -157,7 +156,7 @@ def reduce_to_entry(
     codes = _check_beginning(settings, beginning) if task.checked else ()
     prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
     samples = prepared.training[0]
-    tilts = ColumnsBeside.tilts(settings.model)
+    tilts = FurtherColumns.tilts(settings.model)
     seconds = samples.duration / RULES.blocks
     information = accumulate_stream(
         settings.model,
@@ -165,7 +164,7 @@ def reduce_to_entry(
         (samples,),
         block_seconds=seconds if seconds > LONGEST_BLOCK else None,
         threads=1,
-        beside=tilts,
+        further=tilts,
     )
     information = merge_blocks(information, 2 * RULES.blocks)
     entry = Entry(

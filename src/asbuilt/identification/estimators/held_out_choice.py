@@ -1,18 +1,97 @@
-"""The choice among estimates by their error on other motions, the closest to CAD first."""
+"""Choices by the error on held-out time blocks: of a weight of CAD, and among estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
+from asbuilt.identification.bodies.entropic_path import DESCENT
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.statistics import exceeds
+
+Fits = Callable[[Array, float], Array]
+"""Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, by descending weight."""
+
+FEWEST_GROUPS = 3
+"""Groups below which `DEFAULT_WEIGHT` is taken."""
+DEFAULT_WEIGHT = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightChoice:
+    """Hold a weight, and the mean squared errors on held-out groups (n_weights, n_groups)."""
+
+    weight: float
+    errors: Array
+    reason: str
+
+
+def choose_weight(
+    information: SquareRootInformation,
+    joint_weights: Array,
+    regrouping: Array,
+    fits: Fits,
+    weights: tuple[float, ...] = DESCENT,
+) -> WeightChoice:
+    """Return the largest weight whose held-out error is within one standard error of the least.
+
+    The blocks form up to 8 groups of neighbours; each is predicted from the others with every
+    weight. The error of a group is `|w (tau - W beta)|^2 / (N n)`; the standard error is of
+    the mean difference from the best weight, group by group (the one-standard-error rule of
+    Breiman, Friedman, Olshen & Stone, 1984, section 3.4.3, on paired errors; Hastie, Tibshirani &
+    Friedman, 2009, section 7.10).
+    """
+    # Groups of neighbouring blocks that are held out.
+    n_groups = min(8, information.n_blocks)
+    if n_groups < FEWEST_GROUPS:
+        return WeightChoice(
+            DEFAULT_WEIGHT,
+            np.zeros((1, 0)),
+            f"weight of CAD {DEFAULT_WEIGHT:g}, the default: {information.n_blocks} time blocks are"
+            f" too few to choose it, {FEWEST_GROUPS} are needed",
+        )
+    groups = np.array_split(np.arange(information.n_blocks), n_groups)
+    held = np.array([information.select(group).stacked(joint_weights) for group in groups])
+    factors, errors = _without_each(held), np.empty((len(weights), n_groups))
+    counts = [sum(information.blocks[b].n_samples for b in group) for group in groups]
+    for row, weight in enumerate(weights):
+        beta = fits(factors, weight) @ regrouping.T
+        residuals = (held[:, :, :-1] @ beta[:, :, None])[:, :, 0] - held[:, :, -1]
+        errors[row] = np.sum(residuals**2, axis=1) / (np.array(counts) * information.n_joints)
+    means = errors.mean(axis=1)
+    best = int(np.argmin(means))
+    excess = errors - errors[best]
+    standard_error = excess.std(axis=1, ddof=1) / np.sqrt(n_groups)
+    chosen = int(np.flatnonzero(excess.mean(axis=1) <= standard_error)[0])
+    if chosen == best:
+        why = f"the least error, {means[best]:.3g}, on {n_groups} groups of held-out time blocks"
+    else:
+        why = (
+            f"the largest of {len(weights)} whose error on {n_groups} groups of held-out time"
+            f" blocks, {means[chosen]:.3g}, is within one standard error"
+            f" ({standard_error[chosen]:.2g}) of the least, {means[best]:.3g} at {weights[best]:g}"
+        )
+    return WeightChoice(weights[chosen], errors, f"weight of CAD {weights[chosen]:g}: {why}")
+
+
+def _without_each(factors: Array) -> Array:
+    """Return the triangular factors of all but each, (m, p + 1, p + 1)."""
+
+    def join(one: Array, other: Array) -> Array:
+        return triangular_factor(np.vstack([one, other]))
+
+    before, after = [*accumulate(factors[:-1], join)], [*accumulate(factors[:0:-1], join)][::-1]
+    between = [join(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
+    return np.array([after[0], *between, before[-1]])
+
 
 SMALLEST_INFORMATION = 1e-11
 """Scaled information, relative to the largest, below which least squares determine nothing."""
@@ -23,13 +102,14 @@ class Candidate:
     """Describe an estimate: its name, and the fits without each group of blocks, (n_folds, p).
 
     `weight` is the weight of CAD in its covariance; 0: least squares. `certain` says that the
-    values agree with what is certain, such as that masses are positive.
+    values agree with what is certain, such as that masses are positive. `fit` fits all blocks.
     """
 
     name: str
     weight: float
     betas: Array
     certain: bool = True
+    fit: Callable[[], Estimate] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,10 +126,8 @@ class MotionChoice:
         Squared torque error in noise variances on each held-out group, (n_candidates, n_folds).
     extrapolation
         Error expected on random motion beyond the error on the groups, (n_candidates,).
-    novelty
-        Leverage of held-out motions on the others, over the leverage of motion used: 1 if alike.
-    reach
-        Leverage of random motion within the joint limits over the leverage of held-out motions.
+    note
+        How different the held-out motions are, as text.
     """
 
     candidates: tuple[Candidate, ...]
@@ -57,28 +135,13 @@ class MotionChoice:
     best: int
     errors: Array
     extrapolation: Array
-    novelty: float
-    reach: float
-
-    @property
-    def totals(self) -> Array:
-        """Error on other motions, (n_candidates, n_folds)."""
-        return np.asarray(self.errors + self.extrapolation[:, None])
+    note: str
 
     def sentence(self, candidate: int) -> str:
         """Return the error of a candidate as text, and what is expected beyond it, if anything."""
         held, beyond = self.errors[candidate].mean(), self.extrapolation[candidate]
         more = f" + {beyond:.2g}" if beyond > 0.0 else ""
         return f"{self.candidates[candidate].name} {held:.3g}{more}"
-
-    @property
-    def motion_note(self) -> str:
-        """How different the held-out motions are, as text."""
-        return (
-            f"Errors of parameters count {self.novelty:.2g} times as much in the"
-            f" {self.errors.shape[1]} groups of motion held out as in the motion used, and"
-            f" {self.reach:.2g} times as much again in random motion within the joint limits"
-        )
 
 
 def choose_candidate(
@@ -133,22 +196,21 @@ def choose_candidate(
     held_rows = [
         held.stacked(joint_weights)[:-1, :-1] / np.sqrt(held.n_samples * n) for _, held in parts
     ]
-    own = root / np.sqrt(information.n_samples * n)
-    beyond = np.empty(len(candidates))
-    novelty, reach = 1.0, 1.0
-    for c, each in enumerate(candidates):
-        weighted = each.weight * prior_information
-        on_groups = np.array(
+    priors = [each.weight * prior_information for each in candidates]
+    on_groups = np.array(
+        [
             [
-                _evaluate_leverage(rows, gram, weighted)
+                _evaluate_leverage(rows, gram, prior)
                 for rows, gram in zip(held_rows, used, strict=True)
             ]
-        )
-        on_random = _evaluate_leverage(random_rows, whole, weighted)
-        beyond[c] = extrapolation_variance * max(on_random - float(on_groups.mean()), 0.0)
-        mean = max(float(on_groups.mean()), np.finfo(np.float64).tiny)
-        novelty = mean / max(_evaluate_leverage(own, whole, weighted), np.finfo(np.float64).tiny)
-        reach = on_random / mean
+            for prior in priors
+        ]
+    ).mean(axis=1)
+    on_random = np.array([_evaluate_leverage(random_rows, whole, prior) for prior in priors])
+    beyond = extrapolation_variance * np.maximum(on_random - on_groups, 0.0)
+    # Motions are compared by the last candidate, least squares, on which CAD has no influence.
+    own = _evaluate_leverage(root / np.sqrt(information.n_samples * n), whole, priors[-1])
+    held_out = max(float(on_groups[-1]), np.finfo(np.float64).tiny)
     totals = errors + beyond[:, None]
     consistent = [c for c, each in enumerate(candidates) if each.certain]
     best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))] if consistent else 0
@@ -162,7 +224,18 @@ def choose_candidate(
         for c in range(len(candidates))
         if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
     )
-    return MotionChoice(tuple(candidates), chosen, best, errors, beyond, novelty, reach)
+    return MotionChoice(
+        tuple(candidates),
+        chosen,
+        best,
+        errors,
+        beyond,
+        "Errors of parameters count"
+        f" {held_out / max(own, np.finfo(np.float64).tiny):.2g} times as much in the"
+        f" {len(parts)} groups of motion held out as in the motion used, and"
+        f" {float(on_random[-1]) / held_out:.2g} times as much again in random motion within the"
+        " joint limits",
+    )
 
 
 def _project_determined(rows: Array, root: Array) -> Array:

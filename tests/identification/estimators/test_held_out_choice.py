@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import sem
 from three_links import full_rows, recording
 
-from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT, choose_weight
+from asbuilt.identification.estimators.held_out_choice import DEFAULT_WEIGHT, choose_weight
 from asbuilt.identification.information.square_root_information import accumulate
 
 
