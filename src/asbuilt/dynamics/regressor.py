@@ -287,19 +287,30 @@ class RegressorPlan:
         self, inputs: Sequence[Array], target: Array, columns: Indices, threads: int | None
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
-        evaluate, places, coupling = rigid_body.regressor, self.places, self.model.coupling
-        robot: tuple[object, ...] = build_layout(self.model.tree).arrays
+        places, coupling, shares = self.places, self.model.coupling, np.eye(self.model.n_joints)
         if coupling is not None:
-            evaluate = rigid_body.coupled_rows
             places = np.ascontiguousarray(places[:, coupling.order])
             moved = coupling.motion(*inputs)
-            inputs = moved.q, moved.qd, moved.qdd
-            robot = *robot, flatten_array(moved.shares), _find_moving_coordinates(self.model)
+            inputs, shares = (moved.q, moved.qd, moved.qdd), moved.shares
+        layout, moves = build_layout(self.model.tree), _find_moving_coordinates(self.model)
+        robot = layout.codes, layout.placements, layout.gravity, layout.n_slots
         vectors = [flatten_array(array) for array in inputs]
         rows, width = target.reshape(-1), target.shape[1]
 
         def work(start: int, stop: int) -> None:
-            evaluate(*robot, places, self.bounds, columns, *vectors, start, stop, rows, width)
+            rigid_body.regressor(
+                *robot,
+                flatten_array(shares),
+                moves,
+                places,
+                self.bounds,
+                columns,
+                *vectors,
+                start,
+                stop,
+                rows,
+                width,
+            )
 
         run_over_samples(work, inputs[0].shape[0], threads)
 

@@ -30,6 +30,7 @@ from asbuilt.dynamics.kernels.recursion import (
     add,
     allocate_scratch,
     build_layout,
+    carry_wrench,
     cross,
     gather,
     gather_states,
@@ -303,10 +304,7 @@ def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine
                 mx, my, mz = rotate_out_of(after, p, 12, mx, my, mz)
                 cx, cy, cz = cross(zx, zy, zz, tx, ty, tz)
                 mx, my, mz = mx - cx, my - cy, mz - cz
-                ux, uy, uz = rotate_out_of(after, p, 12, ux, uy, uz)
-                nx, ny, nz = rotate_out_of(after, p, 12, nx, ny, nz)
-                cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
-                ux, uy, uz = ux + cx, uy + cy, uz + cz
+                nx, ny, nz, ux, uy, uz = carry_wrench(after, p, 12, (nx, ny, nz, ux, uy, uz))
             if code[REVOLUTE]:
                 c, s = load(rows, cosine + at), load(rows, sine + at)
                 store(rows, bar + at, load(rows, bar + at) + ux * zy - uy * zx + nx * my - ny * mx)
@@ -317,11 +315,7 @@ def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine
                 store(rows, bar + at, load(rows, bar + at) + nx * zy - ny * zx)
                 ux, uy = ux - q * ny, uy + q * nx
             if before != NOTHING:
-                tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
-                ux, uy, uz = rotate_out_of(before, p, 0, ux, uy, uz)
-                nx, ny, nz = rotate_out_of(before, p, 0, nx, ny, nz)
-                cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
-                ux, uy, uz = ux + cx, uy + cy, uz + cz
+                nx, ny, nz, ux, uy, uz = carry_wrench(before, p, 0, (nx, ny, nz, ux, uy, uz))
             b = above_bar + o + at
             add(rows, b, ux, uy, uz)
             add(rows, b + 3 * BLOCK, nx, ny, nz)
