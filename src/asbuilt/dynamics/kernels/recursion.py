@@ -307,7 +307,7 @@ def find_wrench(p, o, x):
 
 @part
 def carry_wrench(kind, p, o, f):
-    """Return a wrench at the frame at p[o:o+12] as at its parent: `f' = R f`, `n' = R n + t x f'`."""
+    """Return a wrench at the frame at p[o:o+12] at its parent: `f' = R f`, `n' = R n + t x f'`."""
     if kind == NOTHING:
         return f
     fx, fy, fz = rotate_out_of(kind, p, o, f[0], f[1], f[2])
@@ -337,7 +337,9 @@ def carry_screw(kind, p, o, screw):
         return screw
     zx, zy, zz, mx, my, mz = screw
     cx, cy, cz = cross(zx, zy, zz, p[o + 9], p[o + 10], p[o + 11])
-    return rotate_into(kind, p, o, zx, zy, zz) + rotate_into(kind, p, o, mx + cx, my + cy, mz + cz)
+    mx, my, mz = rotate_into(kind, p, o, mx + cx, my + cy, mz + cz)
+    zx, zy, zz = rotate_into(kind, p, o, zx, zy, zz)
+    return zx, zy, zz, mx, my, mz
 
 
 @part
