@@ -63,14 +63,12 @@ def read_solids(
             f"{model.name} does not come from a URDF file, so it has no geometry; give the mass"
             " properties as a table"
         )
-    poses = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
-    poses |= {frame.name: (frame.link, frame.placement) for frame in model.frames}
     searched = [*folders, path.parent, *Path(os.path.realpath(path)).parent.parents]
     other: GeometryKind = "collision" if prefer == "visual" else "visual"
     found = []
     for element in root.findall("link"):
         name = (element.get("name") or "").strip()
-        link, pose = poses.get(name, (ROOT, np.eye(4)))
+        link, pose = model.places.get(name, (ROOT, np.eye(4)))
         if link == ROOT:
             continue
         solids = [

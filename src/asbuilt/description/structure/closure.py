@@ -23,7 +23,7 @@ from asbuilt.description.structure.loops import (
     LoopNumbers,
     number_loops,
 )
-from asbuilt.description.structure.parts import ROOT, Frame, Joint
+from asbuilt.description.structure.parts import ROOT, Joint
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.findings import Cure, join_names
 
@@ -233,21 +233,20 @@ def _run(
 
 def derive_closure(
     robot: str,
-    joints: Sequence[Joint],
-    followers: Sequence[Joint],
+    every: Sequence[Joint],
+    n: int,
     loops: Sequence[Loop],
     posture: Mapping[str, float],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> Closure:
-    """Return how the motors `joints` move the joints of all links through loops.
+    """Return how motors move the joints of all links, of which the first n have one, through loops.
 
-    `links` has the link of each name, `ROOT` for the root; `posture` positions of joints at which
-    the loops are closed, roughly, others being where they usually are. Raises `DescriptionError`
-    where the loops do not close, leave a passive joint free, or are torn by a motor.
+    `places` has link, `ROOT` for the root, and pose in it of each name; `posture` positions of
+    joints at which the loops are closed, roughly, others being where they usually are. Raises
+    `DescriptionError` where the loops do not close, leave a passive joint free, or are torn by a
+    motor.
     """
-    found = _open(robot, (*joints, *followers), len(joints), loops, posture, links, frames)
-    n = len(joints)
+    found = _open(robot, every, n, loops, posture, places)
     motion, quality = _run(
         found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
         *np.zeros((2, 1, n)),
@@ -264,20 +263,14 @@ def _open(
     n: int,
     loops: Sequence[Loop],
     posture: Mapping[str, float],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
     order, linear, offset = derive_linear_part(robot, every, n)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
     tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
-    numbers = number_loops(
-        robot,
-        loops,
-        tree,
-        {name: place[link] for name, link in links.items()},
-        [replace(frame, link=place[frame.link]) for frame in frames],
-    )
+    in_tree = {name: (place[link], pose) for name, (link, pose) in places.items()}
+    numbers = number_loops(robot, loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
     known = {joint.name for joint in every} | {joint.name_in_tree for joint in every}
     if unknown := sorted(posture.keys() - known):
@@ -419,19 +412,18 @@ def _check_motors(found: Closure) -> None:
 
 def find_passive_joints(
     robot: str,
-    joints: Sequence[Joint],
-    followers: Sequence[Joint],
+    every: Sequence[Joint],
+    n: int,
     loops: Sequence[Loop],
     posture: Mapping[str, float],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> list[str]:
     """Return joints of loops that have no motor, where the description does not name them.
 
     As many as the loops place: joints without limits of torque and drive first, then those far from
     the root, as long as the loops determine them.
     """
-    found = _open(robot, (*joints, *followers), len(joints), loops, posture, links, frames)
+    found, joints = _open(robot, every, n, loops, posture, places), every[:n]
     u = found.home.copy()
     for _ in range(SEARCH):  # Newton with the least motion of all joints
         equations = found.equations(u)

@@ -95,28 +95,17 @@ class Coupling:
         return self.matrix[np.argsort(self.order)]
 
 
-@dataclass(frozen=True, eq=False)
-class Separated:
-    """Joints with a drive, those that follow them, links and frames in their order, and notes."""
-
-    joints: tuple[Joint, ...]
-    followers: tuple[Joint, ...]
-    links: tuple[Link, ...]
-    frames: tuple[Frame, ...]
-    driven: tuple[int, ...]
-    notes: tuple[str, ...]
-
-
 def separate_followers(
     robot: str,
     joints: Sequence[Joint],
     followers: Sequence[Joint],
     links: Sequence[Link],
     frames: Sequence[Frame],
-) -> Separated:
+) -> tuple[dict[str, tuple[object, ...]], list[int], list[str]]:
     """Set the joints that follow others apart, with their links after the driven joints' links.
 
-    `driven` are the places among `joints` of those that stay. Armature and friction of a follower
+    Returns `joints`, `followers`, `links` and `frames` of the robot in their order, the places
+    among `joints` of the ones that stay, and notes. Armature and friction of a follower
     of one joint count to that joint, reflected by the factor, and its limits narrow that joint's;
     a follower of several loses its own. Raises `DescriptionError` for a joint that follows
     none of the robot, or itself.
@@ -151,14 +140,13 @@ def separate_followers(
                 f"drive and limits of joint {joint.name!r}, which several others move, are left out"
             )
         behind[k] = replace(joint, drive=DriveValues())
-    return Separated(
-        joints=tuple(active.values()),
-        followers=tuple(behind),
-        links=tuple(links[k] for k in order),
-        frames=tuple(replace(frame, link=place[frame.link]) for frame in frames),
-        driven=tuple(driven),
-        notes=tuple(notes),
-    )
+    parts: dict[str, tuple[object, ...]] = {
+        "joints": tuple(active.values()),
+        "followers": tuple(behind),
+        "links": tuple(links[k] for k in order),
+        "frames": tuple(replace(frame, link=place[frame.link]) for frame in frames),
+    }
+    return parts, driven, notes
 
 
 def _note_passive(joint: Joint) -> Iterator[str]:

@@ -302,16 +302,12 @@ def _find_points(shape: Any, place: str, folder: Path) -> Array | None:
 
 def _find_carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
     """Return the moving link (or `ROOT`) that carries a link or frame, and its pose in it."""
-    if name in model.link_names:
-        return model.link_names.index(name), np.eye(4)
-    for frame in model.frames:
-        if frame.name == name:
-            return frame.link, frame.placement
-    if name in (model.root_link, "world", "root"):
-        return ROOT, np.eye(4)
-    raise DescriptionError(
-        f"{path}: {model.name} has no link {name!r}; it has {', '.join(model.link_names)}"
-    )
+    places = model.places
+    if name not in places and name not in ("world", "root"):
+        raise DescriptionError(
+            f"{path}: {model.name} has no link {name!r}; it has {', '.join(model.link_names)}"
+        )
+    return places.get(name, (ROOT, np.eye(4)))
 
 
 def list_neighbours(model: RobotModel) -> frozenset[frozenset[int]]:

@@ -184,14 +184,7 @@ class ToolBox(StateConstraint):
         self, model: RobotModel, lower: Array, upper: Array, frame: str | None = None
     ) -> None:
         self._model = model
-        named = {
-            item.name: (item.link, item.placement[:3, 3])
-            for item in model.frames
-            if item.link != ROOT
-        }
-        named |= {
-            name: (i, np.zeros(3)) for i, name in enumerate(model.link_names) if name not in named
-        }
+        named = {name: place for name, place in model.places.items() if place[0] != ROOT}
         last = (
             model.frames[-1].name
             if model.frames and model.frames[-1].link != ROOT
@@ -201,7 +194,8 @@ class ToolBox(StateConstraint):
             raise MotionError(
                 f"{model.name} has no moving frame {frame!r}; it has {', '.join(named)}"
             )
-        self._link, self._point = named[frame or last]
+        self._link, pose = named[frame or last]
+        self._point = pose[:3, 3]
         if not np.all(upper > lower):
             raise MotionError(
                 f"the box of the tool must have positive extent, got {lower.tolist()} to"
