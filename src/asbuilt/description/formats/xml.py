@@ -141,6 +141,17 @@ def read_numbers(element: Element, attribute: str, count: int, place: str) -> li
     return [parse_finite_number(cell, what) for cell in cells]
 
 
+def read_origin(origin: Element | None, place: str) -> tuple[list[float], list[float]]:
+    """Return `xyz` and `rpy` of an `<origin>`, zeros where they are not given."""
+    xyz, rpy = (
+        read_numbers(origin, key, 3, place)
+        if origin is not None and origin.get(key) is not None
+        else [0.0, 0.0, 0.0]
+        for key in ("xyz", "rpy")
+    )
+    return xyz, rpy
+
+
 def read_extents(element: Element, attribute: str, count: int, place: str) -> list[float]:
     """Return `count` sizes of a shape [m], separated by blanks.
 

@@ -14,7 +14,13 @@ from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, Val
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.appearance import link_solids
-from asbuilt.description.formats.xml import described_text, parse_xml, read_extents, read_numbers
+from asbuilt.description.formats.xml import (
+    described_text,
+    parse_xml,
+    read_extents,
+    read_numbers,
+    read_origin,
+)
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.errors import DescriptionError, MissingExtraError
@@ -222,24 +228,16 @@ def read_urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ..
     for element in parse_xml(content, source).findall("link"):
         link, pose = _find_carrier(model, element.get("name", ""), Path(source))
         for collision in element.findall("collision"):
-            origin, geometry = collision.find("origin"), collision.find("geometry")
+            geometry = collision.find("geometry")
             if geometry is None or not len(geometry):
                 continue
             place = f"{source}, link {element.get('name')!r}, collision"
-            own = np.eye(4)
-            if origin is not None:
-                rpy = (
-                    read_numbers(origin, "rpy", 3, place) if origin.get("rpy") else [0.0, 0.0, 0.0]
-                )
-                own = placement(
-                    rotation_from_rpy(rpy),
-                    read_numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0],
-                )
+            xyz, rpy = read_origin(collision.find("origin"), place)
             points = _find_points(geometry[0], place, Path(source).parent)
             if points is None:
                 missing.append(geometry[0].get("filename", f"<{geometry[0].tag}>"))
             else:
-                whole = pose @ own
+                whole = pose @ placement(rotation_from_rpy(rpy), xyz)
                 found.append(Capsule.around(link, points @ whole[:3, :3].T + whole[:3, 3]))
     if not found:
         reason = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -85,9 +85,7 @@ class CollisionGuard(StateConstraint):
         distances, points, normals = self._distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
-        axes, origins = _place_joint_axes(self._model, q)
-        joints = self._model.moving_joints
-        shares = self._model.link_shares
+        frames = _place_joint_axes(self._model, q)
         for number, (a, b) in enumerate(self.pairs):
             for body, point, sign in (
                 (a, points[:, number, 0], -1.0),
@@ -96,14 +94,9 @@ class CollisionGuard(StateConstraint):
                 link = (
                     self._bodies.capsules[body].link if body < len(self._bodies.capsules) else ROOT
                 )
-                for k in self._model.ancestors(link):
-                    speed = (
-                        np.cross(axes[:, k], point - origins[:, k])
-                        if joints[k].is_revolute
-                        else axes[:, k]
-                    )
+                for speed, shares in _list_speeds(self._model, frames, link, point):
                     away = sign * np.einsum("si,si->s", normals[:, number], speed)
-                    gradient[:, number] += away[:, None] * shares[k]
+                    gradient[:, number] += away[:, None] * shares
         slopes: Array = slope[:, :, None, None] * gradient[..., None]
         return slopes
 
@@ -211,16 +204,10 @@ class ToolBox(StateConstraint):
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the place by q, (N, 3, n, 1)."""
         place = self._places(q)
-        axes, origins = _place_joint_axes(self._model, q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
-        shares = self._model.link_shares
-        for k in self._model.ancestors(self._link):
-            speed = (
-                np.cross(axes[:, k], place - origins[:, k])
-                if self._model.moving_joints[k].is_revolute
-                else axes[:, k]
-            )
-            gradient += (speed / self._half)[:, :, None] * shares[k]
+        frames = _place_joint_axes(self._model, q)
+        for speed, shares in _list_speeds(self._model, frames, self._link, place):
+            gradient += (speed / self._half)[:, :, None] * shares
         return gradient[..., None]
 
     def margin(self, q: Array) -> float:
@@ -284,6 +271,20 @@ def _place_joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
         )
         axes[:, k], origins[:, k] = frame[:, :3, 2], frame[:, :3, 3]
     return axes, origins
+
+
+def _list_speeds(
+    model: RobotModel, frames: tuple[Array, Array], link: int, point: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Yield the speed (N, 3) of a point (N, 3) of a link per rate of each joint that moves it.
+
+    With it come the shares (n,) of the coordinates in that joint; `frames` of `_place_joint_axes`.
+    """
+    axes, origins = frames
+    for k in model.ancestors(link):
+        turns = model.moving_joints[k].is_revolute
+        speed = np.cross(axes[:, k], point - origins[:, k]) if turns else axes[:, k]
+        yield speed, model.link_shares[k]
 
 
 @dataclass(frozen=True)

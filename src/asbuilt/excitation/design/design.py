@@ -145,7 +145,7 @@ def choose_size(
     size, periods = options.size, options.periods
     if size is None:
         size, periods = kind.usual_size(options.seconds, periods, bounds)
-    family = kind.of(options.seconds, size, periods or 1)
+    family = kind(options.seconds, size, periods or 1)
     return replace(options, size=size, periods=periods), family
 
 
