@@ -549,8 +549,7 @@ class RobotModel:
         """
         if self.coupling is None:
             return q
-        flat = np.reshape(q, (-1, self.n_joints))
-        return self.link_motion(flat).q.reshape(*np.shape(q)[:-1], -1)
+        return self.link_motion(np.reshape(q, (-1, self.n_joints))).q.reshape(*np.shape(q)[:-1], -1)
 
     def link_motion(
         self, q: Array, qd: Array | None = None, qdd: Array | None = None

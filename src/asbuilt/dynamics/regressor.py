@@ -76,8 +76,7 @@ def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -
     turning = np.where(
         drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None]
     )
-    drives = turning.reshape(n, -1)
-    mask = np.concatenate([links, drives], axis=1)
+    mask = np.concatenate([links, turning.reshape(n, -1)], axis=1)
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
 
 

@@ -314,8 +314,7 @@ def refuse_open_postures(model: RobotModel) -> None:
     low, high = bounds.lower, bounds.upper
     corners = [np.where(ends, high, low) for ends in product((False, True), repeat=min(n, 7))]
     corners = corners if n <= 7 else []
-    inside = np.random.default_rng(0).uniform(low, high, (TRIED, n))
-    q = np.vstack([*corners, inside])
+    q = np.vstack([*corners, np.random.default_rng(0).uniform(low, high, (TRIED, n))])
     open_at = np.flatnonzero(~closure.postures(q).closed)
     if not open_at.size:
         return

@@ -153,8 +153,7 @@ class TorqueLimit(StateConstraint):
             self._exact_friction(q, away, qdd, load),
             self._exact_friction(q, -away, qdd, load),
         )
-        mixed: Array = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
-        return mixed
+        return np.asarray(0.5 * ((1 + sign) * ahead + (1 - sign) * behind))
 
     def _exact_friction(self, *state: Array) -> Array:
         """Return the drive torque (N, n), of all joints at once if only their values differ."""
@@ -168,10 +167,9 @@ class TorqueLimit(StateConstraint):
             )
         q, qd, qdd, load = (np.ascontiguousarray(x).reshape(-1) for x in state)
         columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
-        friction: Array = np.einsum(
-            "csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1)
+        return np.asarray(
+            np.einsum("csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1))
         )
-        return friction
 
 
 class WeightLimit(TorqueLimit):
@@ -205,8 +203,7 @@ class PowerLimit(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the power over its limit, (N, limited joints)."""
-        power: Array = self._torque.values(q, qd, qdd) * qd[:, self._finite]
-        return power
+        return np.asarray(self._torque.values(q, qd, qdd) * qd[:, self._finite])
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the values by the product rule, (N, limited joints, n, 3)."""

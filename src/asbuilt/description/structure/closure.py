@@ -157,8 +157,7 @@ class Closure:
 
     def equations(self, u: Array) -> Array:
         """Return J and phi (rows, n_u + 2) at coordinates u, the last column zero."""
-        rows = sum(ROWS[kind] for kind in self.numbers.kinds.tolist())
-        found = np.zeros((rows, u.size + 2))
+        found = np.zeros((sum(ROWS[kind] for kind in self.numbers.kinds.tolist()), u.size + 2))
         loop_equations(*self.arrays, np.ascontiguousarray(u), found)
         return found
 
@@ -363,8 +362,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
 def _find_free_directions(J: Array) -> tuple[int, list[int]]:
     """Return the number of directions that J does not see, and the columns that take part."""
     _, sizes, rows = np.linalg.svd(J)
-    seen = int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0)))
-    null = rows[seen:]
+    null = rows[int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0))) :]
     return len(null), np.flatnonzero(np.abs(null).max(axis=0, initial=0.0) > SEEN).tolist()
 
 

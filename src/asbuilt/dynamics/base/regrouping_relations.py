@@ -47,8 +47,7 @@ def shift_of_rotation(rotation: Array) -> Array:
 def _build_shift(t: Array) -> Array:
     shift = np.eye(10)
     for k in range(3):
-        mixed = np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t)
-        tensor = 2.0 * t[k] * np.eye(3) - mixed
+        tensor = 2.0 * t[k] * np.eye(3) - (np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t))
         shift[:6, 6 + k] = [tensor[a, b] for a, b in SYMMETRIC]
     tensor = t @ t * np.eye(3) - np.outer(t, t)
     shift[:6, 9] = [tensor[a, b] for a, b in SYMMETRIC]

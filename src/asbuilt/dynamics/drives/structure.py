@@ -115,8 +115,7 @@ def find_realisable_sums(
         conditions[:, :, column] = -np.outer(structure.shares[motor], structure.shares[motor])
     free = np.zeros((n, n), dtype=bool)
     np.fill_diagonal(free, structure.able[:, 0])
-    upper = np.triu(~free)
-    solutions, _ = reversed_echelon(null_space(conditions[upper]))
+    solutions, _ = reversed_echelon(null_space(conditions[np.triu(~free)]))
     of_motors = np.zeros((len(solutions), n))
     of_motors[:, motors] = solutions[:, k:]
     diagonal = np.einsum("iik,rk->ri", conditions, solutions)

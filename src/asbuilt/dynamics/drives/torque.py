@@ -144,8 +144,7 @@ def spring_columns(model: RobotModel, q: Array) -> Array:
     described = (term for term in described_drive(model)[0].terms if term.by_construction)
     drive = DriveSet(tuple(term for term in described if term.by_position and not term.of_motor))
     still = np.zeros_like(q)
-    each = [drive_columns(drive, k, q, still, still).T for k in range(model.n_joints)]
-    return np.stack(each)
+    return np.stack([drive_columns(drive, k, q, still, still).T for k in range(model.n_joints)])
 
 
 def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:

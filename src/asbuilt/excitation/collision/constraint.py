@@ -97,8 +97,7 @@ class CollisionGuard(StateConstraint):
                 for speed, shares in _list_speeds(self._model, frames, link, point):
                     away = sign * np.einsum("si,si->s", normals[:, number], speed)
                     gradient[:, number] += away[:, None] * shares
-        slopes: Array = slope[:, :, None, None] * gradient[..., None]
-        return slopes
+        return np.asarray(slope[:, :, None, None] * gradient[..., None])
 
     def smallest_distance(self, q: Array) -> float:
         """Return the smallest distance between any checked pair over all poses (N, n) [m]."""
@@ -198,8 +197,7 @@ class ToolBox(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the normalised place of the tool, (N, 3)."""
-        normalised: Array = (self._places(q) - self._centre) / self._half
-        return normalised
+        return np.asarray((self._places(q) - self._centre) / self._half)
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the place by q, (N, 3, n, 1)."""
@@ -220,8 +218,7 @@ class ToolBox(StateConstraint):
 
     def _places(self, q: Array) -> Array:
         pose = link_poses(self._model, q)[:, self._link]
-        place: Array = pose[:, :3, :3] @ self._point + pose[:, :3, 3]
-        return place
+        return np.asarray(pose[:, :3, :3] @ self._point + pose[:, :3, 3])
 
 
 def build_constraints(

@@ -145,8 +145,7 @@ def choose_size(
     size, periods = options.size, options.periods
     if size is None:
         size, periods = kind.usual_size(options.seconds, periods, bounds)
-    family = kind(options.seconds, size, periods or 1)
-    return replace(options, size=size, periods=periods), family
+    return replace(options, size=size, periods=periods), kind(options.seconds, size, periods or 1)
 
 
 def design_bounds(

@@ -226,8 +226,7 @@ class Design:
         # Rate at which the torque of a motion is evaluated for `torque_effects` [Hz].
         state = self.motion.at(self.motion.sample_times(100.0))
         rigid = inverse_dynamics(self.model, *state)
-        shares = self.model.motor_shares
-        friction = drive_torque(drive, values, *state, load=rigid, shares=shares)
+        friction = drive_torque(drive, values, *state, load=rigid, shares=self.model.motor_shares)
         torque = (rigid + friction) / self.noise
         size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
         effects: Array = self.std_errors * np.sqrt(np.diag(self.mean_information))

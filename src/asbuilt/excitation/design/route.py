@@ -143,8 +143,7 @@ def _untangle(order: list[int], apart: Array) -> list[int]:
 
 def _measure_distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
     """Return the time that the slowest joint takes at its velocity limit (K, M) [s]."""
-    apart: Array = np.abs((first[:, None] - second[None]) / bounds.velocity).max(axis=2)
-    return apart
+    return np.asarray(np.abs((first[:, None] - second[None]) / bounds.velocity).max(axis=2))
 
 
 def segments_free(
@@ -170,8 +169,7 @@ def _select_free_segments(
     nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.int64]:
     """Return the pairs of nodes (E, 2) whose segment is free."""
-    all_pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return all_pairs[segments_free(nodes, pairs, obstacles)]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)[segments_free(nodes, pairs, obstacles)]
 
 
 def _find_shortest_routes(

@@ -294,8 +294,7 @@ class DesignSearch:
 
     def failure(self) -> MotionError:
         """Return the error that says why there is no design."""
-        rng = np.random.default_rng([self._options.seed, 0])
-        start = self._start(rng)
+        start = self._start(np.random.default_rng([self._options.seed, 0]))
         if start is None:
             return MotionError(
                 f"{self._model.name}: no motion within the constraints was found, however small;"
@@ -348,8 +347,7 @@ class DesignSearch:
 
     def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
         """Return the coefficients, shrunk until every constraint holds at 1 kHz."""
-        count = max(self._n_nodes, int(family.span * CHECK_RATE))
-        grid = self._program(count, (0.0, 0.0), family)
+        grid = self._program(max(self._n_nodes, int(family.span * CHECK_RATE)), (0.0, 0.0), family)
         least, most = SETTINGS.shrinkage
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         own = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))

@@ -293,8 +293,7 @@ def draw_states(
     Velocities and accelerations sit at a limit or at zero with probability `extreme`.
     """
     n = bounds.lower.size
-    q = rng.uniform(bounds.lower, bounds.upper, size=(count, n))
-    found = [q]
+    found = [rng.uniform(bounds.lower, bounds.upper, size=(count, n))]
     for limit in (bounds.velocity, bounds.acceleration):
         inner, corner = (
             rng.uniform(-1, 1, size=(count, n)),
@@ -312,5 +311,4 @@ def parameter_scale(information: Information, bounds: MotionBounds) -> Array:
     states = draw_states(bounds, SCALING_STATES, np.random.default_rng(0))
     rows = information.rows(*states, smooth=False)
     size = np.diag(information.matrix(rows, SCALING_STATES)) / SCALING_STATES
-    scale: Array = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))
-    return scale
+    return np.asarray(1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max())))

@@ -130,8 +130,7 @@ def information_bound(
             float(worth_climbed.max()),
             float(variance(information, inverse, pool).max()),
         )
-        upper = log_det + p * max(0.0, float(np.log(highest / p)))
-        best_upper = min(best_upper, upper)
+        best_upper = min(best_upper, log_det + p * max(0.0, float(np.log(highest / p))))
         if np.log(highest / p) < SEARCH.gap or cancelled():
             break
         new = _select_states(climbed, np.argsort(-worth_climbed)[: SEARCH.refined // 2])

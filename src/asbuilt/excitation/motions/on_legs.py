@@ -198,8 +198,7 @@ def _places(model: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return place (N, n_contacts, 3) and rotation (N, n_contacts, 3, 3) of each contact."""
     poses = link_poses(model, q)
     places = (model.placed(each.frame) for each in model.contacts)
-    found = [poses[:, link] @ place for link, place in places]
-    T = np.stack(found, axis=1)
+    T = np.stack([poses[:, link] @ place for link, place in places], axis=1)
     return T[..., :3, 3], T[..., :3, :3]
 
 
