@@ -353,49 +353,48 @@ def rest(rows, gravity):
 
 
 @part
-def read_screw(rows, at):
-    """Return the six rows of a screw: z, then m."""
+def read_six(rows, at):
+    """Return the six rows at `at` of two vectors, as of a screw (z, m) or a wrench (f, n)."""
     return vector(rows, at) + vector(rows, at + 3 * BLOCK)
 
 
 @part
-def read_motion(rows, at):
-    """Return the nine rows of a motion: w, dw, a."""
-    return read_screw(rows, at) + vector(rows, at + 6 * BLOCK)
+def read_nine(rows, at):
+    """Return the nine rows at `at` of three vectors, as of a motion (w, dw, a)."""
+    return read_six(rows, at) + vector(rows, at + 6 * BLOCK)
+
+
+@part
+def put_six(rows, at, screw):
+    """Write the first two vectors of a tuple into six rows; the reverse of `read_six`."""
+    put(rows, at, screw[0], screw[1], screw[2])
+    put(rows, at + 3 * BLOCK, screw[3], screw[4], screw[5])
 
 
 @part
 def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
     """Carry w, dw, a from the parent's slot to the link's; positions in `rows` are of doubles."""
     for at in range(0, BLOCK, LANES):
-        x = carry_motion(code[BEFORE], p, 0, read_motion(rows, read + at))
+        x = carry_motion(code[BEFORE], p, 0, read_nine(rows, read + at))
         v, dv = load(rows, rate + at), load(rows, change + at)
         if code[REVOLUTE]:
             x = turn_motion(load(rows, cosine + at), load(rows, sine + at), v, dv, x)
         else:
             x = slide_motion(load(rows, angle + at), v, dv, x)
-        wx, wy, wz, dx, dy, dz, ax, ay, az = carry_motion(code[AFTER], p, 12, x)
-        put(rows, write + at, wx, wy, wz)
-        put(rows, write + at + 3 * BLOCK, dx, dy, dz)
-        put(rows, write + at + 6 * BLOCK, ax, ay, az)
+        x = carry_motion(code[AFTER], p, 12, x)
+        put_six(rows, write + at, x)
+        put(rows, write + at + 6 * BLOCK, x[6], x[7], x[8])
 
 
 @part
 def carry_screw_rows(code, p, rows, read, angle, cosine, sine):
     """Return a screw of the parent link in the axes behind the joint of a link."""
-    zx, zy, zz, mx, my, mz = carry_screw(code[BEFORE], p, 0, read_screw(rows, read))
+    zx, zy, zz, mx, my, mz = carry_screw(code[BEFORE], p, 0, read_six(rows, read))
     if code[REVOLUTE]:
         c, s = load(rows, cosine), load(rows, sine)
         return zx * c + zy * s, zy * c - zx * s, zz, mx * c + my * s, my * c - mx * s, mz
     q = load(rows, angle)
     return zx, zy, zz, mx + zy * q, my - zx * q, mz
-
-
-@part
-def put_screw(rows, at, screw):
-    """Write a screw into six rows; the reverse of `read_screw`."""
-    put(rows, at, screw[0], screw[1], screw[2])
-    put(rows, at + 3 * BLOCK, screw[3], screw[4], screw[5])
 
 
 @part
@@ -413,4 +412,4 @@ def move_screws(code, p, rows, read, write, angle, cosine, sine):
                 screw = none, none, one, none, none, none
             else:
                 screw = none, none, none, none, none, one
-            put_screw(rows, write + o + at, carry_screw(code[AFTER], p, 12, screw))
+            put_six(rows, write + o + at, carry_screw(code[AFTER], p, 12, screw))

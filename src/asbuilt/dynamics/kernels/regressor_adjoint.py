@@ -37,6 +37,8 @@ from asbuilt.dynamics.kernels.recursion import (
     move_link,
     move_screws,
     put,
+    read_nine,
+    read_six,
     rest,
     rotate_out_of,
     trigonometry,
@@ -140,17 +142,12 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
     """
     for at in range(0, BLOCK, LANES):
         r = state + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
-        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        wx, wy, wz, dx, dy, dz, ax, ay, az = read_nine(rows, r)
         p = parameters + at
-        ixx, ixy, ixz = vector(rows, p)
-        iyy, iyz, izz = vector(rows, p + 3 * BLOCK)
-        hx, hy, hz = vector(rows, p + 6 * BLOCK)
+        ixx, ixy, ixz, iyy, iyz, izz, hx, hy, hz = read_nine(rows, p)
         mass = load(rows, p + 9 * BLOCK)
         s = screw + at
-        zx, zy, zz = vector(rows, s)
-        mx, my, mz = vector(rows, s + 3 * BLOCK)
+        zx, zy, zz, mx, my, mz = read_six(rows, s)
 
         lx, ly, lz = (
             wx * ixx + wy * ixy + wz * ixz,
@@ -221,13 +218,9 @@ def _carry_state_back(code, p, rows, state, above, state_bar, above_bar, angle, 
     after, before = code[AFTER], code[BEFORE]
     for at in range(0, BLOCK, LANES):
         r = state + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
-        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        wx, wy, wz, dx, dy, dz, ax, ay, az = read_nine(rows, r)
         b = state_bar + at
-        ox, oy, oz = vector(rows, b)
-        ex, ey, ez = vector(rows, b + 3 * BLOCK)
-        fx, fy, fz = vector(rows, b + 6 * BLOCK)
+        ox, oy, oz, ex, ey, ez, fx, fy, fz = read_nine(rows, b)
         if after != NOTHING:
             tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
             wx, wy, wz = rotate_out_of(after, p, 12, wx, wy, wz)
@@ -294,10 +287,8 @@ def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine
         o = (STATE + 6 * d) * BLOCK
         for at in range(0, BLOCK, LANES):
             r, b = state + o + at, state_bar + o + at
-            zx, zy, zz = vector(rows, r)
-            mx, my, mz = vector(rows, r + 3 * BLOCK)
-            ux, uy, uz = vector(rows, b)
-            nx, ny, nz = vector(rows, b + 3 * BLOCK)
+            zx, zy, zz, mx, my, mz = read_six(rows, r)
+            ux, uy, uz, nx, ny, nz = read_six(rows, b)
             if after != NOTHING:
                 tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
                 zx, zy, zz = rotate_out_of(after, p, 12, zx, zy, zz)

@@ -31,9 +31,9 @@ from asbuilt.dynamics.kernels.recursion import (
     gather_states,
     move_link,
     put,
-    put_screw,
-    read_motion,
-    read_screw,
+    put_six,
+    read_nine,
+    read_six,
     rest,
     slide_wrench,
     trigonometry,
@@ -54,8 +54,7 @@ def _write_link_terms(rows, state, terms):
     """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
     for at in range(0, BLOCK, LANES):
         r, t = state + at, terms + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        wx, wy, wz, dx, dy, dz = read_six(rows, r)
         xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
         put(rows, t, dx, dy, dz)
         put(rows, t + 3 * BLOCK, yz, xz, xy)
@@ -100,8 +99,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
     o9 = _locate_row(places[9], stride, start)
     for at in range(0, BLOCK, LANES):
         r, t = screw + at, terms + at
-        zx, zy, zz = vector(rows, r)
-        mx, my, mz = vector(rows, r + 3 * BLOCK)
+        zx, zy, zz, mx, my, mz = read_six(rows, r)
         if o0 >= 0:
             xx = (
                 zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
@@ -234,7 +232,7 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
             else:
                 mz = mz + share
             screw = zx, zy, zz, mx, my, mz
-            put_screw(rows, write + o + at, carry_screw(code[AFTER], p, 12, screw))
+            put_six(rows, write + o + at, carry_screw(code[AFTER], p, 12, screw))
 
 
 @part
@@ -325,14 +323,14 @@ def regressor(
 def _write_wrench(rows, state, force, chi):
     """Write the wrench that the motion of a link requires, in link axes."""
     for at in range(0, BLOCK, LANES):
-        put_screw(rows, force + at, find_wrench(chi, 0, read_motion(rows, state + at)))
+        put_six(rows, force + at, find_wrench(chi, 0, read_nine(rows, state + at)))
 
 
 @part
 def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
     """Write the joint torque of a link's wrench and add the wrench to the parent link's wrench."""
     for at in range(0, BLOCK, LANES):
-        f = carry_wrench(code[AFTER], p, 12, read_screw(rows, force + at))
+        f = carry_wrench(code[AFTER], p, 12, read_six(rows, force + at))
         store(rows, torque + at, f[5] if code[REVOLUTE] else f[2])
         if code[PARENT] >= 0:
             if code[REVOLUTE]:
