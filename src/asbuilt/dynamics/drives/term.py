@@ -92,7 +92,7 @@ class DriveTerm:
     revolute_units: ClassVar[tuple[str, ...]] = ()
     """Unit of each parameter at a revolute joint; all N m if empty."""
     prismatic_units: ClassVar[tuple[str, ...]] = ()
-    """Unit of each parameter at a prismatic joint; all N if empty."""
+    """Unit of each parameter at a prismatic joint; if empty, it follows from `revolute_units`."""
     nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = ()
     cause: ClassVar[str | None] = None
     """Physical cause of a difference to the design that the term stands for."""
@@ -159,8 +159,10 @@ class DriveTerm:
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
         """Return the unit of each parameter."""
-        units, force = (self.revolute_units, "N m") if revolute else (self.prismatic_units, "N")
-        return units or (force,) * len(self.symbols)
+        units = self.revolute_units or ("N m",) * len(self.symbols)
+        if revolute:
+            return units
+        return self.prismatic_units or tuple(_derive_unit_of_slide(unit) for unit in units)
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
         """Return the value of each parameter in the description, None where it has none."""
@@ -275,6 +277,13 @@ class DriveTerm:
         return ":".join(
             [self.key, *(f"{name}={'/'.join(map(repr, each))}" for name, each in stated.items())]
         )
+
+
+def _derive_unit_of_slide(unit: str) -> str:
+    """Return the unit with m for rad, N for N m and kg for kg m^2."""
+    for turning, sliding in (("rad", "m"), ("(N m)", "N"), ("N m", "N"), ("kg m^2", "kg")):
+        unit = unit.replace(turning, sliding)
+    return unit
 
 
 TERMS: Registry[DriveTerm] = Registry(
