@@ -10,8 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import Joint, RobotModel
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion
 from asbuilt.findings import Cure
@@ -246,11 +246,7 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
     values = {quantity: motion.derivative(t, order) for order, quantity in enumerate(known)}
     if np.any(np.isfinite(bounds.torque)):
         state = (values["position"], values["velocity"], values["acceleration"])
-        rigid = inverse_dynamics(model, *state)
-        drive, drive_values = described_drive(model)
-        values["torque"] = rigid + drive_torque(
-            drive, drive_values, *state, load=rigid, shares=model.motor_shares
-        )
+        values["torque"] = TorqueModel(model, *described_drive(model))(*state)
     margins = [
         found
         for quantity, x in values.items()

@@ -134,7 +134,11 @@ def read_numbers(element: Element, attribute: str, count: int, place: str) -> li
     Raises `DescriptionError` with place and value.
     """
     text = require_attribute(element, attribute, place)
-    what = f"{place}: {attribute} of <{element.tag}>"
+    return parse_numbers(text, count, f"{place}: {attribute} of <{element.tag}>")
+
+
+def parse_numbers(text: str, count: int, what: str) -> list[float]:
+    """Return the `count` finite numbers of a text, separated by blanks."""
     cells = text.split()
     if len(cells) != count:
         raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")

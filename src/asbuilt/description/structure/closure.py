@@ -134,10 +134,6 @@ class Closure:
             position[..., j] = (ahead - behind) / (2.0 * step)
         return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
 
-    def positions(self, q: Array) -> Array:
-        """Return the positions (N, n_links) of the joints of the tree."""
-        return self.motion(q).q
-
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""
         return np.ascontiguousarray(chi[..., self.order, :])

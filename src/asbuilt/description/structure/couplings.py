@@ -70,20 +70,15 @@ class Coupling:
 
     def motion(self, q: Array, qd: Array | None = None, qdd: Array | None = None) -> TreeMotion:
         """Return the motion of the joints of the tree; rates not given are zero."""
-        at = self.positions(q)
-        rates = [np.zeros_like(at) if part is None else self.rates(part) for part in (qd, qdd)]
+        at = np.ascontiguousarray(q @ self.matrix.T + self.offset)
+        rates = [
+            np.zeros_like(at) if part is None else np.ascontiguousarray(part @ self.matrix.T)
+            for part in (qd, qdd)
+        ]
         return TreeMotion(at, rates[0], rates[1], self.matrix)
 
     def derivatives(self, q: Array, qd: Array, qdd: Array) -> None:
         """Return None: shares do not change with the motion."""
-
-    def positions(self, q: Array) -> Array:
-        """Return the positions (N, n_links) of the joints of the tree for those (N, n_joints)."""
-        return np.ascontiguousarray(q @ self.matrix.T + self.offset)
-
-    def rates(self, qd: Array) -> Array:
-        """Return velocities or accelerations (N, n_links) of the joints of the tree."""
-        return np.ascontiguousarray(qd @ self.matrix.T)
 
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""

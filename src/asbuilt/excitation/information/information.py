@@ -19,6 +19,12 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 
+ASSUMED = {
+    "position": ("lower", "upper"),
+    "velocity": ("velocity",),
+    "acceleration": ("acceleration",),
+}
+"""Quantities whose limits are assumed where the description lacks them, and the limits."""
 SCALING_STATES = 500
 """Random states over which the units of the parameters are averaged."""
 
@@ -262,26 +268,17 @@ def mean_information(
 def complete_limits(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
     """Return the robot with complete limits, and the names of those that were assumed."""
     bounds = MotionBounds.assumed(model)
-    assumed: list[str] = []
-    limits = []
-    for j, joint in enumerate(model.joints):
-        completed = replace(
-            joint.limits,
-            lower=float(bounds.lower[j]),
-            upper=float(bounds.upper[j]),
-            velocity=float(bounds.velocity[j]),
-            acceleration=float(bounds.acceleration[j]),
-        )
-        limits.append(completed)
-        given = joint.limits
-        known = {
-            "position": np.isfinite(given.lower) and np.isfinite(given.upper),
-            "velocity": np.isfinite(given.velocity),
-            "acceleration": np.isfinite(given.acceleration),
-        }
-        assumed += [
-            quantity for quantity, stated in known.items() if not stated and quantity not in assumed
-        ]
+    names = [name for each in ASSUMED.values() for name in each]
+    limits = [
+        replace(joint.limits, **{name: float(getattr(bounds, name)[j]) for name in names})
+        for j, joint in enumerate(model.joints)
+    ]
+    assumed = dict.fromkeys(
+        quantity
+        for joint in model.joints
+        for quantity, needed in ASSUMED.items()
+        if not all(np.isfinite(getattr(joint.limits, name)) for name in needed)
+    )
     return model.with_limits(limits), tuple(assumed)
 
 
