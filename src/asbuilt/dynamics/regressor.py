@@ -8,9 +8,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.couplings import Coupling
@@ -81,7 +81,7 @@ def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -
 
 
 @lru_cache(maxsize=16)
-def _find_moving_coordinates(model: RobotModel) -> NDArray[np.bool_]:
+def _find_moving_coordinates(model: RobotModel) -> Mask:
     """Return which coordinates move which links of the tree, (n_links + 1, n), the root first."""
     tree, shares = model.tree, model.link_shares[list(model.link_order)] != 0.0
     moves = np.zeros((model.n_links + 1, model.n_joints), dtype=bool)

@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Indices, read_only
+from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
 from asbuilt.description.structure.couplings import TreeMotion, derive_linear_part
 from asbuilt.description.structure.locking import choose_usual_position
@@ -56,7 +55,7 @@ class Postures:
     """
 
     gap: Array
-    closed: NDArray[np.bool_]
+    closed: Mask
     distance: Array
 
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import check_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
@@ -308,8 +307,8 @@ class Geometry:
     frame.
     """
 
-    parent: NDArray[np.int64]
-    revolute: NDArray[np.bool_]
+    parent: Indices
+    revolute: Mask
     before_rotation: Array
     before_translation: Array
     after_rotation: Array

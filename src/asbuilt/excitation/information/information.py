@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices, read_only
+from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE
@@ -220,7 +220,7 @@ class Information:
         return [q, qd, qdd, *load]
 
     @cached_property
-    def _jumps(self) -> NDArray[np.bool_]:
+    def _jumps(self) -> Mask:
         """Which drive columns jump at zero velocity."""
         n = self.model.n_joints
         still = np.tile(np.linspace(-1.0, 1.0, 7)[:, None], (1, n))

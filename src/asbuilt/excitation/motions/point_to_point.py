@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import (
@@ -228,7 +228,7 @@ def pace_moves(
 
 def find_violations(
     constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return at which states (N,) a constraint does not hold."""
     over = np.zeros(len(q), dtype=bool)
     for constraint in constraints:
