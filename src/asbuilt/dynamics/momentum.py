@@ -53,7 +53,7 @@ def _turn(c, s, six):
 
 
 @part
-def _link_momentum(chi, twist, out):
+def _add_link_momentum(chi, twist, out):
     """Write moment `I w + h x v` and force `m v - h x w` of a link."""
     wx, wy, wz, vx, vy, vz = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
     hx, hy, hz, m = chi[6], chi[7], chi[8], chi[9]
@@ -85,7 +85,7 @@ def write_momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
                 twist[4] -= twist[0] * q[k, i]
                 twist[5] += qd[k, i]
             _carry_twist_into(after[i], twist[:3], twist[3:], of_link[i])
-            _link_momentum(chi[i], of_link[i], carried[i])
+            _add_link_momentum(chi[i], of_link[i], carried[i])
         for i in range(n - 1, -1, -1):
             _carry_momentum_out(after[i], carried[i, :3], carried[i, 3:], moved)
             twist = at_joint[i]

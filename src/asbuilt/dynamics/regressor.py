@@ -278,7 +278,7 @@ class RegressorPlan:
         if self.model.contacts:
             target[...] = 0.0  # every joint has all rows, and kernels write those that can be other
         self._write(inputs, target, NO_COLUMNS, threads)
-        for _, rows_of_drive, columns in self._drive_columns(*inputs):
+        for _, rows_of_drive, columns in self._yield_drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns
         return self.joint_rows(target, n_samples)
 
@@ -331,7 +331,7 @@ class RegressorPlan:
             order[first:stop] = positions
         matrix = np.zeros((n_samples * n, self.columns.size))
         self._write(inputs, matrix, order, threads)
-        for k, rows_of_drive, columns in self._drive_columns(*inputs):
+        for k, rows_of_drive, columns in self._yield_drive_columns(*inputs):
             matrix.reshape(n_samples, n, matrix.shape[1])[:, k, order[rows_of_drive]] = columns.T
         return matrix
 
@@ -348,7 +348,7 @@ class RegressorPlan:
             )
         return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
-    def _drive_columns(
+    def _yield_drive_columns(
         self, q: Array, qd: Array, qdd: Array
     ) -> Iterator[tuple[int, Some | int, Array]]:
         """Yield joint, rows and values of the chosen drive columns.

@@ -207,7 +207,7 @@ class LimitReport:
         worst = violations[0]
         others = f" ({len(violations) - 1} more limits are violated)" if len(violations) > 1 else ""
         raise MotionError(
-            f"{worst}; {_word_cure(violations)}{others}",
+            f"{worst}; {_write_cure(violations)}{others}",
             joint=worst.joint,
             time=worst.time,
             value=worst.value,
@@ -331,7 +331,7 @@ def refuse_open_postures(model: RobotModel) -> None:
     )
 
 
-def _word_cure(violations: tuple[LimitMargin, ...]) -> str:
+def _write_cure(violations: tuple[LimitMargin, ...]) -> str:
     orders = {quantity: order for order, quantity in enumerate(QUANTITIES) if order > 0}
     needed = [
         abs(v.value / v.limit) ** (1 / orders[v.quantity])

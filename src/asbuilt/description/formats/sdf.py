@@ -96,7 +96,7 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         raise DescriptionError(f"{source}: the outermost element is <{root.tag}>, expected <sdf>")
     model = _find_only_model(root, source)
     closing = _find_closing_joints(model, source)
-    robot = read_urdf(tostring(_as_urdf(model, source, closing)))
+    robot = read_urdf(tostring(_build_urdf(model, source, closing)))
     gravity = root.find("world/gravity")
     turned = np.eye(3) if model.find("pose") is None else _read_pose(model, source)[:3, :3]
     free_fall = (
@@ -171,7 +171,7 @@ def _find_only_model(root: Element, source: str) -> Element:
     return model
 
 
-def _as_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
+def _build_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
     frames = _read_frames(model, source)
     robot = Element("robot", name=str(model.get("name") or "robot"))
     children = {_read_text(joint, "child", source) for joint in model.findall("joint")}

@@ -123,7 +123,7 @@ def read_urdf(
             f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>",
         ),
     )
-    held = _without_floating_joints(root) if fixed_base else []
+    held = _fix_floating_joints(root) if fixed_base else []
     if base != "fixed":
         free_urdf(root, base, source)
     notes = [f"the floating joint {name!r} is held at its origin" for name in held]
@@ -423,7 +423,7 @@ def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
     )
 
 
-def _without_floating_joints(root: Element) -> list[str]:
+def _fix_floating_joints(root: Element) -> list[str]:
     """Make floating joints fixed, and return their names."""
     floating = [each for each in root.findall("joint") if each.get("type") == "floating"]
     for each in floating:

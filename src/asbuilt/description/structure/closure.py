@@ -109,7 +109,7 @@ class Closure:
         motion, quality = self._follow(q, qd, qdd)
         failed = np.flatnonzero(quality[:, 2] == 0.0)
         if failed.size:
-            raise self._error(q, int(failed[0]), failed.size, quality[failed[0], 1])
+            raise self._make_error(q, int(failed[0]), failed.size, quality[failed[0], 1])
         return motion
 
     def derivatives(self, q: Array, qd: Array, qdd: Array) -> ShareDerivatives:
@@ -144,7 +144,7 @@ class Closure:
         gap, distance = quality[:, 0].copy(), np.zeros(len(q))
         n = self.n_joints
         for k in np.flatnonzero(closed):
-            equations = self.equations(self._coordinates(q[k], motion.q[k]))
+            equations = self.equations(self._find_coordinates(q[k], motion.q[k]))
             gap[k] = max(self.gaps(equations))
             sizes = np.linalg.svd(equations[:, n:-2] * self.scale[n:], compute_uv=False)
             distance[k] = sizes[-1] / sizes[0]
@@ -171,7 +171,7 @@ class Closure:
         loops = set(self.order[self.numbers.joints].tolist())
         return bool(np.any(self.of_links[sorted(loops), motor]))
 
-    def _coordinates(self, q: Array, at: Array) -> Array:
+    def _find_coordinates(self, q: Array, at: Array) -> Array:
         """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
         known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
         known[: q.size] = q
@@ -185,7 +185,7 @@ class Closure:
         ]
         return _run(self.arrays, self.scale, self.home, self.tolerance, False, given, *rates)
 
-    def _error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
+    def _make_error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
         own = [k for k in range(self.n_joints) if self.moves_loops(k)]
         at = join_names([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
@@ -245,10 +245,10 @@ def derive_closure(
         found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
         *np.zeros((2, 1, n)),
     )  # fmt: skip
-    at = found._coordinates(found.home[:n], motion.q[0])
+    at = found._find_coordinates(found.home[:n], motion.q[0])
     _check_closed(found, at, quality[0])
     found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * float(quality[0, 0])))
-    return _with_typical_shares(found)
+    return _derive_typical_shares(found)
 
 
 def _open(
@@ -365,7 +365,7 @@ def _format_posture(found: Closure, u: Array) -> str:
     return ", ".join(f"{name} = {value:.4g}" for name, value in zip(found.names, u, strict=True))
 
 
-def _with_typical_shares(found: Closure) -> Closure:
+def _derive_typical_shares(found: Closure) -> Closure:
     """Return the closure with typical sizes of G, from postures about the first.
 
     Raises `DescriptionError` where a motor tears the loops.

@@ -272,7 +272,7 @@ class Contact:
 
         Raises `UsageError` for one that makes no sense or is given twice.
         """
-        found = [cls._parsed(each) for each in text.split(",")]
+        found = [cls._parse_one(each) for each in text.split(",")]
         names = [each.frame for each in found if each is not None]
         if None in found or len({*names, ""}) <= len(names):
             raise UsageError(
@@ -283,7 +283,7 @@ class Contact:
         return tuple(each for each in found if each is not None)
 
     @classmethod
-    def _parsed(cls, text: str) -> Contact | None:
+    def _parse_one(cls, text: str) -> Contact | None:
         name, given, kind = (part.strip() for part in text.partition(":"))
         if not given or kind == "flat":
             return cls(name, flat=bool(given))

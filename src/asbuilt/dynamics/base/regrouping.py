@@ -166,14 +166,14 @@ def regroup_symbolically(model: RobotModel, drive: DriveSet, found: Regrouping) 
     return [
         (
             symbolic
-            if all(_agree(symbolic, matrix[b], lengths) for matrix, lengths in checks)
+            if all(_agrees(symbolic, matrix[b], lengths) for matrix, lengths in checks)
             else numbers[b]
         )
         for b, symbolic in enumerate(dict(sorted(row.items())) for row in rows.values())
     ]
 
 
-def _agree(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
+def _agrees(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
     values = np.zeros(len(row))
     for j, factor in symbolic.items():
         values[j] = factor.value(lengths)

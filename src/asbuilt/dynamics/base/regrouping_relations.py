@@ -100,7 +100,7 @@ SLIDE_SHIFTS = np.stack([np.eye(10), SHIFT_LINEAR[2], SHIFT_SQUARE[2, 2]])
 """Sliding along z by q: `S(q) = sum_k SLIDE_SHIFTS[k] q^k`, shape (3, 10, 10)."""
 
 
-def _cross(t: Array) -> Array:
+def _build_cross(t: Array) -> Array:
     return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
 
 
@@ -108,7 +108,7 @@ def _build_twist_harmonics() -> tuple[Array, Array]:
     turn = np.zeros((3, 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = _TURN_ROTATIONS[:3].transpose(0, 2, 1)
     slide = np.stack([np.eye(6), np.zeros((6, 6))])
-    slide[1, 3:, :3] = -_cross(np.array([0.0, 0.0, 1.0]))
+    slide[1, 3:, :3] = -_build_cross(np.array([0.0, 0.0, 1.0]))
     return turn, slide
 
 
@@ -260,7 +260,7 @@ def regrouping_relations(
             parent, fixed = root, joint.before
         else:
             parent, fixed = motions[joint.parent], model.joints[joint.parent].after @ joint.before
-        motion, found = _pass_joint(
+        motion, found = _carry_through_joint(
             parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c]
         )
         motions.append(motion)
@@ -280,7 +280,7 @@ def regrouping_relations(
     return directions, motions
 
 
-def _pass_joint(
+def _carry_through_joint(
     parent: LinkMotion,
     rotation: Array,
     translation: Array,
@@ -294,7 +294,7 @@ def _pass_joint(
     """
     to_joint = np.zeros((6, 6))
     to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
-    to_joint[3:, :3] = -rotation.T @ _cross(translation)
+    to_joint[3:, :3] = -rotation.T @ _build_cross(translation)
     shift = (
         np.eye(10)
         + np.einsum("a,aij->ij", translation, SHIFT_LINEAR)

@@ -217,7 +217,7 @@ class DriveTerm:
         """Return the term of one joint (counted from 0), one value per nonlinear parameter."""
         own = {parameter.name: getattr(self, parameter.name) for parameter in self.nonlinear}
         several = {name: each[joint] for name, each in own.items() if isinstance(each, tuple)}
-        return self._with(several) if several else self
+        return self._replace_fields(several) if several else self
 
     def typical(self) -> Self:
         """Return the term with typical values of its nonlinear parameters."""
@@ -226,7 +226,7 @@ class DriveTerm:
             for parameter in self.nonlinear
             if parameter.typical is not None
         }
-        return self._with(values) if values else self
+        return self._replace_fields(values) if values else self
 
     def check_joints(self, n_joints: int) -> None:
         """Raise UsageError for a joint that does not exist and a wrong number of values."""
@@ -260,9 +260,9 @@ class DriveTerm:
                         f"{name} of drive term {self.key!r} must lie between {lower:g} and"
                         f" {f'{upper:g} {unit}'.strip()}, got {number:g}"
                     )
-        return self._with(values)
+        return self._replace_fields(values)
 
-    def _with(self, fields: Mapping[str, Any]) -> Self:
+    def _replace_fields(self, fields: Mapping[str, Any]) -> Self:
         return cast(Self, replace(cast(Any, self), **fields))
 
     def __str__(self) -> str:

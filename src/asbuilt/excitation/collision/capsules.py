@@ -161,10 +161,10 @@ def build_surroundings(model: RobotModel, source: str | Path) -> Surroundings:
             " a .urdf or"
             " a .toml file"
         ) from None
-    return _from_file(model, file, path)
+    return _build_from_file(model, file, path)
 
 
-def _from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surroundings:
+def _build_from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surroundings:
     capsules = (
         list(build_skeleton_capsules(model, file.skeleton)) if file.skeleton is not None else []
     )

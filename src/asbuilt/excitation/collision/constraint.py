@@ -60,7 +60,7 @@ class CollisionGuard(StateConstraint):
         poses = draw_states(MotionBounds.assumed(model), 200, np.random.default_rng(0))[0]
         # Share of random poses above which a pair closer than the clearance touches by
         # construction.
-        close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > 0.9
+        close = (self._measure_distances(poses)[0] < bodies.clearance).mean(axis=0) > 0.9
         names = [model.root_link if link == ROOT else model.link_names[link] for link in links]
         names += [obstacle.name for obstacle in bodies.obstacles]
         self.left_out = tuple(
@@ -77,12 +77,12 @@ class CollisionGuard(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return v of every pair, (N, pairs)."""
-        beyond = self._distances(q)[0] - self._bodies.clearance
+        beyond = self._measure_distances(q)[0] - self._bodies.clearance
         return np.asarray(1.0 - np.tanh(beyond / SOFTNESS))
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivative of v by q (N, pairs, n, 1), by Jacobians at nearest points."""
-        distances, points, normals = self._distances(q)
+        distances, points, normals = self._measure_distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
         frames = _place_joint_axes(self._model, q)
@@ -101,7 +101,7 @@ class CollisionGuard(StateConstraint):
 
     def smallest_distance(self, q: Array) -> float:
         """Return the smallest distance between any checked pair over all poses (N, n) [m]."""
-        return float(self._distances(q)[0].min())
+        return float(self._measure_distances(q)[0].min())
 
     def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
         """Name the pairs that are not checked."""
@@ -109,7 +109,7 @@ class CollisionGuard(StateConstraint):
             return ()
         return (f"NOT CHECKED, they touch in nearly every pose: {', '.join(self.left_out)}",)
 
-    def _distances(self, q: Array) -> tuple[Array, Array, Array]:
+    def _measure_distances(self, q: Array) -> tuple[Array, Array, Array]:
         """Return distances (N, pairs), nearest axis points (N, pairs, 2, 3) and normals between."""
         links = link_poses(self._model, q)
         ends = []
@@ -197,11 +197,11 @@ class ToolBox(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the normalised place of the tool, (N, 3)."""
-        return np.asarray((self._places(q) - self._centre) / self._half)
+        return np.asarray((self._place_tool(q) - self._centre) / self._half)
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the place by q, (N, 3, n, 1)."""
-        place = self._places(q)
+        place = self._place_tool(q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
         frames = _place_joint_axes(self._model, q)
         for speed, shares in _list_speeds(self._model, frames, self._link, place):
@@ -210,13 +210,13 @@ class ToolBox(StateConstraint):
 
     def margin(self, q: Array) -> float:
         """Return the smallest distance to a side of the box over poses [m]; negative outside."""
-        return float((self._half - np.abs(self._places(q) - self._centre)).min())
+        return float((self._half - np.abs(self._place_tool(q) - self._centre)).min())
 
     def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
         """State the margin to the box."""
         return (f"the tool keeps {1000 * self.margin(q):.0f} mm from the sides of its box",)
 
-    def _places(self, q: Array) -> Array:
+    def _place_tool(self, q: Array) -> Array:
         pose = link_poses(self._model, q)[:, self._link]
         return np.asarray(pose[:, :3, :3] @ self._point + pose[:, :3, 3])
 

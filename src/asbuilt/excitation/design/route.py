@@ -94,7 +94,7 @@ def plan_route(
                     f" to {np.round(poses[j], 2).tolist()}; use fewer poses, another seed, or a"
                     " smaller clearance"
                 )
-            route = _with_turns(find_short_tour(lengths), before)
+            route = _insert_turns(find_short_tour(lengths), before)
     first = [node < len(poses) and node not in route[:place] for place, node in enumerate(route)]
     motion = pace_moves(
         nodes[route], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
@@ -208,7 +208,7 @@ def _build_graph(edges: NDArray[np.int64], weights: Array, count: int) -> csr_ar
     return csr_array((weights, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
-def _with_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
+def _insert_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
     """Return the tour with the nodes between its poses."""
     route = [tour[0]]
     for start, stop in pairwise(tour):

@@ -111,7 +111,7 @@ class Information:
             self.plan.evaluate(q, qd, qdd, out)
             return out
         self._bodies.evaluate(q, qd, qdd, out)
-        columns = self._drive_columns(self._state(q, qd, qdd))
+        columns = self._evaluate_drive_columns(self._list_state(q, qd, qdd))
         for k, (chosen, places) in enumerate(self._drive_places):
             out[places, : len(q)] = columns[chosen, :, k]
         return out
@@ -155,13 +155,13 @@ class Information:
             given = np.zeros((drive.columns_per_joint, count, self.model.n_joints))
             for k, (chosen, places) in enumerate(self._drive_places):
                 given[chosen, :, k] = weights[places, :count]
-            state = self._state(q, qd, qdd)
+            state = self._list_state(q, qd, qdd)
             for order in self._drive_arguments:
                 up, down = (
                     [x + step if i == order else x for i, x in enumerate(state)]
                     for step in (SMOOTHING.step, -SMOOTHING.step)
                 )
-                slope = self._drive_columns(up) - self._drive_columns(down)
+                slope = self._evaluate_drive_columns(up) - self._evaluate_drive_columns(down)
                 through = np.einsum("csk,csk->sk", given, slope) / (2 * SMOOTHING.step)
                 if order < 3:
                     slopes[order][...] += through
@@ -187,20 +187,21 @@ class Information:
             found.append((own[own >= 0], first + np.flatnonzero(own >= 0)))
         return tuple(found)
 
-    def _drive_columns(self, state: Sequence[Array]) -> Array:
+    def _evaluate_drive_columns(self, state: Sequence[Array]) -> Array:
         """Return smoothed drive columns (columns per joint, N, n); `state`: q, qd, qdd, (load)."""
-        columns = self._exact_drive_columns(state)
+        columns = self._evaluate_exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):
             speed = np.abs(state[1]) + SMOOTHING.smallest_speed
             ahead, behind = (
-                self._exact_drive_columns([state[0], v, *state[2:]])[jumps] for v in (speed, -speed)
+                self._evaluate_exact_drive_columns([state[0], v, *state[2:]])[jumps]
+                for v in (speed, -speed)
             )
             sign = np.tanh(state[1] / self.width)
             columns[jumps] = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
         return columns
 
-    def _exact_drive_columns(self, state: Sequence[Array]) -> Array:
+    def _evaluate_exact_drive_columns(self, state: Sequence[Array]) -> Array:
         drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
         if not any(term.differs_by_joint for term in drive.terms):
             flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
@@ -215,7 +216,7 @@ class Information:
             )
         return columns
 
-    def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
+    def _list_state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
         load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []
         return [q, qd, qdd, *load]
 
@@ -225,7 +226,7 @@ class Information:
         n = self.model.n_joints
         still = np.tile(np.linspace(-1.0, 1.0, 7)[:, None], (1, n))
         ahead, behind = (
-            self._exact_drive_columns(
+            self._evaluate_exact_drive_columns(
                 [still, np.full((7, n), v), *[still] * (1 + self.base.drive.needs_load)]
             )
             for v in (1e-9, -1e-9)
@@ -240,7 +241,7 @@ class Information:
             rng.uniform(0.1, 1.0, (5, self.model.n_joints))
             for _ in range(3 + self.base.drive.needs_load)
         ]
-        reference = self._drive_columns(state)
+        reference = self._evaluate_drive_columns(state)
         moved = [
             [x + 0.05 if i == order else x for i, x in enumerate(state)]
             for order in range(len(state))
@@ -248,7 +249,7 @@ class Information:
         return tuple(
             order
             for order, other in enumerate(moved)
-            if np.any(self._drive_columns(other) != reference)
+            if np.any(self._evaluate_drive_columns(other) != reference)
         )
 
 

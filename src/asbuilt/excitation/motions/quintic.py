@@ -186,10 +186,10 @@ class Quintic(Parametrisation):
     size_name = "way points"
     density = 0.5
 
-    def _times(self) -> Array:
+    def _list_times(self) -> Array:
         return np.linspace(0.0, self.duration, self.size)
 
-    def _parts(self, coefficients: Array) -> tuple[Array, Array, Array]:
+    def _split_coefficients(self, coefficients: Array) -> tuple[Array, Array, Array]:
         m, n = self.size, coefficients.shape[1]
         step = self.duration / (m - 1)
         speed, change = np.zeros((m, n)), np.zeros((m, n))
@@ -203,8 +203,8 @@ class Quintic(Parametrisation):
 
     def motion(self, coefficients: Array) -> Motion:
         """Return the motion through the way points."""
-        q, qd, qdd = self._parts(coefficients)
-        return QuinticMotion.through(q, self._times(), qd, qdd)
+        q, qd, qdd = self._split_coefficients(coefficients)
+        return QuinticMotion.through(q, self._list_times(), qd, qdd)
 
     @property
     def shortest_wave(self) -> float:
