@@ -162,12 +162,14 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         )
         gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
         ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+        # by z: I dw + w x I w + h x a
         b = screw_bar + at
         vx, vy, vz = vector(rows, b)
         vx = vx + dx * ixx + dy * ixy + dz * ixz + gx + ex
         vy = vy + dx * ixy + dy * iyy + dz * iyz + gy + ey
         vz = vz + dx * ixz + dy * iyz + dz * izz + gz + ez
         put(rows, b, vx, vy, vz)
+        # by m: mass a + dw x h + w (w . h) - h (w . w)
         cx, cy, cz = cross(dx, dy, dz, hx, hy, hz)
         vx, vy, vz = vector(rows, b + 3 * BLOCK)
         vx = vx + mass * ax + cx + wx * wh - hx * ww
@@ -176,6 +178,7 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         put(rows, b + 3 * BLOCK, vx, vy, vz)
 
         b = state_bar + at
+        # by w: I w x z + I (z x w) + m (w . h) + h (m . w) - 2 w (m . h)
         cx, cy, cz = cross(lx, ly, lz, zx, zy, zz)
         ux, uy, uz = cross(zx, zy, zz, wx, wy, wz)
         two = mh + mh
@@ -183,12 +186,14 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         vy = cy + ux * ixy + uy * iyy + uz * iyz + my * wh + hy * mw - wy * two
         vz = cz + ux * ixz + uy * iyz + uz * izz + mz * wh + hz * mw - wz * two
         add(rows, b, vx, vy, vz)
+        # by dw: I z + h x m
         cx, cy, cz = cross(hx, hy, hz, mx, my, mz)
         vx, vy, vz = vector(rows, b + 3 * BLOCK)
         vx = vx + zx * ixx + zy * ixy + zz * ixz + cx
         vy = vy + zx * ixy + zy * iyy + zz * iyz + cy
         vz = vz + zx * ixz + zy * iyz + zz * izz + cz
         put(rows, b + 3 * BLOCK, vx, vy, vz)
+        # by a: z x h + mass m
         cx, cy, cz = cross(zx, zy, zz, hx, hy, hz)
         vx, vy, vz = vector(rows, b + 6 * BLOCK)
         put(rows, b + 6 * BLOCK, vx + mass * mx + cx, vy + mass * my + cy, vz + mass * mz + cz)

@@ -13,7 +13,7 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import (
     STANDSTILL,
     Motion,
-    check_limit_array,
+    check_limits_of_pace,
     check_way_points,
 )
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
@@ -124,18 +124,9 @@ class QuinticMotion(PiecewisePolynomial):
         joint attains its limit exactly and the others arrive together with it.
         """
         q = check_way_points(poses, "poses")
-        n = q.shape[1]
-        v, a, j = (
-            check_limit_array(x, n, name)
-            for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
-        )
+        v, a, j = check_limits_of_pace(q.shape[1], velocity, acceleration, jerk, "motion")
         if not (np.isfinite(dwell) and dwell >= 0):
             raise MotionError(f"the dwell must be finite and not negative, got {dwell} s")
-        if not np.all(np.isfinite(np.min([v, a, j], axis=0))):
-            raise MotionError(
-                "a joint without a finite velocity, acceleration or jerk limit has no fastest"
-                " motion; give one for every joint"
-            )
         distance = np.abs(np.diff(q, axis=0))
         distance[distance <= STANDSTILL] = 0.0
         # Largest jerk of the rest-to-rest quintic over unit distance and time, at both ends.
