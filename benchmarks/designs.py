@@ -26,8 +26,8 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.information.efficiency import information_efficiency
 from asbuilt.excitation.information.information import Information, mean_information
+from asbuilt.excitation.information.information_bound import information_efficiency
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain

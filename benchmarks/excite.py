@@ -17,9 +17,8 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.batches import count_cores
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.design import choose_size, design_motion
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
-from asbuilt.excitation.design.fixed_duration import choose_size
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import (

@@ -10,7 +10,7 @@ import pytest
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.information.efficiency import information_efficiency
+from asbuilt.excitation.information.information_bound import information_efficiency
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording

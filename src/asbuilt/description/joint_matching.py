@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
@@ -54,9 +54,7 @@ def match_joints(
     if len(labels) > len(joint_names) and read_label_numbers(labels) is not None:
         raise _make_misfit_error(labels, joint_names, source, robot)
     same_end = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
-    for simplify in (_keep_name, _split_words, _split_significant_words):
-        keys = [simplify(label) for label in labels]
-        wanted = [simplify(name) for name in joint_names]
+    for keys, wanted in _list_keys(labels, joint_names):
         order = [keys.index(key) if keys.count(key) == 1 else -1 for key in wanted]
         if min(order) >= 0 and len(set(order)) == len(order):
             return order, _note_left_out(labels, order, source)
@@ -100,8 +98,7 @@ def find_unlabelled_joints(
     ('finger_joint',)
     """
     same_end = _has_same_end if _are_numbered(labels, joint_names) else _has_same_named_end
-    for simplify in (_keep_name, _split_words, _split_significant_words):
-        keys, wanted = [simplify(each) for each in labels], [simplify(each) for each in joint_names]
+    for keys, wanted in _list_keys(labels, joint_names):
         for fits in (_is_equal, same_end):
             found = [[k for k, want in enumerate(wanted) if fits(key, want)] for key in keys]
             named = [each[0] for each in found if len(each) == 1]
@@ -167,16 +164,17 @@ def _sort_numerically(labels: Sequence[str]) -> list[int] | None:
     return sorted(range(len(labels)), key=lambda k: numbers[k])
 
 
-def _keep_name(name: str) -> tuple[str, ...]:
-    return (name,)
-
-
-def _split_words(name: str) -> tuple[str, ...]:
-    return tuple(split_words(name))
-
-
-def _split_significant_words(name: str) -> tuple[str, ...]:
-    return tuple(word for word in split_words(name) if word not in _GENERIC)
+def _list_keys(
+    labels: Sequence[str], joint_names: Sequence[str]
+) -> Iterator[tuple[list[tuple[str, ...]], list[tuple[str, ...]]]]:
+    """Yield labels and joint names by what they may share: the whole, words, words of meaning."""
+    yield [(name,) for name in labels], [(name,) for name in joint_names]
+    for passed_over in (set[str](), _GENERIC):
+        keys, wanted = (
+            [tuple(w for w in split_words(name) if w not in passed_over) for name in names]
+            for names in (labels, joint_names)
+        )
+        yield keys, wanted
 
 
 def _note_left_out(labels: Sequence[str], order: list[int], source: str) -> tuple[str, ...]:

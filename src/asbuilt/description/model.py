@@ -269,17 +269,23 @@ class RobotModel:
 
         Raises `DescriptionError` where there is none that moves.
         """
-        if name in self.link_names:
-            return self.link_names.index(name), np.eye(4)
+        moving = {each: place for each, place in self.places.items() if place[0] != ROOT}
+        if name not in moving:
+            raise DescriptionError(
+                f"{self.name} has no moving link or frame {name!r}; it has {', '.join(moving)}",
+                value=name,
+                available=[*moving],
+            )
+        return moving[name]
+
+    @property
+    def places(self) -> dict[str, tuple[int, Array]]:
+        """Link and pose (4, 4) in it by name, of the root link (`ROOT`), links and frames."""
+        found = {self.root_link: (ROOT, np.eye(4))}
+        found |= {link.name: (k, np.eye(4)) for k, link in enumerate(self.links)}
         for frame in self.frames:
-            if frame.name == name and frame.link != ROOT:
-                return frame.link, frame.placement
-        names = [*self.link_names, *(frame.name for frame in self.frames if frame.link != ROOT)]
-        raise DescriptionError(
-            f"{self.name} has no moving link or frame {name!r}; it has {', '.join(names)}",
-            value=name,
-            available=names,
-        )
+            found.setdefault(frame.name, (frame.link, frame.placement))
+        return found
 
     @property
     def link_joints(self) -> tuple[int, ...]:
@@ -358,7 +364,12 @@ class RobotModel:
             from asbuilt.description.structure.closure import derive_closure  # noqa: PLC0415
 
             return derive_closure(
-                self.name, self.joints, self.followers, self.loops, self.posture, *self._places
+                self.name,
+                self.moving_joints,
+                self.n_joints,
+                self.loops,
+                self.posture,
+                self.places,
             )
         if all(joint.mimic is None for joint in self.moving_joints):
             return None
@@ -395,27 +406,23 @@ class RobotModel:
 
         Raises `DescriptionError` for another name.
         """
-        places, frames = self._places
-        if name in places:
-            return places[name], np.array(point, dtype=np.float64)
-        for frame in frames:
-            if frame.name == name:
-                at = frame.placement
-                return frame.link, at[:3, :3] @ np.asarray(point) + at[:3, 3]
-        raise DescriptionError(f"{self.name} has no link {name!r}; it has {', '.join(places)}")
-
-    @property
-    def _places(self) -> tuple[dict[str, int], tuple[Frame, ...]]:
-        """The link of each name, `ROOT` for the root, and the frames."""
-        names = {link.name: k for k, link in enumerate(self.links)}
-        return {self.root_link: ROOT} | names, self.frames
+        if name not in self.places:
+            there = ", ".join((self.root_link, *self.link_names))
+            raise DescriptionError(f"{self.name} has no link {name!r}; it has {there}")
+        link, at = self.places[name]
+        return link, at[:3, :3] @ np.asarray(point, dtype=np.float64) + at[:3, 3]
 
     def _set_passive_joints(self) -> None:
         """Take the joints of loops that have no motor for passive."""
         from asbuilt.description.structure.closure import find_passive_joints  # noqa: PLC0415
 
         found = find_passive_joints(
-            self.name, self.joints, self.followers, self.loops, self.posture, *self._places
+            self.name,
+            self.moving_joints,
+            self.n_joints,
+            self.loops,
+            self.posture,
+            self.places,
         )
         object.__setattr__(
             self,
@@ -482,22 +489,24 @@ class RobotModel:
 
     def _set_followers_apart(self) -> None:
         """Move joints that follow others behind those that have a drive."""
-        found = separate_followers(self.name, self.joints, self.followers, self.links, self.frames)
+        parts, driven, notes = separate_followers(
+            self.name, self.joints, self.followers, self.links, self.frames
+        )
         if self.motor_coupling is not None:
             T = np.asarray(self.motor_coupling)
-            behind = [k for k in range(len(self.joints)) if k not in found.driven]
+            behind = [k for k in range(len(self.joints)) if k not in driven]
             if T.shape == (len(self.joints),) * 2:
                 if not np.array_equal(T[behind], np.eye(len(T))[behind]) or np.any(
-                    T[np.ix_(found.driven, behind)]
+                    T[np.ix_(driven, behind)]
                 ):
                     raise DescriptionError(
                         f"{self.name}: motor_coupling names joint {self.joints[behind[0]].name!r},"
                         " which follows another and has no motor; leave it out"
                     )
-                object.__setattr__(self, "motor_coupling", T[np.ix_(found.driven, found.driven)])
-        for name in ("joints", "followers", "links", "frames"):
-            object.__setattr__(self, name, getattr(found, name))
-        new = tuple(note for note in found.notes if note not in self.notes)
+                object.__setattr__(self, "motor_coupling", T[np.ix_(driven, driven)])
+        for name, part in parts.items():
+            object.__setattr__(self, name, part)
+        new = (note for note in notes if note not in self.notes)
         object.__setattr__(self, "notes", (*self.notes, *new))
 
     @property
@@ -540,8 +549,7 @@ class RobotModel:
         """
         if self.coupling is None:
             return q
-        flat = np.reshape(q, (-1, self.n_joints))
-        return self.link_motion(flat).q.reshape(*np.shape(q)[:-1], -1)
+        return self.link_motion(np.reshape(q, (-1, self.n_joints))).q.reshape(*np.shape(q)[:-1], -1)
 
     def link_motion(
         self, q: Array, qd: Array | None = None, qdd: Array | None = None

@@ -134,8 +134,7 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Array:
     Each row of `4 q q^T`, read off the rotation matrix, is q times a component; the row of the
     largest is taken (Shepperd, 1978).
     """
-    R = np.asarray(rotation, dtype=np.float64)
-    (a, b, c), (d, e, f), (g, h, i) = R
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=np.float64)
     rows = np.array(
         [
             [1 + a + e + i, h - f, c - g, d - b],

@@ -1,6 +1,11 @@
-"""Generalised momentum of a robot."""
+"""Generalised momentum of a robot and the gradient of its kinetic energy, and first-order lags.
+
+With the twist `V` of a joint frame, the momentum `H` of all that the joint carries, seen from that
+frame, and the axis `S`: `p = S . H` and `dT/dq = -H . (S x V)`.
+"""
 
 # mypy: allow-untyped-calls
+# mypy: allow-untyped-defs
 
 from __future__ import annotations
 
@@ -11,9 +16,108 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.compilation import kernel, part
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.batches import inertial_parameters, shape_joint_samples
-from asbuilt.dynamics.kernels import momentum as kernels
+
+
+@part
+def _carry_twist_into(placement, w, v, out):
+    """Write the twist (w, v) of a frame as the twist of a frame at `placement` in it."""
+    x = v[0] + w[1] * placement[2, 3] - w[2] * placement[1, 3]
+    y = v[1] + w[2] * placement[0, 3] - w[0] * placement[2, 3]
+    z = v[2] + w[0] * placement[1, 3] - w[1] * placement[0, 3]
+    for k in range(3):
+        out[k] = placement[0, k] * w[0] + placement[1, k] * w[1] + placement[2, k] * w[2]
+        out[3 + k] = placement[0, k] * x + placement[1, k] * y + placement[2, k] * z
+
+
+@part
+def _carry_momentum_out(placement, n, f, out):
+    """Write the momentum (n, f) of a frame at `placement` as that about the frame it is in."""
+    for k in range(3):
+        out[k] = placement[k, 0] * n[0] + placement[k, 1] * n[1] + placement[k, 2] * n[2]
+        out[3 + k] = placement[k, 0] * f[0] + placement[k, 1] * f[1] + placement[k, 2] * f[2]
+    px, py, pz = placement[0, 3], placement[1, 3], placement[2, 3]
+    out[0] += py * out[5] - pz * out[4]
+    out[1] += pz * out[3] - px * out[5]
+    out[2] += px * out[4] - py * out[3]
+
+
+@part
+def _turn(c, s, six):
+    """Turn two vectors about z by the angle of cosine c and sine s."""
+    for k in (0, 3):
+        x, y = six[k], six[k + 1]
+        six[k], six[k + 1] = c * x - s * y, s * x + c * y
+
+
+@part
+def _add_link_momentum(chi, twist, out):
+    """Write moment `I w + h x v` and force `m v - h x w` of a link."""
+    wx, wy, wz, vx, vy, vz = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
+    hx, hy, hz, m = chi[6], chi[7], chi[8], chi[9]
+    out[0] += chi[0] * wx + chi[1] * wy + chi[2] * wz + hy * vz - hz * vy
+    out[1] += chi[1] * wx + chi[3] * wy + chi[4] * wz + hz * vx - hx * vz
+    out[2] += chi[2] * wx + chi[4] * wy + chi[5] * wz + hx * vy - hy * vx
+    out[3] += m * vx - hy * wz + hz * wy
+    out[4] += m * vy - hz * wx + hx * wz
+    out[5] += m * vz - hx * wy + hy * wx
+
+
+@kernel("i1 b1 f3 f3 f2 f2 f2 F2 F2")
+def write_momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
+    """Write `p = M qd` and `C^T qd = dT/dq` (N, n) of states (N, n)."""
+    samples, n = q.shape
+    at_joint, of_link, carried = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+    moved, still = np.zeros(6), np.zeros(6)
+    for k in range(samples):
+        carried[:] = 0.0
+        for i in range(n):
+            above = still if parents[i] < 0 else of_link[parents[i]]
+            twist = at_joint[i]
+            _carry_twist_into(before[i], above[:3], above[3:], twist)
+            if revolute[i]:
+                _turn(np.cos(q[k, i]), -np.sin(q[k, i]), twist)
+                twist[2] += qd[k, i]
+            else:
+                twist[3] += twist[1] * q[k, i]
+                twist[4] -= twist[0] * q[k, i]
+                twist[5] += qd[k, i]
+            _carry_twist_into(after[i], twist[:3], twist[3:], of_link[i])
+            _add_link_momentum(chi[i], of_link[i], carried[i])
+        for i in range(n - 1, -1, -1):
+            _carry_momentum_out(after[i], carried[i, :3], carried[i, 3:], moved)
+            twist = at_joint[i]
+            along = moved[3] * -twist[1] + moved[4] * twist[0]
+            if revolute[i]:
+                p[k, i] = moved[2]
+                along = moved[0] * -twist[1] + moved[1] * twist[0]
+                along += moved[3] * -twist[4] + moved[4] * twist[3]
+                _turn(np.cos(q[k, i]), np.sin(q[k, i]), moved)
+            else:
+                p[k, i] = moved[5]
+                moved[0] -= q[k, i] * moved[4]
+                moved[1] += q[k, i] * moved[3]
+            gradient[k, i] = -along
+            if parents[i] >= 0:
+                _carry_momentum_out(before[i], moved[:3], moved[3:], at_joint[i])
+                for c in range(6):
+                    carried[parents[i], c] += at_joint[i, c]
+
+
+@kernel("f1 f2 f1 F2")
+def write_lag(share, x, start, out):
+    """Write `y_k = y_(k-1) + share_k (x_k - y_(k-1))` from `start`, for x (N, m), share (N,).
+
+    A negative share starts again at zero.
+    """
+    samples, m = x.shape
+    for j in range(m):
+        y = start[j]
+        for k in range(samples):
+            y = 0.0 if share[k] < 0.0 else y + share[k] * (x[k, j] - y)
+            out[k, j] = y
 
 
 def generalised_momentum(
@@ -62,7 +166,7 @@ class Momentum:
         moved = None if coupling is None else coupling.motion(q, qd)
         state = (q, qd) if moved is None else (moved.q, moved.qd)
         p, gradient = np.empty(state[0].shape), np.empty(state[0].shape)
-        kernels.momentum(*self._mechanism, self._chi, *state, p, gradient)
+        write_momentum(*self._mechanism, self._chi, *state, p, gradient)
         if coupling is None or moved is None:
             return p, gradient
         own, turning = moved.torques(gradient), coupling.derivatives(q, qd, np.zeros_like(q))
@@ -90,5 +194,5 @@ def apply_lag(share: Array, x: Array, start: Array | None = None) -> Array:
     """
     out = np.empty(x.shape)
     begin = np.zeros(x.shape[1]) if start is None else np.array(start, dtype=np.float64)
-    kernels.lag(share, np.ascontiguousarray(x), begin, out)
+    write_lag(share, np.ascontiguousarray(x), begin, out)
     return out

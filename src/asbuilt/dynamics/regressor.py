@@ -8,9 +8,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.couplings import Coupling
@@ -76,13 +76,12 @@ def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -
     turning = np.where(
         drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None]
     )
-    drives = turning.reshape(n, -1)
-    mask = np.concatenate([links, drives], axis=1)
+    mask = np.concatenate([links, turning.reshape(n, -1)], axis=1)
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
 
 
 @lru_cache(maxsize=16)
-def _find_moving_coordinates(model: RobotModel) -> NDArray[np.bool_]:
+def _find_moving_coordinates(model: RobotModel) -> Mask:
     """Return which coordinates move which links of the tree, (n_links + 1, n), the root first."""
     tree, shares = model.tree, model.link_shares[list(model.link_order)] != 0.0
     moves = np.zeros((model.n_links + 1, model.n_joints), dtype=bool)
@@ -279,7 +278,7 @@ class RegressorPlan:
         if self.model.contacts:
             target[...] = 0.0  # every joint has all rows, and kernels write those that can be other
         self._write(inputs, target, NO_COLUMNS, threads)
-        for _, rows_of_drive, columns in self._drive_columns(*inputs):
+        for _, rows_of_drive, columns in self._yield_drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns
         return self.joint_rows(target, n_samples)
 
@@ -287,19 +286,30 @@ class RegressorPlan:
         self, inputs: Sequence[Array], target: Array, columns: Indices, threads: int | None
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
-        evaluate, places, coupling = rigid_body.regressor, self.places, self.model.coupling
-        robot: tuple[object, ...] = build_layout(self.model.tree).arrays
+        places, coupling, shares = self.places, self.model.coupling, np.eye(self.model.n_joints)
         if coupling is not None:
-            evaluate = rigid_body.coupled_rows
             places = np.ascontiguousarray(places[:, coupling.order])
             moved = coupling.motion(*inputs)
-            inputs = moved.q, moved.qd, moved.qdd
-            robot = *robot, flatten_array(moved.shares), _find_moving_coordinates(self.model)
+            inputs, shares = (moved.q, moved.qd, moved.qdd), moved.shares
+        layout, moves = build_layout(self.model.tree), _find_moving_coordinates(self.model)
+        robot = layout.codes, layout.placements, layout.gravity, layout.n_slots
         vectors = [flatten_array(array) for array in inputs]
         rows, width = target.reshape(-1), target.shape[1]
 
         def work(start: int, stop: int) -> None:
-            evaluate(*robot, places, self.bounds, columns, *vectors, start, stop, rows, width)
+            rigid_body.regressor(
+                *robot,
+                flatten_array(shares),
+                moves,
+                places,
+                self.bounds,
+                columns,
+                *vectors,
+                start,
+                stop,
+                rows,
+                width,
+            )
 
         run_over_samples(work, inputs[0].shape[0], threads)
 
@@ -321,7 +331,7 @@ class RegressorPlan:
             order[first:stop] = positions
         matrix = np.zeros((n_samples * n, self.columns.size))
         self._write(inputs, matrix, order, threads)
-        for k, rows_of_drive, columns in self._drive_columns(*inputs):
+        for k, rows_of_drive, columns in self._yield_drive_columns(*inputs):
             matrix.reshape(n_samples, n, matrix.shape[1])[:, k, order[rows_of_drive]] = columns.T
         return matrix
 
@@ -338,7 +348,7 @@ class RegressorPlan:
             )
         return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
-    def _drive_columns(
+    def _yield_drive_columns(
         self, q: Array, qd: Array, qdd: Array
     ) -> Iterator[tuple[int, Some | int, Array]]:
         """Yield joint, rows and values of the chosen drive columns.

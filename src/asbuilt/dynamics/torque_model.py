@@ -83,14 +83,14 @@ class TorqueModel:
             torque = self._one.torque(*(array[0] for array in state))
         if torque is None:
             rigid = inverse_dynamics(self.model, *state, parameters=self.parameters)
-            torque = rigid + self._friction(state, rigid)
+            torque = rigid + self._evaluate_friction(state, rigid)
         return torque.reshape(np.shape(q))
 
     def friction(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
         """Return the torques of the drive terms alone [N m or N], shape of `q`."""
         state = shape_joint_samples(self.model, q=q, qd=qd, qdd=qdd)
         rigid = inverse_dynamics(self.model, *state, parameters=self.parameters)
-        return self._friction(state, rigid).reshape(np.shape(q))
+        return self._evaluate_friction(state, rigid).reshape(np.shape(q))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Return the torques `g(q)` that hold the rigid bodies at rest [N m or N], shape of `q`."""
@@ -106,6 +106,6 @@ class TorqueModel:
             return matrix
         return mass_matrix(self.model, q, parameters=self.parameters)
 
-    def _friction(self, state: tuple[Array, ...], rigid: Array) -> Array:
+    def _evaluate_friction(self, state: tuple[Array, ...], rigid: Array) -> Array:
         shares = self.model.motor_shares
         return drive_torque(self.drive, self.values, *state, load=rigid, shares=shares)

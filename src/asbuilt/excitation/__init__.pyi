@@ -6,11 +6,11 @@ from .design.static_poses import StaticDesign as StaticDesign
 from .design.static_poses import design_static_poses as design_static_poses
 from .design_findings import design_findings as design_findings
 from .information.criteria import Criterion as Criterion
-from .information.efficiency import InformationEfficiency as InformationEfficiency
-from .information.efficiency import information_efficiency as information_efficiency
 from .information.information import Information as Information
 from .information.information_bound import InformationBound as InformationBound
+from .information.information_bound import InformationEfficiency as InformationEfficiency
 from .information.information_bound import information_bound as information_bound
+from .information.information_bound import information_efficiency as information_efficiency
 from .limits import LimitReport as LimitReport
 from .limits import MotionBounds as MotionBounds
 from .limits import check_motion as check_motion

@@ -10,8 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import Joint, RobotModel
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion
 from asbuilt.findings import Cure
@@ -207,7 +207,7 @@ class LimitReport:
         worst = violations[0]
         others = f" ({len(violations) - 1} more limits are violated)" if len(violations) > 1 else ""
         raise MotionError(
-            f"{worst}; {_word_cure(violations)}{others}",
+            f"{worst}; {_write_cure(violations)}{others}",
             joint=worst.joint,
             time=worst.time,
             value=worst.value,
@@ -246,11 +246,7 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
     values = {quantity: motion.derivative(t, order) for order, quantity in enumerate(known)}
     if np.any(np.isfinite(bounds.torque)):
         state = (values["position"], values["velocity"], values["acceleration"])
-        rigid = inverse_dynamics(model, *state)
-        drive, drive_values = described_drive(model)
-        values["torque"] = rigid + drive_torque(
-            drive, drive_values, *state, load=rigid, shares=model.motor_shares
-        )
+        values["torque"] = TorqueModel(model, *described_drive(model))(*state)
     margins = [
         found
         for quantity, x in values.items()
@@ -314,8 +310,7 @@ def refuse_open_postures(model: RobotModel) -> None:
     low, high = bounds.lower, bounds.upper
     corners = [np.where(ends, high, low) for ends in product((False, True), repeat=min(n, 7))]
     corners = corners if n <= 7 else []
-    inside = np.random.default_rng(0).uniform(low, high, (TRIED, n))
-    q = np.vstack([*corners, inside])
+    q = np.vstack([*corners, np.random.default_rng(0).uniform(low, high, (TRIED, n))])
     open_at = np.flatnonzero(~closure.postures(q).closed)
     if not open_at.size:
         return
@@ -336,7 +331,7 @@ def refuse_open_postures(model: RobotModel) -> None:
     )
 
 
-def _word_cure(violations: tuple[LimitMargin, ...]) -> str:
+def _write_cure(violations: tuple[LimitMargin, ...]) -> str:
     orders = {quantity: order for order, quantity in enumerate(QUANTITIES) if order > 0}
     needed = [
         abs(v.value / v.limit) ** (1 / orders[v.quantity])

@@ -74,10 +74,11 @@ class TorqueLimit(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque over its limit, (N, models x limited joints)."""
-        torque = self._rigid(q, qd, qdd)
+        torque = self._evaluate_rigid(q, qd, qdd)
         if self._drive:
             torque = torque + np.stack(
-                [self._friction(q, qd, qdd, load) for load in self._loads(torque)], axis=1
+                [self._evaluate_friction(q, qd, qdd, load) for load in self._list_loads(torque)],
+                axis=1,
             )
         return (torque / self._limit)[:, :, self._finite].reshape(len(q), -1)
 
@@ -89,8 +90,8 @@ class TorqueLimit(StateConstraint):
         slopes = torque_derivatives(self._model, q, qd, qdd, self._parameters)
         if self._drive:
             through = [
-                self._friction_slopes(q, qd, qdd, load)
-                for load in self._loads(self._rigid(q, qd, qdd))
+                self._differentiate_friction(q, qd, qdd, load)
+                for load in self._list_loads(self._evaluate_rigid(q, qd, qdd))
             ]
             by_load = np.stack([slope[..., 3] for slope in through], axis=1)
             slopes = (
@@ -101,13 +102,13 @@ class TorqueLimit(StateConstraint):
         limited: Array = slopes[:, :, self._finite] / self._limit[self._finite, None, None]
         return limited.reshape(len(q), -1, *limited.shape[3:])
 
-    def _loads(self, torque: Array) -> list[Array]:
+    def _list_loads(self, torque: Array) -> list[Array]:
         """Return the loads of the friction: one for every description, or one for all."""
         return [
             torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)
         ]
 
-    def _rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
+    def _evaluate_rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque of the rigid bodies of every description, (N, models, n)."""
         if len(self._parameters) == 1:
             return inverse_dynamics(self._model, q, qd, qdd, threads=1)[:, None]
@@ -120,7 +121,7 @@ class TorqueLimit(StateConstraint):
             axis=2,
         )
 
-    def _friction_slopes(self, *state: Array) -> Array:
+    def _differentiate_friction(self, *state: Array) -> Array:
         """Return the derivatives of friction k by q, qd, qdd and load of joint j, (N, k, j, 4)."""
         n = state[0].shape[1]
         coupled = bool(self._drive.of_motor.any())
@@ -136,27 +137,26 @@ class TorqueLimit(StateConstraint):
                     [x + step * way if i == order else x for i, x in enumerate(state)]
                     for step in (STEP, -STEP)
                 )
-                slope = (self._friction(*up) - self._friction(*down)) / (2 * STEP)
+                slope = (self._evaluate_friction(*up) - self._evaluate_friction(*down)) / (2 * STEP)
                 found[..., order] += slope[:, :, None] * pattern
         return found
 
-    def _friction(self, q: Array, qd: Array, qdd: Array, load: Array) -> Array:
+    def _evaluate_friction(self, q: Array, qd: Array, qdd: Array, load: Array) -> Array:
         if not self._drive:
             return np.zeros_like(q)
         if self._drive.of_motor.any():
-            return self._exact_friction(q, qd, qdd, load)
+            return self._evaluate_exact_friction(q, qd, qdd, load)
         # Width over which the sign in described friction is smoothed for derivatives [rad/s or
         # m/s].
         sign = np.tanh(qd / 0.02)
         away = np.abs(qd) + 1e-12
         ahead, behind = (
-            self._exact_friction(q, away, qdd, load),
-            self._exact_friction(q, -away, qdd, load),
+            self._evaluate_exact_friction(q, away, qdd, load),
+            self._evaluate_exact_friction(q, -away, qdd, load),
         )
-        mixed: Array = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
-        return mixed
+        return np.asarray(0.5 * ((1 + sign) * ahead + (1 - sign) * behind))
 
-    def _exact_friction(self, *state: Array) -> Array:
+    def _evaluate_exact_friction(self, *state: Array) -> Array:
         """Return the drive torque (N, n), of all joints at once if only their values differ."""
         if self._differ or self._drive.of_motor.any():
             return drive_torque(
@@ -168,10 +168,9 @@ class TorqueLimit(StateConstraint):
             )
         q, qd, qdd, load = (np.ascontiguousarray(x).reshape(-1) for x in state)
         columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
-        friction: Array = np.einsum(
-            "csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1)
+        return np.asarray(
+            np.einsum("csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1))
         )
-        return friction
 
 
 class WeightLimit(TorqueLimit):
@@ -205,8 +204,7 @@ class PowerLimit(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the power over its limit, (N, limited joints)."""
-        power: Array = self._torque.values(q, qd, qdd) * qd[:, self._finite]
-        return power
+        return np.asarray(self._torque.values(q, qd, qdd) * qd[:, self._finite])
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the values by the product rule, (N, limited joints, n, 3)."""

@@ -14,8 +14,11 @@ from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
-from asbuilt.excitation.information.efficiency import InformationEfficiency, information_efficiency
 from asbuilt.excitation.information.information import complete_limits
+from asbuilt.excitation.information.information_bound import (
+    InformationEfficiency,
+    information_efficiency,
+)
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording

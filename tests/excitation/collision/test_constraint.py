@@ -115,7 +115,7 @@ def test_derivatives_are_central_differences(guard) -> None:
     box = ToolBox(model, np.array([-0.5, -0.5, 0.1]), np.array([0.5, 0.6, 1.1]))
     q = np.random.default_rng(2).uniform(-1.5, 1.5, (80, 7))
     rest = np.zeros_like(q)
-    clear = watch._distances(q)[0].min(axis=1) > 0.0
+    clear = watch._measure_distances(q)[0].min(axis=1) > 0.0
     for constraint, which in ((watch, clear), (box, slice(None))):
         found = constraint.slopes(q, rest, rest)
         for j in range(7):

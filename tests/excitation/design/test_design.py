@@ -13,12 +13,11 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.design import choose_size, design_motion
 from asbuilt.excitation.design.designed_motion import locate_base_parameter
-from asbuilt.excitation.design.fixed_duration import choose_size
 from asbuilt.excitation.design.multistart import Candidate, Deadline, SearchProgress, search_all
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.information.efficiency import information_efficiency
+from asbuilt.excitation.information.information_bound import information_efficiency
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS
 from asbuilt.excitation.motions.random_motion import random_fourier

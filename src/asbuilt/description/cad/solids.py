@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -13,7 +13,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.cad.meshes import MeshSolid, read_mesh
-from asbuilt.description.formats.xml import described_text, parse_xml, read_extents, read_numbers
+from asbuilt.description.formats.xml import (
+    described_text,
+    parse_xml,
+    read_extents,
+    read_numbers,
+    read_origin,
+)
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
@@ -63,14 +69,12 @@ def read_solids(
             f"{model.name} does not come from a URDF file, so it has no geometry; give the mass"
             " properties as a table"
         )
-    poses = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
-    poses |= {frame.name: (frame.link, frame.placement) for frame in model.frames}
     searched = [*folders, path.parent, *Path(os.path.realpath(path)).parent.parents]
     other: GeometryKind = "collision" if prefer == "visual" else "visual"
     found = []
     for element in root.findall("link"):
         name = (element.get("name") or "").strip()
-        link, pose = poses.get(name, (ROOT, np.eye(4)))
+        link, pose = model.places.get(name, (ROOT, np.eye(4)))
         if link == ROOT:
             continue
         solids = [
@@ -117,7 +121,8 @@ def _read_solid(
         if solid is None:
             missing.append(geometry[0].get("filename", geometry[0].tag))
             continue
-        whole = pose @ _read_origin(body, place)
+        xyz, rpy = read_origin(body.find("origin"), place)
+        whole = pose @ placement(rotation_from_rpy(rpy), xyz)
         corners = solid.corners @ whole[:3, :3].T + whole[:3, 3]
         bodies.append(MeshSolid(solid.inertia.moved(whole), corners, solid.doubts, solid.closed))
     if not bodies and not missing:
@@ -133,16 +138,6 @@ def _read_solid(
         all(each.closed for each in bodies),
         tuple(missing),
     )
-
-
-def _read_origin(body: Element, place: str) -> Array:
-    origin = body.find("origin")
-    given: Mapping[str, str] = {} if origin is None else origin.attrib
-    xyz, rpy = (
-        read_numbers(origin, key, 3, place) if origin is not None and key in given else [0.0] * 3
-        for key in ("xyz", "rpy")
-    )
-    return placement(rotation_from_rpy(rpy), xyz)
 
 
 def _read_body(shape: Element, place: str, folders: Sequence[Path]) -> MeshSolid | None:

@@ -60,7 +60,7 @@ class Actuators:
         for actuator in self.of(joint):
             gear = abs(float(m.actuator_gear[actuator, 0]))
             if m.actuator_forcelimited[actuator]:
-                bias = self._constant(actuator)
+                bias = self._read_constant(actuator)
                 most = float(np.abs(m.actuator_forcerange[actuator] - bias).max())
                 found = min(found, most * gear)
             if m.actuator_ctrllimited[actuator] and self.is_motor(actuator):
@@ -81,9 +81,9 @@ class Actuators:
         """Return the torque that the drive of a joint lacks at rest, None if there is none."""
         m = self.model
         held = [k for k in self.of(joint) if self.is_motor(k) or self.is_servo(k)]
-        return -sum(self._constant(k) * float(m.actuator_gear[k, 0]) for k in held) or None
+        return -sum(self._read_constant(k) * float(m.actuator_gear[k, 0]) for k in held) or None
 
-    def _constant(self, actuator: int) -> float:
+    def _read_constant(self, actuator: int) -> float:
         """Return the part of an actuator's force that depends on nothing."""
         m, kinds = self.model, self.mujoco
         affine = m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE

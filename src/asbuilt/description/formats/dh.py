@@ -101,23 +101,21 @@ def robot_from_dh(
             " or 'modified'"
         )
     lengths: dict[str, float] = {}
-    remarks = list(notes)
-    joints, links = [], []
+    remarks, joints = list(notes), []
     for i, row in enumerate(rows):
         joints.append(build_dh_joint(row, i, convention, remarks))
         lengths |= dh_lengths(row, i)
-        inertia = row.inertia if row.inertia is not None else LinkInertia.zero()
-        links.append(
-            Link(
-                name=row.link or f"link_{i + 1}",
-                inertia=inertia,
-                inertia_known=row.inertia is not None,
-            )
-        )
     return RobotModel(
         name=name,
         joints=tuple(joints),
-        links=tuple(links),
+        links=tuple(
+            Link(
+                name=row.link or f"link_{i + 1}",
+                inertia=row.inertia or LinkInertia.zero(),
+                inertia_known=row.inertia is not None,
+            )
+            for i, row in enumerate(rows)
+        ),
         gravity=np.asarray(gravity, dtype=np.float64),
         root_link=root_link,
         frames=tuple(frames),

@@ -10,8 +10,8 @@ from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import (
     Contact,
@@ -223,13 +223,13 @@ def _read_symbols(document: Any) -> Symbols | None:
     )
 
 
-def _read_array(values: Any) -> NDArray[np.float64]:
+def _read_array(values: Any) -> Array:
     return np.array(values, dtype=np.float64)
 
 
-def _read_optional_array(values: Any) -> NDArray[np.float64] | None:
+def _read_optional_array(values: Any) -> Array | None:
     return None if values is None else _read_array(values)
 
 
-def _list(values: NDArray[np.float64] | None) -> list[Any] | None:
+def _list(values: Array | None) -> list[Any] | None:
     return None if values is None else values.tolist()

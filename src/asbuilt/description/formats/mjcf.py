@@ -99,8 +99,8 @@ def read_mjcf(
         raise MissingExtraError("mujoco", "sim", "reading MJCF") from None
     if base != "fixed":
         free_mjcf(root, base, source)
-    unknown = _without_shapes(root, source)
-    held = _without_free_joints(root) if fixed_base else []
+    unknown = _remove_shapes(root, source)
+    held = _remove_free_joints(root) if fixed_base else []
     compiled, warnings = _compile_model(mujoco, root, source)
     tree = _Tree(mujoco, compiled, source, unknown)
     tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
@@ -171,7 +171,7 @@ def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any,
     return compiled, warnings
 
 
-def _without_shapes(root: Element, source: str) -> set[str]:
+def _remove_shapes(root: Element, source: str) -> set[str]:
     """Take out what needs files, and return the names of the bodies whose inertia went with it."""
     included = next(root.iter("include"), None)
     if included is not None:
@@ -235,7 +235,7 @@ def _without_shapes(root: Element, source: str) -> set[str]:
     return unknown
 
 
-def _without_free_joints(root: Element) -> list[str]:
+def _remove_free_joints(root: Element) -> list[str]:
     """Take out the free joints, and return the names of their bodies."""
     held = []
     for body in root.iter("body"):

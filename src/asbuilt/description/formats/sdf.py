@@ -22,6 +22,7 @@ from asbuilt.description.formats.xml import (
     close_match,
     described_text,
     find_outermost_tag,
+    parse_numbers,
     parse_xml,
 )
 from asbuilt.description.model import Loop, RobotModel
@@ -95,13 +96,13 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         raise DescriptionError(f"{source}: the outermost element is <{root.tag}>, expected <sdf>")
     model = _find_only_model(root, source)
     closing = _find_closing_joints(model, source)
-    robot = read_urdf(tostring(_as_urdf(model, source, closing)))
+    robot = read_urdf(tostring(_build_urdf(model, source, closing)))
     gravity = root.find("world/gravity")
     turned = np.eye(3) if model.find("pose") is None else _read_pose(model, source)[:3, :3]
     free_fall = (
         np.asarray(robot.gravity)
         if gravity is None
-        else _parse_numbers(gravity.text, 3, f"{source}: <gravity>")
+        else np.array(parse_numbers(gravity.text or "", 3, f"{source}: <gravity>"))
     )
     loops = _read_loops(closing, _read_frames(model, source), source)
     return replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops).closed()
@@ -170,7 +171,7 @@ def _find_only_model(root: Element, source: str) -> Element:
     return model
 
 
-def _as_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
+def _build_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
     frames = _read_frames(model, source)
     robot = Element("robot", name=str(model.get("name") or "robot"))
     children = {_read_text(joint, "child", source) for joint in model.findall("joint")}
@@ -265,7 +266,7 @@ def _read_direction(axis: Element, frames: _Frames, name: str, place: str) -> Ar
     xyz = axis.find("xyz")
     direction = np.array([0.0, 0.0, 1.0])
     if xyz is not None:
-        direction = _parse_numbers(xyz.text, 3, f"{place}: <xyz>")
+        direction = np.array(parse_numbers(xyz.text or "", 3, f"{place}: <xyz>"))
         frame = xyz.get("expressed_in")
         if frame or _read_text(axis, "use_parent_model_frame", place, "false") in ("true", "1"):
             turned = frames.pose(name)[:3, :3].T @ frames.pose(frame or MODEL)[:3, :3]
@@ -337,16 +338,9 @@ def _read_pose(element: Element, place: str) -> Array:
         return np.eye(4)
     if pose.get("rotation_format") not in (None, "euler_rpy"):
         raise DescriptionError(f"{place}: the rotation of <pose> must be given as euler_rpy")
-    values = _parse_numbers(pose.text, 6, f"{place}: <pose>")
+    values = parse_numbers(pose.text or "", 6, f"{place}: <pose>")
     angles = np.deg2rad(values[3:]) if pose.get("degrees") in ("true", "1") else values[3:]
     return placement(rotation_from_rpy(angles), values[:3])
-
-
-def _parse_numbers(text: str | None, count: int, what: str) -> Array:
-    cells = (text or "").split()
-    if len(cells) != count:
-        raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
-    return np.array([parse_finite_number(cell, what) for cell in cells])
 
 
 def _read_text(element: Element, tag: str, place: str, default: str | None = None) -> str:

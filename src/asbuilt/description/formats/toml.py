@@ -232,7 +232,7 @@ def _build_model(file: RobotFile, source: str) -> RobotModel:
                 placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0],
             )
         )
-    coupled = _with_passive(
+    coupled = _mark_passive(
         couple_joints(joints, _read_motors(file), _read_moved_joints(file)), file
     )
     return RobotModel(
@@ -265,7 +265,7 @@ def _extend_description(file: RobotFile, source: str, folder: Path | None) -> Ro
         raise DescriptionError(f"extends names {path}, which is no description in a known format")
     model = found.read(path)
     every, links, frames = model.in_tree_order()
-    joints = _with_passive(couple_joints(every, _read_motors(file), _read_moved_joints(file)), file)
+    joints = _mark_passive(couple_joints(every, _read_motors(file), _read_moved_joints(file)), file)
     changes = {
         name: getattr(file, name)
         for name in ("name", "citation", "usual_drive")
@@ -333,7 +333,7 @@ def _read_moved_joints(file: RobotFile) -> dict[str, Mimic]:
     return found
 
 
-def _with_passive(joints: Sequence[Joint], file: RobotFile) -> tuple[Joint, ...]:
+def _mark_passive(joints: Sequence[Joint], file: RobotFile) -> tuple[Joint, ...]:
     """Return the joints with those that the file names as passive."""
     names = [joint.name_in_tree for joint in joints]
     for name in file.passive:

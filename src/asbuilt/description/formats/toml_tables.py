@@ -53,7 +53,7 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-def _with_d(schema: dict[str, Any]) -> None:
+def _add_d(schema: dict[str, Any]) -> None:
     """Add the other name of `b` to the schema of a Denavit-Hartenberg row."""
     schema["properties"]["d"] = schema["properties"]["b"]
 
@@ -61,7 +61,7 @@ def _with_d(schema: dict[str, Any]) -> None:
 class DHTable(_Table):
     """Lengths [m] and angles of a Denavit-Hartenberg row; `d` is another name of `b`."""
 
-    model_config = ConfigDict(json_schema_extra=_with_d)
+    model_config = ConfigDict(json_schema_extra=_add_d)
 
     a: Finite = 0.0
     alpha: Finite = 0.0

@@ -18,6 +18,7 @@ from asbuilt.description.formats.xml import (
     parse_xml,
     read_number,
     read_numbers,
+    read_origin,
     require_attribute,
 )
 from asbuilt.description.inertia import LinkInertia
@@ -122,7 +123,7 @@ def read_urdf(
             f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>",
         ),
     )
-    held = _without_floating_joints(root) if fixed_base else []
+    held = _fix_floating_joints(root) if fixed_base else []
     if base != "fixed":
         free_urdf(root, base, source)
     notes = [f"the floating joint {name!r} is held at its origin" for name in held]
@@ -160,15 +161,7 @@ def _find_only(element: Element, tag: str, place: str, notes: list[str]) -> Elem
 
 
 def _read_origin(element: Element, place: str, notes: list[str], straighten: bool) -> Array:
-    origin = _find_only(element, "origin", place, notes)
-    if origin is None:
-        return np.eye(4)
-    xyz = (
-        read_numbers(origin, "xyz", 3, place) if origin.get("xyz") is not None else [0.0, 0.0, 0.0]
-    )
-    rpy = (
-        read_numbers(origin, "rpy", 3, place) if origin.get("rpy") is not None else [0.0, 0.0, 0.0]
-    )
+    xyz, rpy = read_origin(_find_only(element, "origin", place, notes), place)
     if straighten:
         rpy = [
             straighten_angle(value, f"{name} of {place}", notes)
@@ -430,7 +423,7 @@ def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
     )
 
 
-def _without_floating_joints(root: Element) -> list[str]:
+def _fix_floating_joints(root: Element) -> list[str]:
     """Make floating joints fixed, and return their names."""
     floating = [each for each in root.findall("joint") if each.get("type") == "floating"]
     for each in floating:

@@ -134,11 +134,26 @@ def read_numbers(element: Element, attribute: str, count: int, place: str) -> li
     Raises `DescriptionError` with place and value.
     """
     text = require_attribute(element, attribute, place)
-    what = f"{place}: {attribute} of <{element.tag}>"
+    return parse_numbers(text, count, f"{place}: {attribute} of <{element.tag}>")
+
+
+def parse_numbers(text: str, count: int, what: str) -> list[float]:
+    """Return the `count` finite numbers of a text, separated by blanks."""
     cells = text.split()
     if len(cells) != count:
         raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
     return [parse_finite_number(cell, what) for cell in cells]
+
+
+def read_origin(origin: Element | None, place: str) -> tuple[list[float], list[float]]:
+    """Return `xyz` and `rpy` of an `<origin>`, zeros where they are not given."""
+    xyz, rpy = (
+        read_numbers(origin, key, 3, place)
+        if origin is not None and origin.get(key) is not None
+        else [0.0, 0.0, 0.0]
+        for key in ("xyz", "rpy")
+    )
+    return xyz, rpy
 
 
 def read_extents(element: Element, attribute: str, count: int, place: str) -> list[float]:

@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Indices, read_only
+from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
 from asbuilt.description.structure.couplings import TreeMotion, derive_linear_part
 from asbuilt.description.structure.locking import choose_usual_position
@@ -23,7 +22,7 @@ from asbuilt.description.structure.loops import (
     LoopNumbers,
     number_loops,
 )
-from asbuilt.description.structure.parts import ROOT, Frame, Joint
+from asbuilt.description.structure.parts import ROOT, Joint
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.findings import Cure, join_names
 
@@ -56,7 +55,7 @@ class Postures:
     """
 
     gap: Array
-    closed: NDArray[np.bool_]
+    closed: Mask
     distance: Array
 
 
@@ -110,7 +109,7 @@ class Closure:
         motion, quality = self._follow(q, qd, qdd)
         failed = np.flatnonzero(quality[:, 2] == 0.0)
         if failed.size:
-            raise self._error(q, int(failed[0]), failed.size, quality[failed[0], 1])
+            raise self._make_error(q, int(failed[0]), failed.size, quality[failed[0], 1])
         return motion
 
     def derivatives(self, q: Array, qd: Array, qdd: Array) -> ShareDerivatives:
@@ -134,10 +133,6 @@ class Closure:
             position[..., j] = (ahead - behind) / (2.0 * step)
         return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
 
-    def positions(self, q: Array) -> Array:
-        """Return the positions (N, n_links) of the joints of the tree."""
-        return self.motion(q).q
-
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""
         return np.ascontiguousarray(chi[..., self.order, :])
@@ -149,7 +144,7 @@ class Closure:
         gap, distance = quality[:, 0].copy(), np.zeros(len(q))
         n = self.n_joints
         for k in np.flatnonzero(closed):
-            equations = self.equations(self._coordinates(q[k], motion.q[k]))
+            equations = self.equations(self._find_coordinates(q[k], motion.q[k]))
             gap[k] = max(self.gaps(equations))
             sizes = np.linalg.svd(equations[:, n:-2] * self.scale[n:], compute_uv=False)
             distance[k] = sizes[-1] / sizes[0]
@@ -157,8 +152,7 @@ class Closure:
 
     def equations(self, u: Array) -> Array:
         """Return J and phi (rows, n_u + 2) at coordinates u, the last column zero."""
-        rows = sum(ROWS[kind] for kind in self.numbers.kinds.tolist())
-        found = np.zeros((rows, u.size + 2))
+        found = np.zeros((sum(ROWS[kind] for kind in self.numbers.kinds.tolist()), u.size + 2))
         loop_equations(*self.arrays, np.ascontiguousarray(u), found)
         return found
 
@@ -177,7 +171,7 @@ class Closure:
         loops = set(self.order[self.numbers.joints].tolist())
         return bool(np.any(self.of_links[sorted(loops), motor]))
 
-    def _coordinates(self, q: Array, at: Array) -> Array:
+    def _find_coordinates(self, q: Array, at: Array) -> Array:
         """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
         known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
         known[: q.size] = q
@@ -191,7 +185,7 @@ class Closure:
         ]
         return _run(self.arrays, self.scale, self.home, self.tolerance, False, given, *rates)
 
-    def _error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
+    def _make_error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
         own = [k for k in range(self.n_joints) if self.moves_loops(k)]
         at = join_names([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
@@ -233,29 +227,28 @@ def _run(
 
 def derive_closure(
     robot: str,
-    joints: Sequence[Joint],
-    followers: Sequence[Joint],
+    every: Sequence[Joint],
+    n: int,
     loops: Sequence[Loop],
     posture: Mapping[str, float],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> Closure:
-    """Return how the motors `joints` move the joints of all links through loops.
+    """Return how motors move the joints of all links, of which the first n have one, through loops.
 
-    `links` has the link of each name, `ROOT` for the root; `posture` positions of joints at which
-    the loops are closed, roughly, others being where they usually are. Raises `DescriptionError`
-    where the loops do not close, leave a passive joint free, or are torn by a motor.
+    `places` has link, `ROOT` for the root, and pose in it of each name; `posture` positions of
+    joints at which the loops are closed, roughly, others being where they usually are. Raises
+    `DescriptionError` where the loops do not close, leave a passive joint free, or are torn by a
+    motor.
     """
-    found = _open(robot, (*joints, *followers), len(joints), loops, posture, links, frames)
-    n = len(joints)
+    found = _open(robot, every, n, loops, posture, places)
     motion, quality = _run(
         found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
         *np.zeros((2, 1, n)),
     )  # fmt: skip
-    at = found._coordinates(found.home[:n], motion.q[0])
+    at = found._find_coordinates(found.home[:n], motion.q[0])
     _check_closed(found, at, quality[0])
     found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * float(quality[0, 0])))
-    return _with_typical_shares(found)
+    return _derive_typical_shares(found)
 
 
 def _open(
@@ -264,20 +257,14 @@ def _open(
     n: int,
     loops: Sequence[Loop],
     posture: Mapping[str, float],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> Closure:
     """Return a closure that has not been closed yet, at the posture of the description."""
     order, linear, offset = derive_linear_part(robot, every, n)
     place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
     tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
-    numbers = number_loops(
-        robot,
-        loops,
-        tree,
-        {name: place[link] for name, link in links.items()},
-        [replace(frame, link=place[frame.link]) for frame in frames],
-    )
+    in_tree = {name: (place[link], pose) for name, (link, pose) in places.items()}
+    numbers = number_loops(robot, loops, tree, in_tree)
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
     known = {joint.name for joint in every} | {joint.name_in_tree for joint in every}
     if unknown := sorted(posture.keys() - known):
@@ -370,8 +357,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
 def _find_free_directions(J: Array) -> tuple[int, list[int]]:
     """Return the number of directions that J does not see, and the columns that take part."""
     _, sizes, rows = np.linalg.svd(J)
-    seen = int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0)))
-    null = rows[seen:]
+    null = rows[int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0))) :]
     return len(null), np.flatnonzero(np.abs(null).max(axis=0, initial=0.0) > SEEN).tolist()
 
 
@@ -379,7 +365,7 @@ def _format_posture(found: Closure, u: Array) -> str:
     return ", ".join(f"{name} = {value:.4g}" for name, value in zip(found.names, u, strict=True))
 
 
-def _with_typical_shares(found: Closure) -> Closure:
+def _derive_typical_shares(found: Closure) -> Closure:
     """Return the closure with typical sizes of G, from postures about the first.
 
     Raises `DescriptionError` where a motor tears the loops.
@@ -419,19 +405,18 @@ def _check_motors(found: Closure) -> None:
 
 def find_passive_joints(
     robot: str,
-    joints: Sequence[Joint],
-    followers: Sequence[Joint],
+    every: Sequence[Joint],
+    n: int,
     loops: Sequence[Loop],
     posture: Mapping[str, float],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> list[str]:
     """Return joints of loops that have no motor, where the description does not name them.
 
     As many as the loops place: joints without limits of torque and drive first, then those far from
     the root, as long as the loops determine them.
     """
-    found = _open(robot, (*joints, *followers), len(joints), loops, posture, links, frames)
+    found, joints = _open(robot, every, n, loops, posture, places), every[:n]
     u = found.home.copy()
     for _ in range(SEARCH):  # Newton with the least motion of all joints
         equations = found.equations(u)

@@ -70,20 +70,15 @@ class Coupling:
 
     def motion(self, q: Array, qd: Array | None = None, qdd: Array | None = None) -> TreeMotion:
         """Return the motion of the joints of the tree; rates not given are zero."""
-        at = self.positions(q)
-        rates = [np.zeros_like(at) if part is None else self.rates(part) for part in (qd, qdd)]
+        at = np.ascontiguousarray(q @ self.matrix.T + self.offset)
+        rates = [
+            np.zeros_like(at) if part is None else np.ascontiguousarray(part @ self.matrix.T)
+            for part in (qd, qdd)
+        ]
         return TreeMotion(at, rates[0], rates[1], self.matrix)
 
     def derivatives(self, q: Array, qd: Array, qdd: Array) -> None:
         """Return None: shares do not change with the motion."""
-
-    def positions(self, q: Array) -> Array:
-        """Return the positions (N, n_links) of the joints of the tree for those (N, n_joints)."""
-        return np.ascontiguousarray(q @ self.matrix.T + self.offset)
-
-    def rates(self, qd: Array) -> Array:
-        """Return velocities or accelerations (N, n_links) of the joints of the tree."""
-        return np.ascontiguousarray(qd @ self.matrix.T)
 
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""
@@ -95,28 +90,17 @@ class Coupling:
         return self.matrix[np.argsort(self.order)]
 
 
-@dataclass(frozen=True, eq=False)
-class Separated:
-    """Joints with a drive, those that follow them, links and frames in their order, and notes."""
-
-    joints: tuple[Joint, ...]
-    followers: tuple[Joint, ...]
-    links: tuple[Link, ...]
-    frames: tuple[Frame, ...]
-    driven: tuple[int, ...]
-    notes: tuple[str, ...]
-
-
 def separate_followers(
     robot: str,
     joints: Sequence[Joint],
     followers: Sequence[Joint],
     links: Sequence[Link],
     frames: Sequence[Frame],
-) -> Separated:
+) -> tuple[dict[str, tuple[object, ...]], list[int], list[str]]:
     """Set the joints that follow others apart, with their links after the driven joints' links.
 
-    `driven` are the places among `joints` of those that stay. Armature and friction of a follower
+    Returns `joints`, `followers`, `links` and `frames` of the robot in their order, the places
+    among `joints` of the ones that stay, and notes. Armature and friction of a follower
     of one joint count to that joint, reflected by the factor, and its limits narrow that joint's;
     a follower of several loses its own. Raises `DescriptionError` for a joint that follows
     none of the robot, or itself.
@@ -151,14 +135,13 @@ def separate_followers(
                 f"drive and limits of joint {joint.name!r}, which several others move, are left out"
             )
         behind[k] = replace(joint, drive=DriveValues())
-    return Separated(
-        joints=tuple(active.values()),
-        followers=tuple(behind),
-        links=tuple(links[k] for k in order),
-        frames=tuple(replace(frame, link=place[frame.link]) for frame in frames),
-        driven=tuple(driven),
-        notes=tuple(notes),
-    )
+    parts: dict[str, tuple[object, ...]] = {
+        "joints": tuple(active.values()),
+        "followers": tuple(behind),
+        "links": tuple(links[k] for k in order),
+        "frames": tuple(replace(frame, link=place[frame.link]) for frame in frames),
+    }
+    return parts, driven, notes
 
 
 def _note_passive(joint: Joint) -> Iterator[str]:

@@ -91,7 +91,7 @@ def merge_locked_links(
         pose.append(at)
         named.append(Frame(link.name, on, at))
         if on != ROOT:
-            carriers[on] = _with_parts(carriers[on], link, at)
+            carriers[on] = _join_parts(carriers[on], link, at)
     for frame in frames:
         if frame.link == ROOT:
             named.append(frame)
@@ -313,7 +313,7 @@ class _Lock:
         return replace(joint, name=name, mimic=replace(joint.mimic, factors=factors, offset=offset))
 
 
-def _with_parts(carrier: Link, link: Link, pose: Array) -> Link:
+def _join_parts(carrier: Link, link: Link, pose: Array) -> Link:
     """Return a link to which another is fixed, both with the names of their parts."""
     if not link.inertia_known:
         return carrier

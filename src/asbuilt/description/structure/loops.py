@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.rotation import find_rotation_fault
-from asbuilt.description.structure.parts import ROOT, Frame, Joint, ancestors
+from asbuilt.description.structure.parts import Joint, ancestors
 from asbuilt.errors import DescriptionError, refuse
 
 LoopKind = Literal["connect", "weld", "joint"]
@@ -116,15 +116,13 @@ def number_loops(
     robot: str,
     loops: Sequence[Loop],
     tree: Sequence[Joint],
-    links: Mapping[str, int],
-    frames: Sequence[Frame],
+    places: Mapping[str, tuple[int, Array]],
 ) -> LoopNumbers:
     """Return loops by numbers for the joints of a tree.
 
-    `links` has the places of links in the tree by name, `ROOT` for the root. Raises
+    `places` has the link in the tree, `ROOT` for the root, and the pose in it by name. Raises
     `DescriptionError` where a link or a joint does not exist, or both sides of a loop are one link.
     """
-    named = {frame.name: frame for frame in frames}
     names = {joint.name: k for k, joint in enumerate(tree)} | {
         joint.name_in_tree: k for k, joint in enumerate(tree)
     }
@@ -141,12 +139,9 @@ def number_loops(
             continue
         sides, turns = [], []
         for side, (name, point) in enumerate(loop.ends):
-            if name not in links and name not in named:
-                raise _make_unknown_error(robot, loop, "link", name, {**links, **named})
-            at = links.get(name, ROOT)
-            pose = np.eye(4)
-            if name not in links:
-                at, pose = named[name].link, named[name].placement
+            if name not in places:
+                raise _make_unknown_error(robot, loop, "link", name, places)
+            at, pose = places[name]
             row[POINT + 3 * side : POINT + 3 * side + 3] = pose[:3, :3] @ point + pose[:3, 3]
             sides.append(ancestors(tree, at))
             turns.append(pose[:3, :3])

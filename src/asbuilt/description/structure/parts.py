@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import check_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
@@ -273,7 +272,7 @@ class Contact:
 
         Raises `UsageError` for one that makes no sense or is given twice.
         """
-        found = [cls._parsed(each) for each in text.split(",")]
+        found = [cls._parse_one(each) for each in text.split(",")]
         names = [each.frame for each in found if each is not None]
         if None in found or len({*names, ""}) <= len(names):
             raise UsageError(
@@ -284,7 +283,7 @@ class Contact:
         return tuple(each for each in found if each is not None)
 
     @classmethod
-    def _parsed(cls, text: str) -> Contact | None:
+    def _parse_one(cls, text: str) -> Contact | None:
         name, given, kind = (part.strip() for part in text.partition(":"))
         if not given or kind == "flat":
             return cls(name, flat=bool(given))
@@ -308,8 +307,8 @@ class Geometry:
     frame.
     """
 
-    parent: NDArray[np.int64]
-    revolute: NDArray[np.bool_]
+    parent: Indices
+    revolute: Mask
     before_rotation: Array
     before_translation: Array
     after_rotation: Array

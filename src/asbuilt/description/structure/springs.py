@@ -85,7 +85,7 @@ def with_springs(model: RobotModel, springs: Sequence[Spring]) -> RobotModel:
         )
         key, values = TERM_OF_KIND[spring.kind], {**numbers, **spring.known}
         if key == "extension_spring" and not spring.free_length:
-            key, values = "balancer", _as_balancer(values)
+            key, values = "balancer", _convert_to_balancer(values)
         there = terms[k].get(key)
         terms[k][key] = (
             values if there is None else _combine_springs(spring, model, k, there, values)
@@ -196,7 +196,7 @@ def _measure_about_axis(
     }
 
 
-def _as_balancer(numbers: Mapping[str, float]) -> dict[str, float]:
+def _convert_to_balancer(numbers: Mapping[str, float]) -> dict[str, float]:
     """Return `Ke inner outer sin(q + angle)`, the torque without free length, as a balancer's."""
     size = numbers.get("Ke", math.nan) * numbers["inner"] * numbers["outer"]
     parts = {"Bs": size * math.cos(numbers["angle"]), "Bc": size * math.sin(numbers["angle"])}

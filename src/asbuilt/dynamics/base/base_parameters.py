@@ -250,5 +250,4 @@ def _describe_disagreement(
 
 
 def _write_sum(row: Row, kept: int, names: tuple[str, ...]) -> str:
-    order = sorted(row, key=lambda j: (j != kept, j))
-    return format_sum([(names[j], row[j]) for j in order])
+    return format_sum([(names[j], row[j]) for j in sorted(row, key=lambda j: (j != kept, j))])

@@ -15,6 +15,7 @@ from asbuilt.dynamics.base.regrouping import Regrouping
 from asbuilt.dynamics.base.regrouping_relations import RANK_TOLERANCE, row_space
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kinematics import draw_postures, link_jacobians, link_poses
+from asbuilt.findings import join_names
 
 Status = Literal["identifiable", "grouped", "unidentifiable"]
 
@@ -107,15 +108,6 @@ def _make_verdicts(
     return tuple(verdicts)
 
 
-def _list_words(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def _shorten_list(words: Sequence[str]) -> str:
-    extra = len(words) - LISTED_NAMES
-    return _list_words(words if extra <= 0 else [*words[:LISTED_NAMES], f"{extra} more"])
-
-
 def classify_numerically(
     model: RobotModel, columns: Indices, matrix: Array, names: Sequence[str]
 ) -> tuple[StandardParameter, ...]:
@@ -180,10 +172,10 @@ def _explain_loop(model: RobotModel, link: int, columns: Indices) -> str:
         ]
         inside = chains[0] ^ chains[1]
         if link in inside and others & inside:
-            held = _list_words([str(k + 1) for k in sorted({link, *(others & inside)})])
+            held = [str(k + 1) for k in sorted({link, *(others & inside)})]
             return (
-                f"the {loop} joins links {held}: a mass on a joint between two links of it has the"
-                " same effect on either"
+                f"the {loop} joins links {join_names(held, len(held))}: a mass on a joint between"
+                " two links of it has the same effect on either"
             )
     return ""
 
@@ -193,9 +185,10 @@ def _name_sum(
 ) -> str:
     if column in columns:
         others = [names[int(j)] for j in np.flatnonzero(matrix[rows[0]]) if j != column]
-        return f"; its sum with {_shorten_list(others)} is identifiable, named {names[column]}"
-    kept = [names[int(columns[b])] for b in rows]
-    return f"; it is part of the {'sums' if len(kept) > 1 else 'sum'} named {_shorten_list(kept)}"
+        listed = join_names(others, LISTED_NAMES)
+        return f"; its sum with {listed} is identifiable, named {names[column]}"
+    listed = join_names([names[int(columns[b])] for b in rows], LISTED_NAMES)
+    return f"; it is part of the {'sums' if len(rows) > 1 else 'sum'} named {listed}"
 
 
 def _find_axis_at_rest(model: RobotModel, joint: int) -> Array:
@@ -369,10 +362,10 @@ def _bears_weight(model: RobotModel, link: int, symbol: str) -> bool:
 def _explain_gathering(model: RobotModel, link: int, givers: Sequence[int]) -> str:
     turning = all(model.joints[child].is_revolute for child in givers)
     unchanged = "does not change as it turns" if turning else "does not change as it moves"
-    carried = f"link{'s' * (len(givers) > 1)} {_list_words([str(child + 1) for child in givers])}"
+    numbers = join_names([str(child + 1) for child in givers], len(givers))
     return (
-        f"link {link + 1} carries {carried}, of which the part that {unchanged} has the effect of a"
-        f" part of link {link + 1}"
+        f"link {link + 1} carries link{'s' * (len(givers) > 1)} {numbers}, of which the part that"
+        f" {unchanged} has the effect of a part of link {link + 1}"
     )
 
 

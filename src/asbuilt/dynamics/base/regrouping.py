@@ -166,14 +166,14 @@ def regroup_symbolically(model: RobotModel, drive: DriveSet, found: Regrouping) 
     return [
         (
             symbolic
-            if all(_agree(symbolic, matrix[b], lengths) for matrix, lengths in checks)
+            if all(_agrees(symbolic, matrix[b], lengths) for matrix, lengths in checks)
             else numbers[b]
         )
         for b, symbolic in enumerate(dict(sorted(row.items())) for row in rows.values())
     ]
 
 
-def _agree(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
+def _agrees(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
     values = np.zeros(len(row))
     for j, factor in symbolic.items():
         values[j] = factor.value(lengths)
@@ -194,12 +194,7 @@ def _derive_symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row
         [_choose_function_units(joint.is_revolute, found.size, strength) for joint in model.joints]
     )
     rows = null_rows(found.model, found.directions)
-    changes = [
-        np.stack([each.armature, each.offset, each.sine, each.cosine], axis=1)
-        * units[each.link]
-        @ ways[each.link]
-        for each in found.directions
-    ]
+    changes = [each.drive * units[each.link] @ ways[each.link] for each in found.directions]
     links = [each.link for each in found.directions for _ in range(len(each.child))]
     for row, link, change in zip(rows, links, np.vstack(changes), strict=True):
         row |= {
@@ -267,8 +262,7 @@ def _build_null_blocks(
         units = np.array(
             _choose_function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity)))
         )
-        changes = np.stack([found.armature, found.offset, found.sine, found.cosine], axis=1)
-        block[:, own] = (changes * units @ structure.ways[found.link]) / scales[own]
+        block[:, own] = (found.drive * units @ structure.ways[found.link]) / scales[own]
         blocks.append(block)
     return blocks
 
@@ -292,7 +286,9 @@ def _realise_null_vectors(
     armature = structure.ways[:, 0, :]
     for found in directions:
         own = slice(first + per * found.link, first + per * (found.link + 1))
-        taken = np.concatenate([each.armature * (each.link == found.link) for each in directions])
+        taken = np.concatenate(
+            [each.drive[:, 0] * (each.link == found.link) for each in directions]
+        )
         rows[:, own] += (of_joints[:, found.link] - sums @ taken)[:, None] * armature[found.link]
         rows[:, own] += of_motors[:, found.link, None] * structure.motor_columns[found.link]
     return [rows]
@@ -301,7 +297,7 @@ def _realise_null_vectors(
 def _complete_null_vectors(columns: Sequence[int], null: Array) -> Array:
     """Return the null vectors of a matrix of which some columns are zero.
 
-    They are those of the whole matrix without a part in these columns, and one for each of them.
+    They have no part in these columns, and one more vector is there for each of these.
     """
     gone = np.zeros((len(columns), null.shape[1]))
     gone[np.arange(len(columns)), columns] = 1.0

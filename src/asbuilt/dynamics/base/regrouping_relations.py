@@ -7,13 +7,11 @@ Derivation, symbols and sources: docs/derivations/base-parameters.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 
 RANK_TOLERANCE = 1e-10
@@ -22,7 +20,7 @@ RANK_TOLERANCE = 1e-10
 Lengths are divided by the robot's size first.
 """
 
-_ARMATURE, _OFFSET, _SINE, _COSINE = 10, 11, 12, 13
+_ARMATURE, _OFFSET, _SINE, _COSINE, _MUTUAL, _NOTHING = 10, 11, 12, 13, slice(14, None), slice(0)
 """Places of the changes of a joint's drive, behind the ten parameters of its link."""
 
 LENGTH_EXPONENTS = np.array([2.0] * 6 + [1.0] * 3 + [0.0])
@@ -49,8 +47,7 @@ def shift_of_rotation(rotation: Array) -> Array:
 def _build_shift(t: Array) -> Array:
     shift = np.eye(10)
     for k in range(3):
-        mixed = np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t)
-        tensor = 2.0 * t[k] * np.eye(3) - mixed
+        tensor = 2.0 * t[k] * np.eye(3) - (np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t))
         shift[:6, 6 + k] = [tensor[a, b] for a, b in SYMMETRIC]
     tensor = t @ t * np.eye(3) - np.outer(t, t)
     shift[:6, 9] = [tensor[a, b] for a, b in SYMMETRIC]
@@ -103,7 +100,7 @@ SLIDE_SHIFTS = np.stack([np.eye(10), SHIFT_LINEAR[2], SHIFT_SQUARE[2, 2]])
 """Sliding along z by q: `S(q) = sum_k SLIDE_SHIFTS[k] q^k`, shape (3, 10, 10)."""
 
 
-def _cross(t: Array) -> Array:
+def _build_cross(t: Array) -> Array:
     return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
 
 
@@ -111,7 +108,7 @@ def _build_twist_harmonics() -> tuple[Array, Array]:
     turn = np.zeros((3, 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = _TURN_ROTATIONS[:3].transpose(0, 2, 1)
     slide = np.stack([np.eye(6), np.zeros((6, 6))])
-    slide[1, 3:, :3] = -_cross(np.array([0.0, 0.0, 1.0]))
+    slide[1, 3:, :3] = -_build_cross(np.array([0.0, 0.0, 1.0]))
     return turn, slide
 
 
@@ -156,7 +153,7 @@ def _rank(sizes: Array) -> int:
     return int(np.sum(sizes > RANK_TOLERANCE * sizes.max(initial=1.0)))
 
 
-def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
+def reversed_echelon(rows: Array) -> tuple[Array, Indices]:
     """Return the reduced echelon form read from the last column, and the pivot columns.
 
     Row i is 1 at pivot i, 0 at and after other pivots.
@@ -209,31 +206,16 @@ class RegroupingRelations:
 
     `child` (k, 10): change of the link's parameters in its joint frame (after the joint's motion);
     `onto_parent` (k, 10): what moves to the parent, in the joint frame before the motion (zero for
-    children of the root link); `armature`, `offset`, `sine` and `cosine` (k,): changes of its
-    drive, by columns `qdd`, 1, `sin q` and `cos q`, divided by the size of gravity but for the
-    armature; `mutual` (k, n): changes of mutual armatures, whose energy is `sum_i mutual_i qd_link
-    qd_i`.
+    children of the root link); `drive` (k, 4): changes of its drive, by columns `qdd`, 1, `sin q`
+    and `cos q`, divided by the size of gravity but for the first, the armature; `mutual` (k, n):
+    changes of mutual armatures, whose energy is `sum_i mutual_i qd_link qd_i`.
     """
 
     link: int
     child: Array
     onto_parent: Array
-    armature: Array
-    offset: Array
-    sine: Array
-    cosine: Array
+    drive: Array
     mutual: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Imitable:
-    """Say which functions the drive of a joint has that link parameters may imitate."""
-
-    armature: bool = False
-    offset: bool = False
-    sine: bool = False
-    cosine: bool = False
-    mutual: bool = False
 
 
 def characteristic_length(model: RobotModel) -> float:
@@ -251,14 +233,15 @@ def characteristic_length(model: RobotModel) -> float:
 
 
 def regrouping_relations(
-    model: RobotModel, imitable: Sequence[Imitable]
+    model: RobotModel, imitable: Mask
 ) -> tuple[list[RegroupingRelations], list[LinkMotion]]:
     """Return the regrouping relations of each link with its parent, and its motions.
 
     Changes of parameters along them leave all torques unchanged.
 
     With the last links first, these directions span the null space of the torques (Lagrangian
-    argument in the derivation). `imitable` says what the drive of each joint has.
+    argument in the derivation). `imitable` (n, 5) says which functions the drive of each joint has
+    that links may imitate: the four of `RegroupingRelations.drive`, and mutual armatures.
     """
     n, size = model.n_joints, characteristic_length(model)
     strength = float(np.linalg.norm(model.gravity))
@@ -277,7 +260,7 @@ def regrouping_relations(
             parent, fixed = root, joint.before
         else:
             parent, fixed = motions[joint.parent], model.joints[joint.parent].after @ joint.before
-        motion, found = _pass_joint(
+        motion, found = _carry_through_joint(
             parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c]
         )
         motions.append(motion)
@@ -290,31 +273,28 @@ def regrouping_relations(
                 c,
                 found[:, :10],
                 onto_parent,
-                found[:, 10],
-                found[:, 11],
-                found[:, 12],
-                found[:, 13],
+                found[:, 10:14],
                 found[:, 14:],
             )
         )
     return directions, motions
 
 
-def _pass_joint(
+def _carry_through_joint(
     parent: LinkMotion,
     rotation: Array,
     translation: Array,
     turns: bool,
     number: int,
-    imitable: Imitable,
+    imitable: Mask,
 ) -> tuple[LinkMotion, Array]:
     """Carry what the parent can do through one joint.
 
-    Return what the child can do and its directions (k, 14 + n): ten, then those of the drive.
+    Return what the child can do and its directions (k, 14 + n): ten of the link, then the drive's.
     """
     to_joint = np.zeros((6, 6))
     to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
-    to_joint[3:, :3] = -rotation.T @ _cross(translation)
+    to_joint[3:, :3] = -rotation.T @ _build_cross(translation)
     shift = (
         np.eye(10)
         + np.einsum("a,aij->ij", translation, SHIFT_LINEAR)
@@ -343,33 +323,25 @@ def _pass_joint(
 
     blocks: list[Array] = []
 
-    def demand(
-        rows: Array, *, of_drive: int = 0, change: Array | float = 0.0, mutual: Array | None = None
-    ) -> None:
+    def demand(rows: Array, at: int | slice = _NOTHING, change: Array | float = 0.0) -> None:
         block = np.zeros((len(rows), 14 + n))
-        block[:, :10] = rows
-        if of_drive:
-            block[:, of_drive] = change
-        if mutual is not None:
-            block[:, 14:] = mutual
+        block[:, :10], block[:, at] = rows, change
         blocks.append(block)
 
-    demand(2.0 * own, of_drive=_ARMATURE, change=1.0)
-    demand(2.0 * coupling, mutual=beats.reshape(-1, n))
+    demand(2.0 * own, _ARMATURE, 1.0)
+    demand(2.0 * coupling, _MUTUAL, beats.reshape(-1, n))
     demand(carried[1:].reshape(-1, 10))
     if turns:
-        demand(weights[1], of_drive=_SINE, change=gravity[:, 3])
-        demand(weights[2], of_drive=_COSINE, change=-gravity[:, 3])
+        demand(weights[1], _SINE, gravity[:, 3])
+        demand(weights[2], _COSINE, -gravity[:, 3])
         demand(weights[3:].reshape(-1, 10))
     else:
-        demand(weights[1], of_drive=_OFFSET, change=-gravity[:, 3])
+        demand(weights[1], _OFFSET, -gravity[:, 3])
         demand(weights[2])
-    allowed = np.zeros(14 + n, dtype=bool)
-    allowed[:10] = True
-    allowed[_ARMATURE] = imitable.armature
-    allowed[_OFFSET] = imitable.offset and not turns
-    allowed[_SINE], allowed[_COSINE] = imitable.sine and turns, imitable.cosine and turns
-    allowed[14:] = imitable.mutual & (np.abs(parent.paced[:, 6:]).max(axis=0, initial=0.0) > 0.0)
+    # a slide has constant weight, a turn one by sine and cosine
+    of_drive = imitable[:4] & np.array([True, not turns, turns, turns])
+    mutual = imitable[4] & (np.abs(parent.paced[:, 6:]).max(axis=0, initial=0.0) > 0.0)
+    allowed = np.concatenate([np.ones(10, dtype=bool), of_drive, mutual])
     blocks.append(np.eye(14 + n)[~allowed])
     found, _ = reversed_echelon(null_space(np.vstack(blocks)))
 

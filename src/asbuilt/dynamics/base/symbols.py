@@ -102,7 +102,8 @@ def replace_lengths(model: RobotModel, lengths: Mapping[str, float]) -> RobotMod
 class Polynomial:
     """Hold a polynomial in symbols: a factor for each product of symbols.
 
-    >>> (Polynomial.of("b3") + Polynomial.number(2.0)) * Polynomial.of("b3")
+    >>> b3 = Polynomial({("b3",): 1.0})
+    >>> (b3 + Polynomial.number(2.0)) * b3
     b3**2 + 2*b3
     """
 
@@ -119,11 +120,6 @@ class Polynomial:
     def number(cls, value: float) -> Polynomial:
         """Return a constant."""
         return cls({(): value})
-
-    @classmethod
-    def of(cls, symbol: str) -> Polynomial:
-        """Return a single symbol."""
-        return cls({(symbol,): 1.0})
 
     def __bool__(self) -> bool:
         return bool(self.terms)
@@ -272,7 +268,7 @@ def format_sum(terms: Sequence[tuple[str, Polynomial]]) -> str:
 
     Numbers first, then by falling degree in symbols, equal factors gathered.
 
-    >>> b3 = Polynomial.of("b3")
+    >>> b3 = Polynomial({("b3",): 1.0})
     >>> one, square = Polynomial.number(1.0), b3 * b3
     >>> format_sum([("Ixx2", one), ("my3", b3.times(-2.0)), ("m3", square), ("m4", square)])
     'Ixx2 + b3**2*(m3 + m4) - 2*b3*my3'

@@ -126,8 +126,7 @@ def _make_array_function(text: str) -> Callable[[Array, Mapping[str, Array | flo
     body = ast.parse(text, mode="eval").body
     if isinstance(body, ast.Call):
         body.keywords = [ast.keyword("out", ast.Name("out", ast.Load()))]
-    expression = ast.fix_missing_locations(ast.Expression(body))
-    code = compile(expression, f"<formula {text}>", "eval")
+    code = compile(ast.fix_missing_locations(ast.Expression(body)), f"<formula {text}>", "eval")
     names = {**FUNCTIONS, "__builtins__": {}}
 
     def write(out: Array, values: Mapping[str, Array | float]) -> None:

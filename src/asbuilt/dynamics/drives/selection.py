@@ -7,9 +7,8 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import DriveValues, JointKind
 from asbuilt.dynamics.drives.term import TERMS, DriveTerm, NonlinearValue
 from asbuilt.errors import UsageError
@@ -165,7 +164,7 @@ class DriveSet:
         return any(term.needs_load for term in self.terms)
 
     @property
-    def of_motor(self) -> NDArray[np.bool_]:
+    def of_motor(self) -> Mask:
         """Whether each column of a joint belongs to its motor, shape (columns_per_joint,)."""
         return np.array([term.of_motor for term in self.terms for _ in term.symbols], dtype=bool)
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.regrouping_relations import (
-    Imitable,
     RegroupingRelations,
     null_space,
     reversed_echelon,
@@ -34,19 +32,16 @@ class DriveStructure:
     """
 
     ways: Array
-    able: NDArray[np.bool_]
+    able: Mask
     redundant: Array
-    motor_columns: NDArray[np.bool_]
+    motor_columns: Mask
     shares: Array
 
     @property
-    def imitable(self) -> list[Imitable]:
-        """What the drive of each joint has that links may imitate."""
-        mutual = bool(self.motor_columns.any())
-        return [
-            Imitable(bool(able[0]) or mutual, bool(able[1]), bool(able[2]), bool(able[3]), mutual)
-            for able in self.able
-        ]
+    def imitable(self) -> Mask:
+        """What the drive of each joint has that links may imitate (n, 5), mutual armatures last."""
+        mutual = np.full(len(self.able), self.motor_columns.any())
+        return np.column_stack([self.able[:, 0] | mutual, self.able[:, 1:], mutual])
 
 
 def decompose_drive(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStructure:
@@ -105,7 +100,7 @@ def find_realisable_sums(
     """
     n = len(structure.shares)
     armature, mutual = (
-        np.concatenate([found.armature for found in directions]),
+        np.concatenate([found.drive[:, 0] for found in directions]),
         np.vstack([found.mutual for found in directions]),
     )
     link = np.concatenate([np.full(len(found.child), found.link) for found in directions])
@@ -120,8 +115,7 @@ def find_realisable_sums(
         conditions[:, :, column] = -np.outer(structure.shares[motor], structure.shares[motor])
     free = np.zeros((n, n), dtype=bool)
     np.fill_diagonal(free, structure.able[:, 0])
-    upper = np.triu(~free)
-    solutions, _ = reversed_echelon(null_space(conditions[upper]))
+    solutions, _ = reversed_echelon(null_space(conditions[np.triu(~free)]))
     of_motors = np.zeros((len(solutions), n))
     of_motors[:, motors] = solutions[:, k:]
     diagonal = np.einsum("iik,rk->ri", conditions, solutions)

@@ -92,7 +92,7 @@ class DriveTerm:
     revolute_units: ClassVar[tuple[str, ...]] = ()
     """Unit of each parameter at a revolute joint; all N m if empty."""
     prismatic_units: ClassVar[tuple[str, ...]] = ()
-    """Unit of each parameter at a prismatic joint; all N if empty."""
+    """Unit of each parameter at a prismatic joint; if empty, it follows from `revolute_units`."""
     nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = ()
     cause: ClassVar[str | None] = None
     """Physical cause of a difference to the design that the term stands for."""
@@ -159,8 +159,10 @@ class DriveTerm:
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
         """Return the unit of each parameter."""
-        units, force = (self.revolute_units, "N m") if revolute else (self.prismatic_units, "N")
-        return units or (force,) * len(self.symbols)
+        units = self.revolute_units or ("N m",) * len(self.symbols)
+        if revolute:
+            return units
+        return self.prismatic_units or tuple(_derive_unit_of_slide(unit) for unit in units)
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
         """Return the value of each parameter in the description, None where it has none."""
@@ -215,7 +217,7 @@ class DriveTerm:
         """Return the term of one joint (counted from 0), one value per nonlinear parameter."""
         own = {parameter.name: getattr(self, parameter.name) for parameter in self.nonlinear}
         several = {name: each[joint] for name, each in own.items() if isinstance(each, tuple)}
-        return self._with(several) if several else self
+        return self._replace_fields(several) if several else self
 
     def typical(self) -> Self:
         """Return the term with typical values of its nonlinear parameters."""
@@ -224,7 +226,7 @@ class DriveTerm:
             for parameter in self.nonlinear
             if parameter.typical is not None
         }
-        return self._with(values) if values else self
+        return self._replace_fields(values) if values else self
 
     def check_joints(self, n_joints: int) -> None:
         """Raise UsageError for a joint that does not exist and a wrong number of values."""
@@ -258,9 +260,9 @@ class DriveTerm:
                         f"{name} of drive term {self.key!r} must lie between {lower:g} and"
                         f" {f'{upper:g} {unit}'.strip()}, got {number:g}"
                     )
-        return self._with(values)
+        return self._replace_fields(values)
 
-    def _with(self, fields: Mapping[str, Any]) -> Self:
+    def _replace_fields(self, fields: Mapping[str, Any]) -> Self:
         return cast(Self, replace(cast(Any, self), **fields))
 
     def __str__(self) -> str:
@@ -275,6 +277,13 @@ class DriveTerm:
         return ":".join(
             [self.key, *(f"{name}={'/'.join(map(repr, each))}" for name, each in stated.items())]
         )
+
+
+def _derive_unit_of_slide(unit: str) -> str:
+    """Return the unit with m for rad, N for N m and kg for kg m^2."""
+    for turning, sliding in (("rad", "m"), ("(N m)", "N"), ("N m", "N"), ("kg m^2", "kg")):
+        unit = unit.replace(turning, sliding)
+    return unit
 
 
 TERMS: Registry[DriveTerm] = Registry(

@@ -129,7 +129,7 @@ def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
     for key, term in known.items():
         there = [k for k, joint in enumerate(model.joints) if key in joint.drive.terms]
         if there:
-            stated.append(_as_described(model, term, there))
+            stated.append(_state_as_described(model, term, there))
         elif any(value is not None for joint in model.joints for value in term.values(joint.drive)):
             stated.append(term)
     drive = DriveSet(tuple(stated))
@@ -144,11 +144,10 @@ def spring_columns(model: RobotModel, q: Array) -> Array:
     described = (term for term in described_drive(model)[0].terms if term.by_construction)
     drive = DriveSet(tuple(term for term in described if term.by_position and not term.of_motor))
     still = np.zeros_like(q)
-    each = [drive_columns(drive, k, q, still, still).T for k in range(model.n_joints)]
-    return np.stack(each)
+    return np.stack([drive_columns(drive, k, q, still, still).T for k in range(model.n_joints)])
 
 
-def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
+def _state_as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
     """Return a term as described: its nonlinear parameters and joints (counted from 0)."""
     parameters: dict[str, NonlinearValue] = {}
     for parameter in term.nonlinear:
@@ -179,7 +178,7 @@ def _check_described(
 def choose_usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    Its description names them (`choose_usual_drive`), or they are the default terms and those of
+    Its description names them (`choose_usual_drive`), or they are the default terms and terms of
     coupled motors if the source measures motors; besides, the springs and balancers described.
     """
     drive = DriveSet.parse(model.usual_drive) if model.usual_drive else DriveSet.default(source)

@@ -24,17 +24,9 @@ from asbuilt.dynamics.kernels.recursion import (
     cross,
     gather,
     move_screws,
+    read_six,
     trigonometry,
-    vector,
 )
-
-
-@part
-def _read_screw(rows, at):
-    """Return the six rows of a screw: z, then m."""
-    zx, zy, zz = vector(rows, at)
-    mx, my, mz = vector(rows, at + 3 * BLOCK)
-    return zx, zy, zz, mx, my, mz
 
 
 @part
@@ -58,7 +50,7 @@ def _multiply_inertia(chi, zx, zy, zz, mx, my, mz):
 def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, fy, fz):
     """Add z_k . n + m_k . f to rows k of a column, for the joints at depth 0 ... upto."""
     for k in range(upto + 1):
-        zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * k * BLOCK)
+        zx, zy, zz, mx, my, mz = read_six(rows, screws + 6 * k * BLOCK)
         place = matrix + (joints[k] * joints.size + column) * BLOCK
         store(
             rows,
@@ -72,7 +64,7 @@ def _add_mass(depth, rows, screws, chi, joints, matrix):
     """Add a link's share s_k^T I s_j, upper triangle."""
     for at in range(0, BLOCK, LANES):
         for j in range(depth + 1):
-            zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * j * BLOCK + at)
+            zx, zy, zz, mx, my, mz = read_six(rows, screws + 6 * j * BLOCK + at)
             nx, ny, nz, fx, fy, fz = _multiply_inertia(chi, zx, zy, zz, mx, my, mz)
             _add_to_column(
                 rows, screws + at, joints, j, joints[j], matrix + at, nx, ny, nz, fx, fy, fz
@@ -89,14 +81,14 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
     for at in range(0, BLOCK, LANES):
         wx = wy = wz = vx = vy = vz = splat(0.0)
         for j in range(depth + 1):
-            zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * j * BLOCK + at)
+            zx, zy, zz, mx, my, mz = read_six(rows, screws + 6 * j * BLOCK + at)
             rate = load(rows, rates + joints[j] * BLOCK + at)
             wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
             vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
         lx, ly, lz, px, py, pz = _multiply_inertia(chi, wx, wy, wz, vx, vy, vz)
         wx = wy = wz = vx = vy = vz = splat(0.0)
         for j in range(depth, -1, -1):
-            zx, zy, zz, mx, my, mz = _read_screw(rows, screws + 6 * j * BLOCK + at)
+            zx, zy, zz, mx, my, mz = read_six(rows, screws + 6 * j * BLOCK + at)
             ax, ay, az = cross(zx, zy, zz, wx, wy, wz)
             bx, by, bz = cross(mx, my, mz, wx, wy, wz)
             cx, cy, cz = cross(zx, zy, zz, vx, vy, vz)

@@ -106,11 +106,6 @@ class Layout:
         placements = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
         return cls(codes, chain, placements, np.array(geometry.gravity), n_slots)
 
-    @property
-    def arrays(self) -> tuple[Indices, Indices, Array, Array, int]:
-        """All fields, in the order in which the kernels take them."""
-        return self.codes, self.chain, self.placements, self.gravity, self.n_slots
-
 
 @lru_cache(maxsize=16)
 def build_layout(model: RobotModel) -> Layout:
@@ -243,6 +238,111 @@ def accelerate_point(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
 
 
 @part
+def carry_motion(kind, p, o, x):
+    """Return w, dw, a of a body that moves by x, at the frame at p[o:o+12] in it, in its axes.
+
+    `a' = R^T (a + dw x t + w x (w x t))`, `w' = R^T w`, `dw' = R^T dw`; as all parts that carry
+    something, of one sample in doubles or of eight in a vector.
+    """
+    if kind == NOTHING:
+        return x
+    wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    ax, ay, az = accelerate_point(
+        wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 9], p[o + 10], p[o + 11]
+    )
+    return (
+        rotate_into(kind, p, o, wx, wy, wz)
+        + rotate_into(kind, p, o, dx, dy, dz)
+        + rotate_into(kind, p, o, ax, ay, az)
+    )
+
+
+@part
+def turn_motion(c, s, v, dv, x):
+    """Return w, dw, a behind a joint that has turned about z by an angle of cosine c and sine s.
+
+    In turned axes `w' = w + v z`, `dw' = dw + w x v z + dv z`. Callers ask whether a joint turns or
+    slides where they read rows: a product in another branch than its sum is rounded before it.
+    """
+    wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    wx, wy = wx * c + wy * s, wy * c - wx * s
+    dx, dy = dx * c + dy * s, dy * c - dx * s
+    ax, ay = ax * c + ay * s, ay * c - ax * s
+    return wx, wy, wz + v, dx + wy * v, dy - wx * v, dz + dv, ax, ay, az
+
+
+@part
+def slide_motion(q, v, dv, x):
+    """Return w, dw, a behind a joint that has slid along z by q.
+
+    `a' = a + dw x q z + w x (w x q z) + 2 w x v z + dv z`.
+    """
+    wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    ax, ay, az = accelerate_point(wx, wy, wz, dx, dy, dz, ax, ay, az, 0.0, 0.0, q)
+    v2 = v + v
+    return wx, wy, wz, dx, dy, dz, ax + wy * v2, ay - wx * v2, az + dv
+
+
+@part
+def find_wrench(p, o, x):
+    """Return force and moment about its origin that motion x of the link p[o:o+10] requires.
+
+    `f = m a + dw x h + w x (w x h)`, `n = I dw + w x I w + h x a` (Newton and Euler).
+    """
+    wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    hx, hy, hz, m = p[o + 6], p[o + 7], p[o + 8], p[o + 9]
+    f = accelerate_point(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+    lx = wx * p[o] + wy * p[o + 1] + wz * p[o + 2]
+    ly = wx * p[o + 1] + wy * p[o + 3] + wz * p[o + 4]
+    lz = wx * p[o + 2] + wy * p[o + 4] + wz * p[o + 5]
+    gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+    ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+    return (
+        *f,
+        dx * p[o] + dy * p[o + 1] + dz * p[o + 2] + gx + ex,
+        dx * p[o + 1] + dy * p[o + 3] + dz * p[o + 4] + gy + ey,
+        dx * p[o + 2] + dy * p[o + 4] + dz * p[o + 5] + gz + ez,
+    )
+
+
+@part
+def carry_wrench(kind, p, o, f):
+    """Return a wrench at the frame at p[o:o+12] at its parent: `f' = R f`, `n' = R n + t x f'`."""
+    if kind == NOTHING:
+        return f
+    fx, fy, fz = rotate_out_of(kind, p, o, f[0], f[1], f[2])
+    nx, ny, nz = rotate_out_of(kind, p, o, f[3], f[4], f[5])
+    cx, cy, cz = cross(p[o + 9], p[o + 10], p[o + 11], fx, fy, fz)
+    return fx, fy, fz, nx + cx, ny + cy, nz + cz
+
+
+@part
+def turn_wrench(c, s, f):
+    """Return a wrench behind a joint that has turned as in front of it."""
+    fx, fy, fz, nx, ny, nz = f
+    return fx * c - fy * s, fy * c + fx * s, fz, nx * c - ny * s, ny * c + nx * s, nz
+
+
+@part
+def slide_wrench(q, f):
+    """Return a wrench behind a joint that has slid as in front of it."""
+    fx, fy, fz, nx, ny, nz = f
+    return fx, fy, fz, nx - fy * q, ny + fx * q, nz
+
+
+@part
+def carry_screw(kind, p, o, screw):
+    """Return a screw (z, m) at the frame at p[o:o+12], in its axes: `R^T z`, `R^T (m + z x t)`."""
+    if kind == NOTHING:
+        return screw
+    zx, zy, zz, mx, my, mz = screw
+    cx, cy, cz = cross(zx, zy, zz, p[o + 9], p[o + 10], p[o + 11])
+    mx, my, mz = rotate_into(kind, p, o, mx + cx, my + cy, mz + cz)
+    zx, zy, zz = rotate_into(kind, p, o, zx, zy, zz)
+    return zx, zy, zz, mx, my, mz
+
+
+@part
 def rest(rows, gravity):
     """Fill slot 0: the root stands still and accelerates against free fall."""
     for at in range(0, BLOCK, LANES):
@@ -253,79 +353,63 @@ def rest(rows, gravity):
 
 
 @part
+def read_six(rows, at):
+    """Return the six rows at `at` of two vectors, as of a screw (z, m) or a wrench (f, n)."""
+    return vector(rows, at) + vector(rows, at + 3 * BLOCK)
+
+
+@part
+def read_nine(rows, at):
+    """Return the nine rows at `at` of three vectors, as of a motion (w, dw, a)."""
+    return read_six(rows, at) + vector(rows, at + 6 * BLOCK)
+
+
+@part
+def put_six(rows, at, screw):
+    """Write the first two vectors of a tuple into six rows; the reverse of `read_six`."""
+    put(rows, at, screw[0], screw[1], screw[2])
+    put(rows, at + 3 * BLOCK, screw[3], screw[4], screw[5])
+
+
+@part
 def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
     """Carry w, dw, a from the parent's slot to the link's; positions in `rows` are of doubles."""
     for at in range(0, BLOCK, LANES):
-        r = read + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
-        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        x = carry_motion(code[BEFORE], p, 0, read_nine(rows, read + at))
         v, dv = load(rows, rate + at), load(rows, change + at)
-        kind = code[BEFORE]
-        if kind != NOTHING:
-            ax, ay, az = accelerate_point(
-                wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[9]), splat(p[10]), splat(p[11])
-            )
-            wx, wy, wz = rotate_into(kind, p, 0, wx, wy, wz)
-            dx, dy, dz = rotate_into(kind, p, 0, dx, dy, dz)
-            ax, ay, az = rotate_into(kind, p, 0, ax, ay, az)
         if code[REVOLUTE]:
-            c, s = load(rows, cosine + at), load(rows, sine + at)
-            wx, wy = wx * c + wy * s, wy * c - wx * s
-            dx, dy = dx * c + dy * s, dy * c - dx * s
-            ax, ay = ax * c + ay * s, ay * c - ax * s
-            dx, dy, dz = dx + wy * v, dy - wx * v, dz + dv
-            wz = wz + v
+            x = turn_motion(load(rows, cosine + at), load(rows, sine + at), v, dv, x)
         else:
-            q = load(rows, angle + at)
-            v2 = v + v
-            ax, ay, az = accelerate_point(
-                wx, wy, wz, dx, dy, dz, ax, ay, az, splat(0.0), splat(0.0), q
-            )
-            ax, ay, az = ax + wy * v2, ay - wx * v2, az + dv
-        kind = code[AFTER]
-        if kind != NOTHING:
-            ax, ay, az = accelerate_point(
-                wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[21]), splat(p[22]), splat(p[23])
-            )
-            wx, wy, wz = rotate_into(kind, p, 12, wx, wy, wz)
-            dx, dy, dz = rotate_into(kind, p, 12, dx, dy, dz)
-            ax, ay, az = rotate_into(kind, p, 12, ax, ay, az)
-        w = write + at
-        put(rows, w, wx, wy, wz)
-        put(rows, w + 3 * BLOCK, dx, dy, dz)
-        put(rows, w + 6 * BLOCK, ax, ay, az)
+            x = slide_motion(load(rows, angle + at), v, dv, x)
+        x = carry_motion(code[AFTER], p, 12, x)
+        put_six(rows, write + at, x)
+        put(rows, write + at + 6 * BLOCK, x[6], x[7], x[8])
+
+
+@part
+def carry_screw_rows(code, p, rows, read, angle, cosine, sine):
+    """Return a screw of the parent link in the axes behind the joint of a link."""
+    zx, zy, zz, mx, my, mz = carry_screw(code[BEFORE], p, 0, read_six(rows, read))
+    if code[REVOLUTE]:
+        c, s = load(rows, cosine), load(rows, sine)
+        return zx * c + zy * s, zy * c - zx * s, zz, mx * c + my * s, my * c - mx * s, mz
+    q = load(rows, angle)
+    return zx, zy, zz, mx + zy * q, my - zx * q, mz
 
 
 @part
 def move_screws(code, p, rows, read, write, angle, cosine, sine):
     """Carry the screws of all joints above to the link's slot and add its own joint's screw."""
-    before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]
-    for d in range(depth + 1):
+    none, one = splat(0.0), splat(1.0)
+    for d in range(code[DEPTH] + 1):
         o = (STATE + 6 * d) * BLOCK
         for at in range(0, BLOCK, LANES):
-            if d < depth:
-                r = read + o + at
-                zx, zy, zz = vector(rows, r)
-                mx, my, mz = vector(rows, r + 3 * BLOCK)
-                if before != NOTHING:
-                    cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
-                    mx, my, mz = rotate_into(before, p, 0, mx + cx, my + cy, mz + cz)
-                    zx, zy, zz = rotate_into(before, p, 0, zx, zy, zz)
-                if revolute:
-                    c, s = load(rows, cosine + at), load(rows, sine + at)
-                    zx, zy = zx * c + zy * s, zy * c - zx * s
-                    mx, my = mx * c + my * s, my * c - mx * s
-                else:
-                    q = load(rows, angle + at)
-                    mx, my = mx + zy * q, my - zx * q
+            if d < code[DEPTH]:
+                screw = carry_screw_rows(
+                    code, p, rows, read + o + at, angle + at, cosine + at, sine + at
+                )
+            elif code[REVOLUTE]:
+                screw = none, none, one, none, none, none
             else:
-                zx = zy = mx = my = splat(0.0)
-                zz, mz = (splat(1.0), splat(0.0)) if revolute else (splat(0.0), splat(1.0))
-            if after != NOTHING:
-                cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
-                mx, my, mz = rotate_into(after, p, 12, mx + cx, my + cy, mz + cz)
-                zx, zy, zz = rotate_into(after, p, 12, zx, zy, zz)
-            w = write + o + at
-            put(rows, w, zx, zy, zz)
-            put(rows, w + 3 * BLOCK, mx, my, mz)
+                screw = none, none, none, none, none, one
+            put_six(rows, write + o + at, carry_screw(code[AFTER], p, 12, screw))

@@ -30,12 +30,15 @@ from asbuilt.dynamics.kernels.recursion import (
     add,
     allocate_scratch,
     build_layout,
+    carry_wrench,
     cross,
     gather,
     gather_states,
     move_link,
     move_screws,
     put,
+    read_nine,
+    read_six,
     rest,
     rotate_out_of,
     trigonometry,
@@ -139,17 +142,12 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
     """
     for at in range(0, BLOCK, LANES):
         r = state + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
-        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        wx, wy, wz, dx, dy, dz, ax, ay, az = read_nine(rows, r)
         p = parameters + at
-        ixx, ixy, ixz = vector(rows, p)
-        iyy, iyz, izz = vector(rows, p + 3 * BLOCK)
-        hx, hy, hz = vector(rows, p + 6 * BLOCK)
+        ixx, ixy, ixz, iyy, iyz, izz, hx, hy, hz = read_nine(rows, p)
         mass = load(rows, p + 9 * BLOCK)
         s = screw + at
-        zx, zy, zz = vector(rows, s)
-        mx, my, mz = vector(rows, s + 3 * BLOCK)
+        zx, zy, zz, mx, my, mz = read_six(rows, s)
 
         lx, ly, lz = (
             wx * ixx + wy * ixy + wz * ixz,
@@ -164,12 +162,14 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         )
         gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
         ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+        # by z: I dw + w x I w + h x a
         b = screw_bar + at
         vx, vy, vz = vector(rows, b)
         vx = vx + dx * ixx + dy * ixy + dz * ixz + gx + ex
         vy = vy + dx * ixy + dy * iyy + dz * iyz + gy + ey
         vz = vz + dx * ixz + dy * iyz + dz * izz + gz + ez
         put(rows, b, vx, vy, vz)
+        # by m: mass a + dw x h + w (w . h) - h (w . w)
         cx, cy, cz = cross(dx, dy, dz, hx, hy, hz)
         vx, vy, vz = vector(rows, b + 3 * BLOCK)
         vx = vx + mass * ax + cx + wx * wh - hx * ww
@@ -178,6 +178,7 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         put(rows, b + 3 * BLOCK, vx, vy, vz)
 
         b = state_bar + at
+        # by w: I w x z + I (z x w) + m (w . h) + h (m . w) - 2 w (m . h)
         cx, cy, cz = cross(lx, ly, lz, zx, zy, zz)
         ux, uy, uz = cross(zx, zy, zz, wx, wy, wz)
         two = mh + mh
@@ -185,12 +186,14 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         vy = cy + ux * ixy + uy * iyy + uz * iyz + my * wh + hy * mw - wy * two
         vz = cz + ux * ixz + uy * iyz + uz * izz + mz * wh + hz * mw - wz * two
         add(rows, b, vx, vy, vz)
+        # by dw: I z + h x m
         cx, cy, cz = cross(hx, hy, hz, mx, my, mz)
         vx, vy, vz = vector(rows, b + 3 * BLOCK)
         vx = vx + zx * ixx + zy * ixy + zz * ixz + cx
         vy = vy + zx * ixy + zy * iyy + zz * iyz + cy
         vz = vz + zx * ixz + zy * iyz + zz * izz + cz
         put(rows, b + 3 * BLOCK, vx, vy, vz)
+        # by a: z x h + mass m
         cx, cy, cz = cross(zx, zy, zz, hx, hy, hz)
         vx, vy, vz = vector(rows, b + 6 * BLOCK)
         put(rows, b + 6 * BLOCK, vx + mass * mx + cx, vy + mass * my + cy, vz + mass * mz + cz)
@@ -220,13 +223,9 @@ def _carry_state_back(code, p, rows, state, above, state_bar, above_bar, angle, 
     after, before = code[AFTER], code[BEFORE]
     for at in range(0, BLOCK, LANES):
         r = state + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
-        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        wx, wy, wz, dx, dy, dz, ax, ay, az = read_nine(rows, r)
         b = state_bar + at
-        ox, oy, oz = vector(rows, b)
-        ex, ey, ez = vector(rows, b + 3 * BLOCK)
-        fx, fy, fz = vector(rows, b + 6 * BLOCK)
+        ox, oy, oz, ex, ey, ez, fx, fy, fz = read_nine(rows, b)
         if after != NOTHING:
             tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
             wx, wy, wz = rotate_out_of(after, p, 12, wx, wy, wz)
@@ -293,20 +292,15 @@ def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine
         o = (STATE + 6 * d) * BLOCK
         for at in range(0, BLOCK, LANES):
             r, b = state + o + at, state_bar + o + at
-            zx, zy, zz = vector(rows, r)
-            mx, my, mz = vector(rows, r + 3 * BLOCK)
-            ux, uy, uz = vector(rows, b)
-            nx, ny, nz = vector(rows, b + 3 * BLOCK)
+            zx, zy, zz, mx, my, mz = read_six(rows, r)
+            ux, uy, uz, nx, ny, nz = read_six(rows, b)
             if after != NOTHING:
                 tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
                 zx, zy, zz = rotate_out_of(after, p, 12, zx, zy, zz)
                 mx, my, mz = rotate_out_of(after, p, 12, mx, my, mz)
                 cx, cy, cz = cross(zx, zy, zz, tx, ty, tz)
                 mx, my, mz = mx - cx, my - cy, mz - cz
-                ux, uy, uz = rotate_out_of(after, p, 12, ux, uy, uz)
-                nx, ny, nz = rotate_out_of(after, p, 12, nx, ny, nz)
-                cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
-                ux, uy, uz = ux + cx, uy + cy, uz + cz
+                nx, ny, nz, ux, uy, uz = carry_wrench(after, p, 12, (nx, ny, nz, ux, uy, uz))
             if code[REVOLUTE]:
                 c, s = load(rows, cosine + at), load(rows, sine + at)
                 store(rows, bar + at, load(rows, bar + at) + ux * zy - uy * zx + nx * my - ny * mx)
@@ -317,11 +311,7 @@ def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine
                 store(rows, bar + at, load(rows, bar + at) + nx * zy - ny * zx)
                 ux, uy = ux - q * ny, uy + q * nx
             if before != NOTHING:
-                tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
-                ux, uy, uz = rotate_out_of(before, p, 0, ux, uy, uz)
-                nx, ny, nz = rotate_out_of(before, p, 0, nx, ny, nz)
-                cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
-                ux, uy, uz = ux + cx, uy + cy, uz + cz
+                nx, ny, nz, ux, uy, uz = carry_wrench(before, p, 0, (nx, ny, nz, ux, uy, uz))
             b = above_bar + o + at
             add(rows, b, ux, uy, uz)
             add(rows, b + 3 * BLOCK, nx, ny, nz)

@@ -16,26 +16,28 @@ from asbuilt.dynamics.kernels.recursion import (
     AFTER,
     BEFORE,
     BLOCK,
-    DEPTH,
-    NOTHING,
     PARENT,
     READ,
     REVOLUTE,
     STATE,
     WRITE,
-    accelerate_point,
     add,
     allocate_scratch,
-    cross,
+    carry_screw,
+    carry_screw_rows,
+    carry_wrench,
+    find_wrench,
     gather,
     gather_states,
     move_link,
-    move_screws,
     put,
+    put_six,
+    read_nine,
+    read_six,
     rest,
-    rotate_into,
-    rotate_out_of,
+    slide_wrench,
     trigonometry,
+    turn_wrench,
     vector,
 )
 
@@ -52,8 +54,7 @@ def _write_link_terms(rows, state, terms):
     """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
     for at in range(0, BLOCK, LANES):
         r, t = state + at, terms + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        wx, wy, wz, dx, dy, dz = read_six(rows, r)
         xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
         put(rows, t, dx, dy, dz)
         put(rows, t + 3 * BLOCK, yz, xz, xy)
@@ -98,8 +99,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
     o9 = _locate_row(places[9], stride, start)
     for at in range(0, BLOCK, LANES):
         r, t = screw + at, terms + at
-        zx, zy, zz = vector(rows, r)
-        mx, my, mz = vector(rows, r + 3 * BLOCK)
+        zx, zy, zz, mx, my, mz = read_six(rows, r)
         if o0 >= 0:
             xx = (
                 zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
@@ -167,85 +167,6 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
 
 
 @part
-def _write_regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
-    """Run down the tree with the block in `rows` and write the chosen columns.
-
-    They go into rows of `out` from position `start`.
-    """
-    n = codes.shape[0]
-    slot = (STATE + 6 * n) * BLOCK
-    terms = n_slots * slot
-    angles = terms + TERMS * BLOCK
-    cosine = angles + 3 * n * BLOCK
-    sine = cosine + BLOCK
-    for i in range(n):
-        code, p = codes[i], placements[i]
-        read, write = code[READ] * slot, code[WRITE] * slot
-        angle = angles + i * BLOCK
-        rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
-        if code[REVOLUTE]:
-            trigonometry(rows, angle, cosine, sine)
-        move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
-        move_screws(code, p, rows, read, write, angle, cosine, sine)
-        _write_link_terms(rows, write, terms)
-        for d in range(code[DEPTH] + 1):
-            _write_link_columns(
-                rows,
-                write + (STATE + 6 * d) * BLOCK,
-                terms,
-                places[chain[i, d], i],
-                out,
-                stride,
-                start,
-            )
-
-
-@kernel("i2 i2 f2 f1 i i3 i2 i1 f1 f1 f1 i i F1 i")
-def regressor(
-    codes,
-    chain,
-    placements,
-    gravity,
-    n_slots,
-    places,
-    bounds,
-    columns,
-    q,
-    qd,
-    qdd,
-    start,
-    stop,
-    out,
-    width,
-):
-    """Write the regressor with samples innermost, or sample-major if `columns` are given.
-
-    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the
-    first row of joint k and the row after its last. Without `columns` there is one row of `out`,
-    `width` numbers long, per joint and chosen parameter. With them, `columns[row]` is written of
-    row n sample + k of `out`, and the rest left; `columns` increases within a joint, so that
-    neighbours can be moved by the vector.
-    """
-    n, by_sample = codes.shape[0], columns.size > 0
-    rows = allocate_scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
-    angles = n_slots * (STATE + 6 * n) + TERMS
-    tile = allocate_scratch(bounds[n - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
-    tile[:] = 0.0  # rows that the structure makes zero are not written
-    rest(rows, gravity)
-    for block in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - block)
-        gather_states(q, qd, qdd, block, count, n, rows, angles)
-        at_once = count == BLOCK and not by_sample
-        # one call, which is inlined and compiled once
-        target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
-        _write_regressor_block(
-            codes, chain, placements, n_slots, places, rows, target, stride, first
-        )
-        if not at_once:
-            _write_tile(tile, bounds, columns, block, count, out, width)
-
-
-@part
 def _write_tile(tile, bounds, columns, block, count, out, width):
     """Write the rows of a block to `out`, sample-major if `columns` are given."""
     if columns.size:
@@ -295,7 +216,6 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
     That is row `shares + k` for coordinate k; `above[k]` and `own[k]` say which coordinates move
     the parent and the link.
     """
-    before, after, revolute = code[BEFORE], code[AFTER], code[REVOLUTE]
     for k in range(own.size):
         if not own[k]:
             continue
@@ -303,36 +223,24 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
         for at in range(0, BLOCK, LANES):
             zx = zy = zz = mx = my = mz = splat(0.0)
             if above[k]:
-                r = read + o + at
-                zx, zy, zz = vector(rows, r)
-                mx, my, mz = vector(rows, r + 3 * BLOCK)
-                if before != NOTHING:
-                    cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
-                    mx, my, mz = rotate_into(before, p, 0, mx + cx, my + cy, mz + cz)
-                    zx, zy, zz = rotate_into(before, p, 0, zx, zy, zz)
-                if revolute:
-                    c, s = load(rows, cosine + at), load(rows, sine + at)
-                    zx, zy = zx * c + zy * s, zy * c - zx * s
-                    mx, my = mx * c + my * s, my * c - mx * s
-                else:
-                    q = load(rows, angle + at)
-                    mx, my = mx + zy * q, my - zx * q
-            if revolute:
-                zz = zz + load(rows, (shares + k) * BLOCK + at)
+                zx, zy, zz, mx, my, mz = carry_screw_rows(
+                    code, p, rows, read + o + at, angle + at, cosine + at, sine + at
+                )
+            share = load(rows, (shares + k) * BLOCK + at)
+            if code[REVOLUTE]:
+                zz = zz + share
             else:
-                mz = mz + load(rows, (shares + k) * BLOCK + at)
-            if after != NOTHING:
-                cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
-                mx, my, mz = rotate_into(after, p, 12, mx + cx, my + cy, mz + cz)
-                zx, zy, zz = rotate_into(after, p, 12, zx, zy, zz)
-            w = write + o + at
-            put(rows, w, zx, zy, zz)
-            put(rows, w + 3 * BLOCK, mx, my, mz)
+                mz = mz + share
+            screw = zx, zy, zz, mx, my, mz
+            put_six(rows, write + o + at, carry_screw(code[AFTER], p, 12, screw))
 
 
 @part
-def _write_coupled_block(codes, placements, n_slots, moves, places, rows, out, stride, start):
-    """Run down the tree with the block of motion in `rows` and write the chosen columns."""
+def _write_block(codes, placements, n_slots, moves, places, rows, out, stride, start):
+    """Run down the tree with the block of motion in `rows` and write the chosen columns.
+
+    They go into rows of `out` from position `start`.
+    """
     n, m = codes.shape[0], moves.shape[1]
     slot = (STATE + SCREW * m) * BLOCK
     terms = n_slots * slot
@@ -357,10 +265,9 @@ def _write_coupled_block(codes, placements, n_slots, moves, places, rows, out, s
                 _write_link_columns(rows, screw, terms, places[k, i], out, stride, start)
 
 
-@kernel("i2 i2 f2 f1 i f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
-def coupled_rows(
+@kernel("i2 f2 f1 i f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
+def regressor(
     codes,
-    chain,
     placements,
     gravity,
     n_slots,
@@ -377,14 +284,19 @@ def coupled_rows(
     out,
     width,
 ):
-    """Write the regressor as `regressor` does for a tree.
+    """Write the regressor with samples innermost, or sample-major if `columns` are given.
 
-    By virtual work `Y = G^T Y_tree`. The screw by which coordinate k moves a link is the sum of
-    the joint screws above it times the shares `G[j, k]`; the recursion carries these sums instead
-    of a screw per joint. Motion concerns the n joints; `shares` are G (n, m) in a row, or one
-    after the other for all samples; `moves[i + 1, k]` says whether coordinate k moves link i,
-    and `moves[0]` that none moves the root; `chain` is not needed; `places[k, i, c]` is the row of
-    coordinate k and parameter c of link i of the tree, or -1.
+    By virtual work `Y = G^T Y_tree`, G = 1 for a tree. The screw by which coordinate k moves a link
+    is the sum of the joint screws above it times the shares `G[j, k]`; the recursion carries these
+    sums instead of a screw per joint. Motion concerns the n joints; `shares` are G (n, m) in a row,
+    or one after the other for all samples; `moves[i + 1, k]` says whether coordinate k moves link
+    i, and `moves[0]` that none moves the root.
+
+    `places[k, i, c]` is the row for coordinate k and parameter c of link i of the tree, or -1;
+    `bounds[k]` are the first row of coordinate k and the row after its last. Without `columns`
+    there is one row of `out`, `width` numbers long, per coordinate and chosen parameter. With them,
+    `columns[row]` is written of row m sample + k of `out`, and the rest left; `columns` increases
+    within a coordinate, so that neighbours can be moved by the vector.
     """
     n, m = codes.shape[0], moves.shape[1]
     by_sample = columns.size > 0
@@ -402,75 +314,32 @@ def coupled_rows(
         at_once = count == BLOCK and not by_sample
         # one call, which is inlined and compiled once
         target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
-        _write_coupled_block(
-            codes,
-            placements,
-            n_slots,
-            moves,
-            places,
-            rows,
-            target,
-            stride,
-            first,
-        )
+        _write_block(codes, placements, n_slots, moves, places, rows, target, stride, first)
         if not at_once:
             _write_tile(tile, bounds, columns, block, count, out, width)
 
 
 @part
-def _wrench(rows, state, force, chi):
-    """Write force and moment about its origin that the motion of a link requires.
-
-    In link axes (Newton and Euler).
-    """
+def _write_wrench(rows, state, force, chi):
+    """Write the wrench that the motion of a link requires, in link axes."""
     for at in range(0, BLOCK, LANES):
-        r, f = state + at, force + at
-        wx, wy, wz = vector(rows, r)
-        dx, dy, dz = vector(rows, r + 3 * BLOCK)
-        ax, ay, az = vector(rows, r + 6 * BLOCK)
-        hx, hy, hz, m = splat(chi[6]), splat(chi[7]), splat(chi[8]), chi[9]
-        fx, fy, fz = accelerate_point(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
-        lx = wx * chi[0] + wy * chi[1] + wz * chi[2]
-        ly = wx * chi[1] + wy * chi[3] + wz * chi[4]
-        lz = wx * chi[2] + wy * chi[4] + wz * chi[5]
-        gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
-        ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
-        put(rows, f, fx, fy, fz)
-        nx = dx * chi[0] + dy * chi[1] + dz * chi[2] + gx + ex
-        ny = dx * chi[1] + dy * chi[3] + dz * chi[4] + gy + ey
-        nz = dx * chi[2] + dy * chi[4] + dz * chi[5] + gz + ez
-        put(rows, f + 3 * BLOCK, nx, ny, nz)
+        put_six(rows, force + at, find_wrench(chi, 0, read_nine(rows, state + at)))
 
 
 @part
 def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
     """Write the joint torque of a link's wrench and add the wrench to the parent link's wrench."""
     for at in range(0, BLOCK, LANES):
-        f = force + at
-        fx, fy, fz = vector(rows, f)
-        nx, ny, nz = vector(rows, f + 3 * BLOCK)
-        if code[AFTER] != NOTHING:
-            fx, fy, fz = rotate_out_of(code[AFTER], p, 12, fx, fy, fz)
-            nx, ny, nz = rotate_out_of(code[AFTER], p, 12, nx, ny, nz)
-            cx, cy, cz = cross(splat(p[21]), splat(p[22]), splat(p[23]), fx, fy, fz)
-            nx, ny, nz = nx + cx, ny + cy, nz + cz
-        store(rows, torque + at, nz if code[REVOLUTE] else fz)
+        f = carry_wrench(code[AFTER], p, 12, read_six(rows, force + at))
+        store(rows, torque + at, f[5] if code[REVOLUTE] else f[2])
         if code[PARENT] >= 0:
             if code[REVOLUTE]:
-                c, s = load(rows, cosine + at), load(rows, sine + at)
-                fx, fy = fx * c - fy * s, fy * c + fx * s
-                nx, ny = nx * c - ny * s, ny * c + nx * s
+                f = turn_wrench(load(rows, cosine + at), load(rows, sine + at), f)
             else:
-                q = load(rows, angle + at)
-                nx, ny = nx - fy * q, ny + fx * q
-            if code[BEFORE] != NOTHING:
-                fx, fy, fz = rotate_out_of(code[BEFORE], p, 0, fx, fy, fz)
-                nx, ny, nz = rotate_out_of(code[BEFORE], p, 0, nx, ny, nz)
-                cx, cy, cz = cross(splat(p[9]), splat(p[10]), splat(p[11]), fx, fy, fz)
-                nx, ny, nz = nx + cx, ny + cy, nz + cz
-            f = parent_force + at
-            add(rows, f, fx, fy, fz)
-            add(rows, f + 3 * BLOCK, nx, ny, nz)
+                f = slide_wrench(load(rows, angle + at), f)
+            f = carry_wrench(code[BEFORE], p, 0, f)
+            add(rows, parent_force + at, f[0], f[1], f[2])
+            add(rows, parent_force + at + 3 * BLOCK, f[3], f[4], f[5])
 
 
 @kernel("i2 f2 f1 f2 f1 f1 f1 i i F1")
@@ -508,7 +377,7 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
                 cosine,
                 cosine + BLOCK,
             )
-            _wrench(rows, write, forces + i * FORCE * BLOCK, chi[i])
+            _write_wrench(rows, write, forces + i * FORCE * BLOCK, chi[i])
         for i in range(n - 1, -1, -1):
             angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
             force, parent_force = (

@@ -24,10 +24,16 @@ from asbuilt.dynamics.kernels.recursion import (
     NOTHING,
     PARENT,
     REVOLUTE,
-    accelerate_point,
+    carry_motion,
+    carry_wrench,
     cross,
+    find_wrench,
     rotate_into,
     rotate_out_of,
+    slide_motion,
+    slide_wrench,
+    turn_motion,
+    turn_wrench,
 )
 from asbuilt.dynamics.kernels.stack_machine import run
 
@@ -46,88 +52,6 @@ WORK_PER_LINK, MORE_WORK = 30, 12 + STACK
 def work_size(n: int) -> int:
     """Return the size of the work space for n joints."""
     return WORK_PER_LINK * n + MORE_WORK
-
-
-@part
-def _move(codes, i, p, o, q, c, s, v, dv, x):
-    """Return w, dw, a of a link from its parent's, `x`."""
-    wx, wy, wz, dx, dy, dz, ax, ay, az = x
-    kind = codes[i + BEFORE]
-    if kind != NOTHING:
-        ax, ay, az = accelerate_point(
-            wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 9], p[o + 10], p[o + 11]
-        )
-        wx, wy, wz = rotate_into(kind, p, o, wx, wy, wz)
-        dx, dy, dz = rotate_into(kind, p, o, dx, dy, dz)
-        ax, ay, az = rotate_into(kind, p, o, ax, ay, az)
-    if codes[i + REVOLUTE]:
-        wx, wy = wx * c + wy * s, wy * c - wx * s
-        dx, dy = dx * c + dy * s, dy * c - dx * s
-        ax, ay = ax * c + ay * s, ay * c - ax * s
-        dx, dy, dz = dx + wy * v, dy - wx * v, dz + dv
-        wz = wz + v
-    else:
-        ax, ay, az = accelerate_point(wx, wy, wz, dx, dy, dz, ax, ay, az, 0.0, 0.0, q)
-        ax, ay, az = ax + 2.0 * wy * v, ay - 2.0 * wx * v, az + dv
-    kind = codes[i + AFTER]
-    if kind != NOTHING:
-        ax, ay, az = accelerate_point(
-            wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 21], p[o + 22], p[o + 23]
-        )
-        wx, wy, wz = rotate_into(kind, p, o + 12, wx, wy, wz)
-        dx, dy, dz = rotate_into(kind, p, o + 12, dx, dy, dz)
-        ax, ay, az = rotate_into(kind, p, o + 12, ax, ay, az)
-    return wx, wy, wz, dx, dy, dz, ax, ay, az
-
-
-@part
-def _wrench_of(p, o, x):
-    """Return force and moment about the link origin that the motion `x` of a link requires."""
-    wx, wy, wz, dx, dy, dz, ax, ay, az = x
-    hx, hy, hz, m = p[o + 6], p[o + 7], p[o + 8], p[o + 9]
-    fx, fy, fz = accelerate_point(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
-    lx = wx * p[o] + wy * p[o + 1] + wz * p[o + 2]
-    ly = wx * p[o + 1] + wy * p[o + 3] + wz * p[o + 4]
-    lz = wx * p[o + 2] + wy * p[o + 4] + wz * p[o + 5]
-    gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
-    ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
-    return (
-        fx,
-        fy,
-        fz,
-        dx * p[o] + dy * p[o + 1] + dz * p[o + 2] + gx + ex,
-        dx * p[o + 1] + dy * p[o + 3] + dz * p[o + 4] + gy + ey,
-        dx * p[o + 2] + dy * p[o + 4] + dz * p[o + 5] + gz + ez,
-    )
-
-
-@part
-def _to_joint(codes, i, p, o, f):
-    """Return a wrench in link axes about the link origin as one in the axes of the joint."""
-    fx, fy, fz, nx, ny, nz = f
-    if codes[i + AFTER] != NOTHING:
-        fx, fy, fz = rotate_out_of(codes[i + AFTER], p, o + 12, fx, fy, fz)
-        nx, ny, nz = rotate_out_of(codes[i + AFTER], p, o + 12, nx, ny, nz)
-        cx, cy, cz = cross(p[o + 21], p[o + 22], p[o + 23], fx, fy, fz)
-        nx, ny, nz = nx + cx, ny + cy, nz + cz
-    return fx, fy, fz, nx, ny, nz
-
-
-@part
-def _to_parent(codes, i, p, o, q, c, s, f):
-    """Return a wrench in axes of the joint as one in axes of the parent link."""
-    fx, fy, fz, nx, ny, nz = f
-    if codes[i + REVOLUTE]:
-        fx, fy = fx * c - fy * s, fy * c + fx * s
-        nx, ny = nx * c - ny * s, ny * c + nx * s
-    else:
-        nx, ny = nx - fy * q, ny + fx * q
-    if codes[i + BEFORE] != NOTHING:
-        fx, fy, fz = rotate_out_of(codes[i + BEFORE], p, o, fx, fy, fz)
-        nx, ny, nz = rotate_out_of(codes[i + BEFORE], p, o, nx, ny, nz)
-        cx, cy, cz = cross(p[o + 9], p[o + 10], p[o + 11], fx, fy, fz)
-        nx, ny, nz = nx + cx, ny + cy, nz + cz
-    return fx, fy, fz, nx, ny, nz
 
 
 @part
@@ -177,11 +101,15 @@ def torque(codes, numbers, q, qd, qdd, out):
                 states[r + 7],
                 states[r + 8],
             )
-        c, s = cosines[i], sines[i]
-        x = _move(codes, CODES * i, numbers, o, q[i], c, s, qd[i], qdd[i], x)
+        x = carry_motion(codes[CODES * i + BEFORE], numbers, o, x)
+        if codes[CODES * i + REVOLUTE]:
+            x = turn_motion(cosines[i], sines[i], qd[i], qdd[i], x)
+        else:
+            x = slide_motion(q[i], qd[i], qdd[i], x)
+        x = carry_motion(codes[CODES * i + AFTER], numbers, o + 12, x)
         for k in range(STATE):
             states[STATE * i + k] = x[k]
-        f = _wrench_of(numbers, o + CHI, x)
+        f = find_wrench(numbers, o + CHI, x)
         for k in range(WRENCH):
             wrenches[WRENCH * i + k] = f[k]
     for i in range(n - 1, -1, -1):
@@ -194,10 +122,14 @@ def torque(codes, numbers, q, qd, qdd, out):
             wrenches[r + 4],
             wrenches[r + 5],
         )
-        f = _to_joint(codes, CODES * i, numbers, o, f)
+        f = carry_wrench(codes[CODES * i + AFTER], numbers, o + 12, f)
         out[i] = f[5] if codes[CODES * i + REVOLUTE] else f[2]
         if codes[CODES * i + PARENT] >= 0:
-            f = _to_parent(codes, CODES * i, numbers, o, q[i], cosines[i], sines[i], f)
+            if codes[CODES * i + REVOLUTE]:
+                f = turn_wrench(cosines[i], sines[i], f)
+            else:
+                f = slide_wrench(q[i], f)
+            f = carry_wrench(codes[CODES * i + BEFORE], numbers, o, f)
             r = WRENCH * codes[CODES * i + PARENT]
             for k in range(WRENCH):
                 wrenches[r + k] += f[k]

@@ -27,6 +27,9 @@ from asbuilt.dynamics.kernels.recursion import (
     cross,
     gather_states,
     put,
+    put_six,
+    read_nine,
+    read_six,
     trigonometry,
     vector,
 )
@@ -177,19 +180,15 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
         x, y, z = _rotate_vector(rows, r + POSE * BLOCK, splat(p[21]), splat(p[22]), splat(p[23]))
         put(rows, r + PLACE * BLOCK, px + x, py + y, pz + z)
         _turn_rotation(rows, r + POSE * BLOCK, p, np.int64(12), r + POSE * BLOCK)
-        put(rows, r + SCREW * BLOCK, sx, sy, sz)
-        put(rows, r + (SCREW + 3) * BLOCK, tx, ty, tz)
+        put_six(rows, r + SCREW * BLOCK, (sx, sy, sz, tx, ty, tz))
 
-        wx, wy, wz = vector(rows, u + SPEED * BLOCK)
-        vx, vy, vz = vector(rows, u + (SPEED + 3) * BLOCK)
-        dx, dy, dz = vector(rows, u + CHANGE * BLOCK)
-        ax, ay, az = vector(rows, u + (CHANGE + 3) * BLOCK)
+        wx, wy, wz, vx, vy, vz = read_six(rows, u + SPEED * BLOCK)
+        dx, dy, dz, ax, ay, az = read_six(rows, u + CHANGE * BLOCK)
         ex, ey, ez = cross(wx, wy, wz, sx, sy, sz)
         fx, fy, fz = cross(wx, wy, wz, tx, ty, tz)
         gx, gy, gz = cross(vx, vy, vz, sx, sy, sz)
         fx, fy, fz = fx + gx, fy + gy, fz + gz
-        put(rows, r + TURN * BLOCK, ex, ey, ez)
-        put(rows, r + (TURN + 3) * BLOCK, fx, fy, fz)
+        put_six(rows, r + TURN * BLOCK, (ex, ey, ez, fx, fy, fz))
         gx, gy, gz = cross(dx, dy, dz, sx, sy, sz)
         hx, hy, hz = cross(wx, wy, wz, ex, ey, ez)
         put(rows, r + TURN_2 * BLOCK, gx + hx, gy + hy, gz + hz)
@@ -229,9 +228,7 @@ def _embody(rows, motion, body, chi):
         cx, cy, cz = _rotate_vector(
             rows, r + POSE * BLOCK, splat(chi[6]), splat(chi[7]), splat(chi[8])
         )
-        xx, xy, xz = vector(rows, r + POSE * BLOCK)
-        yx, yy, yz = vector(rows, r + (POSE + 3) * BLOCK)
-        zx, zy, zz = vector(rows, r + (POSE + 6) * BLOCK)
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = read_nine(rows, r + POSE * BLOCK)
         ix, iy, iz = (
             xx * chi[0] + xy * chi[1] + xz * chi[2],
             xx * chi[1] + xy * chi[3] + xz * chi[4],
@@ -257,13 +254,10 @@ def _embody(rows, motion, body, chi):
         i_zz = _dot(kx, ky, kz, zx, zy, zz) + same - pz * cz - gz * pz
         store(rows, b + MASS * BLOCK, splat(m))
         put(rows, b + MOMENT * BLOCK, gx, gy, gz)
-        put(rows, b + INERTIA * BLOCK, i_xx, i_xy, i_xz)
-        put(rows, b + (INERTIA + 3) * BLOCK, i_yy, i_yz, i_zz)
+        put_six(rows, b + INERTIA * BLOCK, (i_xx, i_xy, i_xz, i_yy, i_yz, i_zz))
 
-        wx, wy, wz = vector(rows, r + SPEED * BLOCK)
-        vx, vy, vz = vector(rows, r + (SPEED + 3) * BLOCK)
-        dx, dy, dz = vector(rows, r + CHANGE * BLOCK)
-        ax, ay, az = vector(rows, r + (CHANGE + 3) * BLOCK)
+        wx, wy, wz, vx, vy, vz = read_six(rows, r + SPEED * BLOCK)
+        dx, dy, dz, ax, ay, az = read_six(rows, r + CHANGE * BLOCK)
         lx, ly, lz = cross(wx, wy, wz, gx, gy, gz)
         lx, ly, lz = lx + vx * m, ly + vy * m, lz + vz * m
         put(rows, b + MOMENTUM * BLOCK, lx, ly, lz)
@@ -310,17 +304,13 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         r, b = own + at, body + at
         m = load(rows, b + MASS * BLOCK)
         hx, hy, hz = vector(rows, b + MOMENT * BLOCK)
-        i_xx, i_xy, i_xz = vector(rows, b + INERTIA * BLOCK)
-        i_yy, i_yz, i_zz = vector(rows, b + (INERTIA + 3) * BLOCK)
+        i_xx, i_xy, i_xz, i_yy, i_yz, i_zz = read_six(rows, b + INERTIA * BLOCK)
         lx, ly, lz = vector(rows, b + MOMENTUM * BLOCK)
-        xx, xy, xz = vector(rows, b + FLOW * BLOCK)
-        yx, yy, yz = vector(rows, b + (FLOW + 3) * BLOCK)
-        zx, zy, zz = vector(rows, b + (FLOW + 6) * BLOCK)
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = read_nine(rows, b + FLOW * BLOCK)
         trace = xx + yy + zz
         lx, ly, lz = lx + lx, ly + ly, lz + lz
 
-        sx, sy, sz = vector(rows, r + SCREW * BLOCK)
-        tx, ty, tz = vector(rows, r + (SCREW + 3) * BLOCK)
+        sx, sy, sz, tx, ty, tz = read_six(rows, r + SCREW * BLOCK)
         gx, gy, gz = cross(hx, hy, hz, tx, ty, tz)
         fx, fy, fz = cross(sx, sy, sz, hx, hy, hz)
         a0 = gx + sx * i_xx + sy * i_xy + sz * i_xz
@@ -336,8 +326,7 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         )
         b0, b1, b2 = gx + ex + ex, gy + ey + ey, gz + ez + ez
 
-        ux, uy, uz = vector(rows, r + TURN * BLOCK)
-        vx, vy, vz = vector(rows, r + (TURN + 3) * BLOCK)
+        ux, uy, uz, vx, vy, vz = read_six(rows, r + TURN * BLOCK)
         gx, gy, gz = cross(hx, hy, hz, vx, vy, vz)
         fx, fy, fz = cross(ux, uy, uz, hx, hy, hz)
         ex = sx * trace - _dot(sx, sy, sz, xx, xy, xz) + gx + ux * i_xx + uy * i_xy + uz * i_xz
@@ -352,15 +341,13 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         ex = ux * trace - _dot(ux, uy, uz, xx, xy, xz)
         ey = uy * trace - _dot(ux, uy, uz, yx, yy, yz)
         ez = uz * trace - _dot(ux, uy, uz, zx, zy, zz)
-        nx, ny, nz = vector(rows, b + WRENCH * BLOCK)
-        fx, fy, fz = vector(rows, b + (WRENCH + 3) * BLOCK)
+        nx, ny, nz, fx, fy, fz = read_six(rows, b + WRENCH * BLOCK)
         gx, gy, gz = cross(sx, sy, sz, fx, fy, fz)
         d3, d4, d5 = dx + gx, dy + gy, dz + gz
         gx, gy, gz = cross(sx, sy, sz, nx, ny, nz)
         d0, d1, d2 = ex + ex + gx, ey + ey + gy, ez + ez + gz
         gx, gy, gz = cross(tx, ty, tz, fx, fy, fz)
-        ux, uy, uz = vector(rows, r + TURN_2 * BLOCK)
-        vx, vy, vz = vector(rows, r + (TURN_2 + 3) * BLOCK)
+        ux, uy, uz, vx, vy, vz = read_six(rows, r + TURN_2 * BLOCK)
         ex, ey, ez = cross(hx, hy, hz, vx, vy, vz)
         fx, fy, fz = cross(ux, uy, uz, hx, hy, hz)
         d0 = d0 + gx + ex + ux * i_xx + uy * i_xy + uz * i_xz
@@ -371,17 +358,14 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         for depth in range(code[DEPTH] + 1):
             j = chain[depth]
             o = motions + j * MOTION * BLOCK + at
-            sx, sy, sz = vector(rows, o + SCREW * BLOCK)
-            tx, ty, tz = vector(rows, o + (SCREW + 3) * BLOCK)
+            sx, sy, sz, tx, ty, tz = read_six(rows, o + SCREW * BLOCK)
             up, down = tile + 3 * (j * n + i) * BLOCK + at, tile + 3 * (i * n + j) * BLOCK + at
             inertia = _dot(sx, sy, sz, a0, a1, a2) + _dot(tx, ty, tz, a3, a4, a5)
             if depth < code[DEPTH]:
-                ux, uy, uz = vector(rows, o + TURN * BLOCK)
-                vx, vy, vz = vector(rows, o + (TURN + 3) * BLOCK)
+                ux, uy, uz, vx, vy, vz = read_six(rows, o + TURN * BLOCK)
                 twice = _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
                 by_position = _dot(ux, uy, uz, b0, b1, b2)
-                ux, uy, uz = vector(rows, o + TURN_2 * BLOCK)
-                vx, vy, vz = vector(rows, o + (TURN_2 + 3) * BLOCK)
+                ux, uy, uz, vx, vy, vz = read_six(rows, o + TURN_2 * BLOCK)
                 by_position = (
                     by_position + _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
                 )

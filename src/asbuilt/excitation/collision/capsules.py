@@ -14,7 +14,13 @@ from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, Val
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.appearance import link_solids
-from asbuilt.description.formats.xml import described_text, parse_xml, read_extents, read_numbers
+from asbuilt.description.formats.xml import (
+    described_text,
+    parse_xml,
+    read_extents,
+    read_numbers,
+    read_origin,
+)
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.errors import DescriptionError, MissingExtraError
@@ -155,10 +161,10 @@ def build_surroundings(model: RobotModel, source: str | Path) -> Surroundings:
             " a .urdf or"
             " a .toml file"
         ) from None
-    return _from_file(model, file, path)
+    return _build_from_file(model, file, path)
 
 
-def _from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surroundings:
+def _build_from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surroundings:
     capsules = (
         list(build_skeleton_capsules(model, file.skeleton)) if file.skeleton is not None else []
     )
@@ -222,24 +228,16 @@ def read_urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ..
     for element in parse_xml(content, source).findall("link"):
         link, pose = _find_carrier(model, element.get("name", ""), Path(source))
         for collision in element.findall("collision"):
-            origin, geometry = collision.find("origin"), collision.find("geometry")
+            geometry = collision.find("geometry")
             if geometry is None or not len(geometry):
                 continue
             place = f"{source}, link {element.get('name')!r}, collision"
-            own = np.eye(4)
-            if origin is not None:
-                rpy = (
-                    read_numbers(origin, "rpy", 3, place) if origin.get("rpy") else [0.0, 0.0, 0.0]
-                )
-                own = placement(
-                    rotation_from_rpy(rpy),
-                    read_numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0],
-                )
+            xyz, rpy = read_origin(collision.find("origin"), place)
             points = _find_points(geometry[0], place, Path(source).parent)
             if points is None:
                 missing.append(geometry[0].get("filename", f"<{geometry[0].tag}>"))
             else:
-                whole = pose @ own
+                whole = pose @ placement(rotation_from_rpy(rpy), xyz)
                 found.append(Capsule.around(link, points @ whole[:3, :3].T + whole[:3, 3]))
     if not found:
         reason = (
@@ -302,16 +300,12 @@ def _find_points(shape: Any, place: str, folder: Path) -> Array | None:
 
 def _find_carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
     """Return the moving link (or `ROOT`) that carries a link or frame, and its pose in it."""
-    if name in model.link_names:
-        return model.link_names.index(name), np.eye(4)
-    for frame in model.frames:
-        if frame.name == name:
-            return frame.link, frame.placement
-    if name in (model.root_link, "world", "root"):
-        return ROOT, np.eye(4)
-    raise DescriptionError(
-        f"{path}: {model.name} has no link {name!r}; it has {', '.join(model.link_names)}"
-    )
+    places = model.places
+    if name not in places and name not in ("world", "root"):
+        raise DescriptionError(
+            f"{path}: {model.name} has no link {name!r}; it has {', '.join(model.link_names)}"
+        )
+    return places.get(name, (ROOT, np.eye(4)))
 
 
 def list_neighbours(model: RobotModel) -> frozenset[frozenset[int]]:

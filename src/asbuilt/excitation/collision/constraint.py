@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -60,7 +60,7 @@ class CollisionGuard(StateConstraint):
         poses = draw_states(MotionBounds.assumed(model), 200, np.random.default_rng(0))[0]
         # Share of random poses above which a pair closer than the clearance touches by
         # construction.
-        close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > 0.9
+        close = (self._measure_distances(poses)[0] < bodies.clearance).mean(axis=0) > 0.9
         names = [model.root_link if link == ROOT else model.link_names[link] for link in links]
         names += [obstacle.name for obstacle in bodies.obstacles]
         self.left_out = tuple(
@@ -77,17 +77,15 @@ class CollisionGuard(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return v of every pair, (N, pairs)."""
-        beyond = self._distances(q)[0] - self._bodies.clearance
+        beyond = self._measure_distances(q)[0] - self._bodies.clearance
         return np.asarray(1.0 - np.tanh(beyond / SOFTNESS))
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivative of v by q (N, pairs, n, 1), by Jacobians at nearest points."""
-        distances, points, normals = self._distances(q)
+        distances, points, normals = self._measure_distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
-        axes, origins = _place_joint_axes(self._model, q)
-        joints = self._model.moving_joints
-        shares = self._model.link_shares
+        frames = _place_joint_axes(self._model, q)
         for number, (a, b) in enumerate(self.pairs):
             for body, point, sign in (
                 (a, points[:, number, 0], -1.0),
@@ -96,20 +94,14 @@ class CollisionGuard(StateConstraint):
                 link = (
                     self._bodies.capsules[body].link if body < len(self._bodies.capsules) else ROOT
                 )
-                for k in self._model.ancestors(link):
-                    speed = (
-                        np.cross(axes[:, k], point - origins[:, k])
-                        if joints[k].is_revolute
-                        else axes[:, k]
-                    )
+                for speed, shares in _list_speeds(self._model, frames, link, point):
                     away = sign * np.einsum("si,si->s", normals[:, number], speed)
-                    gradient[:, number] += away[:, None] * shares[k]
-        slopes: Array = slope[:, :, None, None] * gradient[..., None]
-        return slopes
+                    gradient[:, number] += away[:, None] * shares
+        return np.asarray(slope[:, :, None, None] * gradient[..., None])
 
     def smallest_distance(self, q: Array) -> float:
         """Return the smallest distance between any checked pair over all poses (N, n) [m]."""
-        return float(self._distances(q)[0].min())
+        return float(self._measure_distances(q)[0].min())
 
     def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
         """Name the pairs that are not checked."""
@@ -117,7 +109,7 @@ class CollisionGuard(StateConstraint):
             return ()
         return (f"NOT CHECKED, they touch in nearly every pose: {', '.join(self.left_out)}",)
 
-    def _distances(self, q: Array) -> tuple[Array, Array, Array]:
+    def _measure_distances(self, q: Array) -> tuple[Array, Array, Array]:
         """Return distances (N, pairs), nearest axis points (N, pairs, 2, 3) and normals between."""
         links = link_poses(self._model, q)
         ends = []
@@ -184,14 +176,7 @@ class ToolBox(StateConstraint):
         self, model: RobotModel, lower: Array, upper: Array, frame: str | None = None
     ) -> None:
         self._model = model
-        named = {
-            item.name: (item.link, item.placement[:3, 3])
-            for item in model.frames
-            if item.link != ROOT
-        }
-        named |= {
-            name: (i, np.zeros(3)) for i, name in enumerate(model.link_names) if name not in named
-        }
+        named = {name: place for name, place in model.places.items() if place[0] != ROOT}
         last = (
             model.frames[-1].name
             if model.frames and model.frames[-1].link != ROOT
@@ -201,7 +186,8 @@ class ToolBox(StateConstraint):
             raise MotionError(
                 f"{model.name} has no moving frame {frame!r}; it has {', '.join(named)}"
             )
-        self._link, self._point = named[frame or last]
+        self._link, pose = named[frame or last]
+        self._point = pose[:3, 3]
         if not np.all(upper > lower):
             raise MotionError(
                 f"the box of the tool must have positive extent, got {lower.tolist()} to"
@@ -211,36 +197,28 @@ class ToolBox(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the normalised place of the tool, (N, 3)."""
-        normalised: Array = (self._places(q) - self._centre) / self._half
-        return normalised
+        return np.asarray((self._place_tool(q) - self._centre) / self._half)
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the place by q, (N, 3, n, 1)."""
-        place = self._places(q)
-        axes, origins = _place_joint_axes(self._model, q)
+        place = self._place_tool(q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
-        shares = self._model.link_shares
-        for k in self._model.ancestors(self._link):
-            speed = (
-                np.cross(axes[:, k], place - origins[:, k])
-                if self._model.moving_joints[k].is_revolute
-                else axes[:, k]
-            )
-            gradient += (speed / self._half)[:, :, None] * shares[k]
+        frames = _place_joint_axes(self._model, q)
+        for speed, shares in _list_speeds(self._model, frames, self._link, place):
+            gradient += (speed / self._half)[:, :, None] * shares
         return gradient[..., None]
 
     def margin(self, q: Array) -> float:
         """Return the smallest distance to a side of the box over poses [m]; negative outside."""
-        return float((self._half - np.abs(self._places(q) - self._centre)).min())
+        return float((self._half - np.abs(self._place_tool(q) - self._centre)).min())
 
     def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
         """State the margin to the box."""
         return (f"the tool keeps {1000 * self.margin(q):.0f} mm from the sides of its box",)
 
-    def _places(self, q: Array) -> Array:
+    def _place_tool(self, q: Array) -> Array:
         pose = link_poses(self._model, q)[:, self._link]
-        place: Array = pose[:, :3, :3] @ self._point + pose[:, :3, 3]
-        return place
+        return np.asarray(pose[:, :3, :3] @ self._point + pose[:, :3, 3])
 
 
 def build_constraints(
@@ -290,6 +268,20 @@ def _place_joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
         )
         axes[:, k], origins[:, k] = frame[:, :3, 2], frame[:, :3, 3]
     return axes, origins
+
+
+def _list_speeds(
+    model: RobotModel, frames: tuple[Array, Array], link: int, point: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Yield the speed (N, 3) of a point (N, 3) of a link per rate of each joint that moves it.
+
+    With it come the shares (n,) of the coordinates in that joint; `frames` of `_place_joint_axes`.
+    """
+    axes, origins = frames
+    for k in model.ancestors(link):
+        turns = model.moving_joints[k].is_revolute
+        speed = np.cross(axes[:, k], point - origins[:, k]) if turns else axes[:, k]
+        yield speed, model.link_shares[k]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import UsageError
 from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram
 from asbuilt.excitation.design.options import DesignOptions
@@ -222,13 +222,9 @@ class Design:
         Torques follow from the description, in units of the noise; NaN if it gives no masses.
         Unlike a relative error it is defined for parameters near zero.
         """
-        drive, values = described_drive(self.model)
         # Rate at which the torque of a motion is evaluated for `torque_effects` [Hz].
         state = self.motion.at(self.motion.sample_times(100.0))
-        rigid = inverse_dynamics(self.model, *state)
-        shares = self.model.motor_shares
-        friction = drive_torque(drive, values, *state, load=rigid, shares=shares)
-        torque = (rigid + friction) / self.noise
+        torque = TorqueModel(self.model, *described_drive(self.model))(*state) / self.noise
         size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
         effects: Array = self.std_errors * np.sqrt(np.diag(self.mean_information))
         return effects / size if size > 0 else np.full_like(effects, np.nan)

@@ -243,8 +243,7 @@ def _differentiate_along(program: MotionProgram, slopes: Array, direction: Array
     """Return dv/dx along a direction (n_basis, n), (N, m)."""
     samples, m, _, orders = slopes.shape
     motion = np.stack([program.bases[k] @ direction for k in range(orders)], axis=2)
-    rates: Array = (slopes.reshape(samples, m, -1) @ motion.reshape(samples, -1, 1))[:, :, 0]
-    return rates
+    return np.asarray((slopes.reshape(samples, m, -1) @ motion.reshape(samples, -1, 1))[:, :, 0])
 
 
 def _build_curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
@@ -378,7 +377,6 @@ def _update_curvature(curvature: Array, shift: Array, change: Array) -> Array:
         theta = (1 - CONSTANTS.damping) * along / (along - sharp)
         change = theta * change + (1 - theta) * forward
         sharp = float(shift @ change)
-    updated: Array = (
+    return np.asarray(
         curvature - np.outer(forward, forward) / along + np.outer(change, change) / sharp
     )
-    return updated

@@ -64,7 +64,7 @@ class SearchPool(Generic[Task, Result]):
         """Submit a task to a free process."""
         self._busy += 1
         future: Future[Result] = self._workers.executor.submit(_run, self._work, task)
-        future.add_done_callback(self._done)
+        future.add_done_callback(self._count_done)
         return future
 
     def close(self) -> None:
@@ -72,7 +72,7 @@ class SearchPool(Generic[Task, Result]):
         self._lost = True
         self._workers.close()
 
-    def _done(self, future: Future[Result]) -> None:
+    def _count_done(self, future: Future[Result]) -> None:
         self._busy -= 1
         self._lost = self._lost or future.cancelled() or future.exception() is not None
 

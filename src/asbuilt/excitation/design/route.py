@@ -94,7 +94,7 @@ def plan_route(
                     f" to {np.round(poses[j], 2).tolist()}; use fewer poses, another seed, or a"
                     " smaller clearance"
                 )
-            route = _with_turns(find_short_tour(lengths), before)
+            route = _insert_turns(find_short_tour(lengths), before)
     first = [node < len(poses) and node not in route[:place] for place, node in enumerate(route)]
     motion = pace_moves(
         nodes[route], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
@@ -143,8 +143,7 @@ def _untangle(order: list[int], apart: Array) -> list[int]:
 
 def _measure_distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
     """Return the time that the slowest joint takes at its velocity limit (K, M) [s]."""
-    apart: Array = np.abs((first[:, None] - second[None]) / bounds.velocity).max(axis=2)
-    return apart
+    return np.asarray(np.abs((first[:, None] - second[None]) / bounds.velocity).max(axis=2))
 
 
 def segments_free(
@@ -170,8 +169,7 @@ def _select_free_segments(
     nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.int64]:
     """Return the pairs of nodes (E, 2) whose segment is free."""
-    all_pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return all_pairs[segments_free(nodes, pairs, obstacles)]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)[segments_free(nodes, pairs, obstacles)]
 
 
 def _find_shortest_routes(
@@ -210,7 +208,7 @@ def _build_graph(edges: NDArray[np.int64], weights: Array, count: int) -> csr_ar
     return csr_array((weights, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
-def _with_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
+def _insert_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
     """Return the tour with the nodes between its poses."""
     route = [tour[0]]
     for start, stop in pairwise(tour):

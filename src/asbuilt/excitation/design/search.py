@@ -131,9 +131,9 @@ class DesignSearch:
         self._constraints = limits + constraints
         waves = SETTINGS.nodes_per_wave * family.span / family.shortest_wave
         self._n_nodes = max(SETTINGS.least_nodes, round(waves))
-        self._coarse = self._program(self._n_nodes, SETTINGS.margin_coarse)
+        self._coarse = self._build_program(self._n_nodes, SETTINGS.margin_coarse)
 
-    def _program(
+    def _build_program(
         self, n_nodes: int, margin: tuple[float, float], family: Parametrisation | None = None
     ) -> DesignProgram:
         chosen = family or self.family
@@ -159,11 +159,11 @@ class DesignSearch:
                 break
             best = found[0].value if found else -np.inf
             report = partial(self._report, progress, best, sum(lengths))
-            found = rank_candidates([*found, *self._round(first, size, length, pool, report)])
+            found = rank_candidates([*found, *self._run_round(first, size, length, pool, report)])
             first += length
         return found
 
-    def _round(
+    def _run_round(
         self,
         first: int,
         size: int,
@@ -208,14 +208,14 @@ class DesignSearch:
         """Return the candidate of a task, which depends on nothing else."""
         if task.refined_until is not None:
             assert task.origin is not None
-            return self._refined(task.origin, task.refined_until)
+            return self._refine(task.origin, task.refined_until)
         rng = np.random.default_rng([self._options.seed, task.number])
         if task.origin is not None:
-            return self._restarted(task.number, rng, task.origin)
-        optimum = self._solved(self._coarse, self._start(rng), SETTINGS.barrier_random)
+            return self._restart(task.number, rng, task.origin)
+        optimum = self._solve(self._coarse, self._draw_start(rng), SETTINGS.barrier_random)
         return Candidate.of(task.number, optimum)
 
-    def _solved(
+    def _solve(
         self,
         program: DesignProgram,
         start: Array | None,
@@ -226,34 +226,36 @@ class DesignSearch:
             return None
         return solve(program, start, barrier=barrier, cancelled=deadline or self._deadline)
 
-    def _restarted(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
+    def _restart(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
         for _ in range(10):
-            other = self._start(rng)
+            other = self._draw_start(rng)
             if other is None:
                 break
             part = rng.uniform(*SETTINGS.disturbance)
-            start = self._inside(self._coarse, (1 - part) * parent.coefficients + part * other)
-            optimum = self._solved(self._coarse, start, SETTINGS.barrier_restart)
+            start = self._shrink_inside(
+                self._coarse, (1 - part) * parent.coefficients + part * other
+            )
+            optimum = self._solve(self._coarse, start, SETTINGS.barrier_restart)
             if optimum is not None:
                 return Candidate.of(number, optimum)
         return Candidate.of(number, None)
 
-    def _refined(self, candidate: Candidate, deadline: Deadline) -> Candidate:
+    def _refine(self, candidate: Candidate, deadline: Deadline) -> Candidate:
         coefficients, family, value = candidate.coefficients, self.family, candidate.value
         for _ in range(2 if isinstance(family, PointToPoint) else 1):
-            family = self._retimed(family, coefficients)
-            dense = self._program(2 * self._n_nodes, SETTINGS.margin_fine, family)
-            start = self._inside(dense, coefficients)
-            optimum = self._solved(dense, start, SETTINGS.barrier_refined, deadline)
+            family = self._retime(family, coefficients)
+            dense = self._build_program(2 * self._n_nodes, SETTINGS.margin_fine, family)
+            start = self._shrink_inside(dense, coefficients)
+            optimum = self._solve(dense, start, SETTINGS.barrier_refined, deadline)
             if optimum is not None and (
                 optimum.value > value - 1.0 or isinstance(family, PointToPoint)
             ):
                 coefficients, value = optimum.coefficients, optimum.value
-        kept = self._repaired(coefficients, family)
+        kept = self._repair(coefficients, family)
         if kept is None:
             return Candidate.of(candidate.number, None)
         if isinstance(family, PointToPoint):
-            moved = self._paced(kept)
+            moved = self._pace(kept)
             assert moved is not None
             return Candidate(
                 candidate.number,
@@ -262,7 +264,7 @@ class DesignSearch:
             )
         return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
-    def _paced(self, poses: Array) -> tuple[Array, Array, Array] | None:
+    def _pace(self, poses: Array) -> tuple[Array, Array, Array] | None:
         """Return the states at 1 kHz of a controller's motion through the poses, if it has one."""
         motion = pace_moves(poses, self._bounds, self._constraints)
         return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
@@ -282,7 +284,7 @@ class DesignSearch:
             )
         return motion
 
-    def _retimed(self, family: Parametrisation, poses: Array) -> Parametrisation:
+    def _retime(self, family: Parametrisation, poses: Array) -> Parametrisation:
         if not isinstance(family, PointToPoint):
             return family
         way = np.abs(np.diff(poses, axis=0))
@@ -294,8 +296,7 @@ class DesignSearch:
 
     def failure(self) -> MotionError:
         """Return the error that says why there is no design."""
-        rng = np.random.default_rng([self._options.seed, 0])
-        start = self._start(rng)
+        start = self._draw_start(np.random.default_rng([self._options.seed, 0]))
         if start is None:
             return MotionError(
                 f"{self._model.name}: no motion within the constraints was found, however small;"
@@ -308,7 +309,7 @@ class DesignSearch:
             f" base parameters; use more {self.family.size_name} or fewer drive terms"
         )
 
-    def _start(self, rng: np.random.Generator) -> Array | None:
+    def _draw_start(self, rng: np.random.Generator) -> Array | None:
         program, n = self._coarse, self._model.n_joints
         constant = self.family.constant
         for _ in range(40):
@@ -332,7 +333,7 @@ class DesignSearch:
                 shape = 0.6 * shape
         return None
 
-    def _inside(self, program: DesignProgram, coefficients: Array) -> Array | None:
+    def _shrink_inside(self, program: DesignProgram, coefficients: Array) -> Array | None:
         """Return the coefficients shrunk towards the middle of the range or of the motion.
 
         They shrink just enough to be strictly feasible.
@@ -346,10 +347,11 @@ class DesignSearch:
                     return inner
         return None
 
-    def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
+    def _repair(self, coefficients: Array, family: Parametrisation) -> Array | None:
         """Return the coefficients, shrunk until every constraint holds at 1 kHz."""
-        count = max(self._n_nodes, int(family.span * CHECK_RATE))
-        grid = self._program(count, (0.0, 0.0), family)
+        grid = self._build_program(
+            max(self._n_nodes, int(family.span * CHECK_RATE)), (0.0, 0.0), family
+        )
         least, most = SETTINGS.shrinkage
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         own = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
@@ -358,7 +360,7 @@ class DesignSearch:
             for _ in range(SETTINGS.repairs):
                 trial: Array = coefficients + part * (pose - coefficients)
                 if isinstance(family, PointToPoint):
-                    worst = -least if self._paced(trial) is None else 0.0
+                    worst = -least if self._pace(trial) is None else 0.0
                 else:
                     worst = min(float(slack.min()) for slack in grid.margins(trial))
                 if worst >= 0:

@@ -158,8 +158,7 @@ def _try_cholesky(matrix: Array) -> Array | None:
 
 
 def _invert_factored(factor: Array) -> Array:
-    inverse: Array = cho_solve((factor, True), np.eye(len(factor)))
-    return inverse
+    return np.asarray(cho_solve((factor, True), np.eye(len(factor))))
 
 
 def _smooth_log_smallest(values: Array) -> tuple[float, Array]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices, read_only
+from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE
@@ -19,6 +19,12 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 
+ASSUMED = {
+    "position": ("lower", "upper"),
+    "velocity": ("velocity",),
+    "acceleration": ("acceleration",),
+}
+"""Quantities whose limits are assumed where the description lacks them, and the limits."""
 SCALING_STATES = 500
 """Random states over which the units of the parameters are averaged."""
 
@@ -105,7 +111,7 @@ class Information:
             self.plan.evaluate(q, qd, qdd, out)
             return out
         self._bodies.evaluate(q, qd, qdd, out)
-        columns = self._drive_columns(self._state(q, qd, qdd))
+        columns = self._evaluate_drive_columns(self._list_state(q, qd, qdd))
         for k, (chosen, places) in enumerate(self._drive_places):
             out[places, : len(q)] = columns[chosen, :, k]
         return out
@@ -149,13 +155,13 @@ class Information:
             given = np.zeros((drive.columns_per_joint, count, self.model.n_joints))
             for k, (chosen, places) in enumerate(self._drive_places):
                 given[chosen, :, k] = weights[places, :count]
-            state = self._state(q, qd, qdd)
+            state = self._list_state(q, qd, qdd)
             for order in self._drive_arguments:
                 up, down = (
                     [x + step if i == order else x for i, x in enumerate(state)]
                     for step in (SMOOTHING.step, -SMOOTHING.step)
                 )
-                slope = self._drive_columns(up) - self._drive_columns(down)
+                slope = self._evaluate_drive_columns(up) - self._evaluate_drive_columns(down)
                 through = np.einsum("csk,csk->sk", given, slope) / (2 * SMOOTHING.step)
                 if order < 3:
                     slopes[order][...] += through
@@ -181,20 +187,21 @@ class Information:
             found.append((own[own >= 0], first + np.flatnonzero(own >= 0)))
         return tuple(found)
 
-    def _drive_columns(self, state: Sequence[Array]) -> Array:
+    def _evaluate_drive_columns(self, state: Sequence[Array]) -> Array:
         """Return smoothed drive columns (columns per joint, N, n); `state`: q, qd, qdd, (load)."""
-        columns = self._exact_drive_columns(state)
+        columns = self._evaluate_exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):
             speed = np.abs(state[1]) + SMOOTHING.smallest_speed
             ahead, behind = (
-                self._exact_drive_columns([state[0], v, *state[2:]])[jumps] for v in (speed, -speed)
+                self._evaluate_exact_drive_columns([state[0], v, *state[2:]])[jumps]
+                for v in (speed, -speed)
             )
             sign = np.tanh(state[1] / self.width)
             columns[jumps] = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
         return columns
 
-    def _exact_drive_columns(self, state: Sequence[Array]) -> Array:
+    def _evaluate_exact_drive_columns(self, state: Sequence[Array]) -> Array:
         drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
         if not any(term.differs_by_joint for term in drive.terms):
             flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
@@ -209,17 +216,17 @@ class Information:
             )
         return columns
 
-    def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
+    def _list_state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
         load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []
         return [q, qd, qdd, *load]
 
     @cached_property
-    def _jumps(self) -> NDArray[np.bool_]:
+    def _jumps(self) -> Mask:
         """Which drive columns jump at zero velocity."""
         n = self.model.n_joints
         still = np.tile(np.linspace(-1.0, 1.0, 7)[:, None], (1, n))
         ahead, behind = (
-            self._exact_drive_columns(
+            self._evaluate_exact_drive_columns(
                 [still, np.full((7, n), v), *[still] * (1 + self.base.drive.needs_load)]
             )
             for v in (1e-9, -1e-9)
@@ -234,7 +241,7 @@ class Information:
             rng.uniform(0.1, 1.0, (5, self.model.n_joints))
             for _ in range(3 + self.base.drive.needs_load)
         ]
-        reference = self._drive_columns(state)
+        reference = self._evaluate_drive_columns(state)
         moved = [
             [x + 0.05 if i == order else x for i, x in enumerate(state)]
             for order in range(len(state))
@@ -242,7 +249,7 @@ class Information:
         return tuple(
             order
             for order, other in enumerate(moved)
-            if np.any(self._drive_columns(other) != reference)
+            if np.any(self._evaluate_drive_columns(other) != reference)
         )
 
 
@@ -262,26 +269,17 @@ def mean_information(
 def complete_limits(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
     """Return the robot with complete limits, and the names of those that were assumed."""
     bounds = MotionBounds.assumed(model)
-    assumed: list[str] = []
-    limits = []
-    for j, joint in enumerate(model.joints):
-        completed = replace(
-            joint.limits,
-            lower=float(bounds.lower[j]),
-            upper=float(bounds.upper[j]),
-            velocity=float(bounds.velocity[j]),
-            acceleration=float(bounds.acceleration[j]),
-        )
-        limits.append(completed)
-        given = joint.limits
-        known = {
-            "position": np.isfinite(given.lower) and np.isfinite(given.upper),
-            "velocity": np.isfinite(given.velocity),
-            "acceleration": np.isfinite(given.acceleration),
-        }
-        assumed += [
-            quantity for quantity, stated in known.items() if not stated and quantity not in assumed
-        ]
+    names = [name for each in ASSUMED.values() for name in each]
+    limits = [
+        replace(joint.limits, **{name: float(getattr(bounds, name)[j]) for name in names})
+        for j, joint in enumerate(model.joints)
+    ]
+    assumed = dict.fromkeys(
+        quantity
+        for joint in model.joints
+        for quantity, needed in ASSUMED.items()
+        if not all(np.isfinite(getattr(joint.limits, name)) for name in needed)
+    )
     return model.with_limits(limits), tuple(assumed)
 
 
@@ -293,8 +291,7 @@ def draw_states(
     Velocities and accelerations sit at a limit or at zero with probability `extreme`.
     """
     n = bounds.lower.size
-    q = rng.uniform(bounds.lower, bounds.upper, size=(count, n))
-    found = [q]
+    found = [rng.uniform(bounds.lower, bounds.upper, size=(count, n))]
     for limit in (bounds.velocity, bounds.acceleration):
         inner, corner = (
             rng.uniform(-1, 1, size=(count, n)),
@@ -312,5 +309,4 @@ def parameter_scale(information: Information, bounds: MotionBounds) -> Array:
     states = draw_states(bounds, SCALING_STATES, np.random.default_rng(0))
     rows = information.rows(*states, smooth=False)
     size = np.diag(information.matrix(rows, SCALING_STATES)) / SCALING_STATES
-    scale: Array = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))
-    return scale
+    return np.asarray(1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max())))

@@ -157,15 +157,9 @@ class Fourier(Parametrisation):
     The motion is at rest at both ends.
     """
 
-    periods: int = 1
     key = "fourier"
     size_name = "harmonics"
     band_limited = True
-
-    @classmethod
-    def of(cls, duration: float, size: int, periods: int = 1) -> Fourier:
-        """Build the family."""
-        return cls(duration, size, periods)
 
     @classmethod
     def usual_size(

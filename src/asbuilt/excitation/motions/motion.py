@@ -275,6 +275,22 @@ def check_way_points(points: ArrayLike, what: str = "way points", least: int = 2
     return array
 
 
+def check_limits_of_pace(
+    n_joints: int, velocity: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike, what: str
+) -> list[Array]:
+    """Return limits of the first three derivatives (n_joints,); raises MotionError without any."""
+    limits = [
+        check_limit_array(limit, n_joints, name)
+        for limit, name in zip((velocity, acceleration, jerk), QUANTITIES[1:], strict=True)
+    ]
+    if not np.all(np.isfinite(np.min(limits, axis=0))):
+        raise MotionError(
+            "a joint without a finite velocity, acceleration or jerk limit has no fastest"
+            f" {what}; give one for every joint"
+        )
+    return limits
+
+
 def check_limit_array(limit: ArrayLike, n_joints: int, quantity: str) -> Array:
     """Return a limit as (n_joints,) positive numbers (infinite allowed), or raise MotionError."""
     array = np.asarray(limit, dtype=np.float64)

@@ -71,18 +71,18 @@ class LegMotion:
 def leg_motions(model: RobotModel, posture: Array) -> Iterator[LegMotion]:
     """Yield the motions that a robot can make about a posture q (n,), the gentlest first.
 
-    The base of the robot is free, its first six coordinates those of `structure.free_base`.
+    The base of the robot is free, with the six coordinates of `structure.free_base` first.
     """
     t = np.arange(0.0, RULES.seconds, 1.0 / RULES.rate)
-    yield from _on_feet(model, posture, t)
-    yield from _in_the_air(model, posture, t)
+    yield from _move_on_feet(model, posture, t)
+    yield from _move_in_the_air(model, posture, t)
 
 
-def _on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
+def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
     feet = len(model.contacts)
     if not feet:
         return
-    h = _height(model, posture)
+    h = _measure_height(model, posture)
     aside, down, turn = RULES.sway * h, RULES.height * h, RULES.turn
     for name, size in (
         ("squats", [0, 0, down, 0, 0, 0]),
@@ -91,11 +91,11 @@ def _on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]
         ("twisting the trunk on standing feet", [0, 0, 0, turn, 0, 0]),
         ("squatting, leaning and twisting at once", [aside, aside, down, turn, turn, turn]),
     ):
-        base = np.array(size) * _waves(t, 6, RULES.slow)
-        yield from _standing(model, posture, name, base, np.ones(feet, dtype=np.bool_))
-    legs = [_joints_above(model, each.frame) for each in model.contacts]
+        base = np.array(size) * _build_waves(t, 6, RULES.slow)
+        yield from _move_base(model, posture, name, base, np.ones(feet, dtype=np.bool_))
+    legs = [_find_joints_above(model, each.frame) for each in model.contacts]
     lifted = [
-        each for k in range(feet) if feet > 1 for each in _lifting(model, posture, t, k, legs)
+        each for k in range(feet) if feet > 1 for each in _lift_foot(model, posture, t, k, legs)
     ]
     if lifted:
         q, qd, qdd = (
@@ -107,21 +107,21 @@ def _on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]
     free = sorted(set(range(6, model.n_joints)).difference(*legs))
     if free:
         name = "standing and swinging all joints that carry no foot"
-        yield from _standing(
+        yield from _move_base(
             model, posture, name, np.zeros((t.size, 6)), np.ones(feet, dtype=np.bool_), free
         )
 
 
-def _lifting(
+def _lift_foot(
     model: RobotModel, posture: Array, t: Array, k: int, legs: list[set[int]]
 ) -> Iterator[LegMotion]:
-    """Yield the motion of the leg of contact k, the others standing, if they reach."""
+    """Yield the motion of the leg of contact k, the others on the ground, if they reach."""
     stands = np.arange(len(legs)) != k
     own = sorted(legs[k].difference(*(legs[j] for j in np.flatnonzero(stands))))
-    yield from _standing(model, posture, "", np.zeros((t.size, 6)), stands, own)
+    yield from _move_base(model, posture, "", np.zeros((t.size, 6)), stands, own)
 
 
-def _standing(
+def _move_base(
     model: RobotModel,
     posture: Array,
     name: str,
@@ -132,17 +132,19 @@ def _standing(
     """Yield the motion of a base (N, 6) on feet that stand, if these reach, else none."""
     rest = posture
     if not stands.all():
-        lifted = np.asarray(RULES.lift * _height(model, posture) * ~stands, dtype=np.float64)
-        rest, off = _on_ground(model, posture[None], posture, stands | True, lifted)
+        lifted = np.asarray(
+            RULES.lift * _measure_height(model, posture) * ~stands, dtype=np.float64
+        )
+        rest, off = _put_on_ground(model, posture[None], posture, stands | True, lifted)
         rest = rest[0] if off else posture
     for k in range(RULES.halvings + 1):
         q = rest + np.zeros((len(base), 1))
         q[:, :6] += 0.5**k * base
         if swinging:
             t = np.arange(len(base)) / RULES.rate
-            waves = _waves(t, len(swinging), RULES.fast)
-            q[:, swinging] += 0.5**k * waves * _room(model, rest)[swinging]
-        q, reached = _on_ground(model, q, posture, stands)
+            waves = _build_waves(t, len(swinging), RULES.fast)
+            q[:, swinging] += 0.5**k * waves * _measure_room(model, rest)[swinging]
+        q, reached = _put_on_ground(model, q, posture, stands)
         if reached:
             rates = np.gradient(q, 1.0 / RULES.rate, axis=0)
             second = np.gradient(rates, 1.0 / RULES.rate, axis=0)
@@ -150,43 +152,43 @@ def _standing(
             return
 
 
-def _in_the_air(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
+def _move_in_the_air(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
     """Yield the motion of all joints where nothing touches the robot, with its momentum."""
     n = model.n_joints
     q = np.tile(posture, (t.size, 1))
-    q[:, 6:] += _waves(t, n - 6, RULES.fast) * _room(model, posture)[6:]
+    q[:, 6:] += _build_waves(t, n - 6, RULES.fast) * _measure_room(model, posture)[6:]
     qd = np.gradient(q, 1.0 / RULES.rate, axis=0)
     qdd = np.gradient(qd, 1.0 / RULES.rate, axis=0)
     M = mass_matrix(model, q)
-    qd[:, :6] = -_solved(M[:, :6, :6], np.einsum("sij,sj->si", M[:, :6, 6:], qd[:, 6:]))
+    qd[:, :6] = -_solve(M[:, :6, :6], np.einsum("sij,sj->si", M[:, :6, 6:], qd[:, 6:]))
     qdd[:, :6] = 0.0
-    qdd[:, :6] = -_solved(M[:, :6, :6], inverse_dynamics(model, q, qd, qdd)[:, :6])
+    qdd[:, :6] = -_solve(M[:, :6, :6], inverse_dynamics(model, q, qd, qdd)[:, :6])
     feet = len(model.contacts)
     name = "hops with legs that swing in the air" if feet else "moving all joints at once"
     share = RULES.airborne if feet else 1.0
     yield LegMotion(name, q, qd, qdd, np.zeros((t.size, feet), dtype=np.bool_), share)
 
 
-def _solved(A: Array, b: Array) -> Array:
+def _solve(A: Array, b: Array) -> Array:
     return np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0])
 
 
-def _waves(t: Array, n: int, frequencies: tuple[float, float]) -> Array:
+def _build_waves(t: Array, n: int, frequencies: tuple[float, float]) -> Array:
     """Return sums of two sines (N, n) of size 1, of other phases in each column."""
     phase = 2.0 * np.pi * np.arange(n) * (np.sqrt(5.0) - 1.0) / 2.0  # golden: no two alike
     slow, fast = (2.0 * np.pi * f * t[:, None] for f in frequencies)
     return np.asarray(0.6 * np.sin(slow + phase) + 0.4 * np.sin(fast + 2.0 * phase))
 
 
-def _room(model: RobotModel, posture: Array) -> Array:
+def _measure_room(model: RobotModel, posture: Array) -> Array:
     """Return how far joints (n,) can swing to both sides of a posture."""
     bounds = MotionBounds.of(model)
     margin = np.minimum(bounds.upper - posture, posture - bounds.lower)
     return np.asarray(np.clip(margin, 0.0, RULES.swing))
 
 
-def _joints_above(model: RobotModel, frame: str) -> set[int]:
-    """Return the joints that move a frame and are not those of the base."""
+def _find_joints_above(model: RobotModel, frame: str) -> set[int]:
+    """Return the joints that move a frame and are no joints of the base."""
     J = contact_jacobians(
         replace(model, contacts=tuple(c for c in model.contacts if c.frame == frame)),
         np.linspace(0.3, 0.7, model.n_joints)[None],
@@ -194,22 +196,21 @@ def _joints_above(model: RobotModel, frame: str) -> set[int]:
     return {int(k) for k in np.flatnonzero(np.abs(J).max(axis=0) > 1e-9) if k >= 6}
 
 
-def _places(model: RobotModel, q: Array) -> tuple[Array, Array]:
+def _place_contacts(model: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return place (N, n_contacts, 3) and rotation (N, n_contacts, 3, 3) of each contact."""
     poses = link_poses(model, q)
     places = (model.placed(each.frame) for each in model.contacts)
-    found = [poses[:, link] @ place for link, place in places]
-    T = np.stack(found, axis=1)
+    T = np.stack([poses[:, link] @ place for link, place in places], axis=1)
     return T[..., :3, 3], T[..., :3, :3]
 
 
-def _height(model: RobotModel, posture: Array) -> float:
+def _measure_height(model: RobotModel, posture: Array) -> float:
     """Return the height of the base above its lowest contact [m]."""
-    lowest = float(_places(model, posture[None])[0][0, :, 2].min())
+    lowest = float(_place_contacts(model, posture[None])[0][0, :, 2].min())
     return max(float(posture[2]) - lowest, 0.05)
 
 
-def _on_ground(
+def _put_on_ground(
     model: RobotModel, q: Array, posture: Array, stands: Mask, lift: Array | float = 0.0
 ) -> tuple[Array, bool]:
     """Return positions (N, n) with the feet that stand where they are in a posture, but for `lift`.
@@ -218,16 +219,16 @@ def _on_ground(
     the limits of the joints.
     """
     points = replace(model, contacts=tuple(replace(c, radius=0.0) for c in model.contacts))
-    goal, turn = _places(points, posture[None])
+    goal, turn = _place_contacts(points, posture[None])
     goal = goal + np.outer(np.broadcast_to(lift, len(points.contacts)), [0.0, 0.0, 1.0])
-    q, off, height = q.copy(), np.inf, _height(model, posture)
+    q, off, height = q.copy(), np.inf, _measure_height(model, posture)
     for _ in range(RULES.steps):
-        at, R = _places(points, q)
+        at, R = _place_contacts(points, q)
         jacobians, gaps, rows = contact_jacobians(points, q), [], []
         for k in np.flatnonzero(stands):
             gap = goal[:, k] - at[:, k]
             if points.contacts[k].flat:
-                gap = np.hstack([gap, _rotation(turn[:, k] @ np.swapaxes(R[:, k], 1, 2))])
+                gap = np.hstack([gap, _find_rotation(turn[:, k] @ np.swapaxes(R[:, k], 1, 2))])
             gaps.append(gap)
             rows.append(jacobians[k][:, :, 6:])
         gap = np.hstack(gaps)
@@ -241,7 +242,7 @@ def _on_ground(
     return q, inside and off < RULES.reached * height
 
 
-def _rotation(R: Array) -> Array:
+def _find_rotation(R: Array) -> Array:
     """Return the small rotation vector (N, 3) of rotations (N, 3, 3)."""
     return 0.5 * np.stack(
         [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -52,17 +52,14 @@ class Parametrisation(ABC):
 
     duration: float
     size: int
+    periods: int = 1
+    """Repetitions within the duration; only a periodic family has several."""
     key: ClassVar[str]
     size_name: ClassVar[str]
     density: ClassVar[float] = 0.0
     """Points per control point of a B-spline of equal richness; 0: as few as the duration asks."""
     band_limited: ClassVar[bool] = False
     """Whether no frequency exceeds `1 / shortest_wave`."""
-
-    @classmethod
-    def of(cls, duration: float, size: int, periods: int = 1) -> Self:
-        """Build the family; only a periodic one uses `periods`."""
-        return cls(duration, size)
 
     @classmethod
     def usual_size(

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import (
@@ -128,13 +128,13 @@ class PointToPoint(Parametrisation):
     key = "point-to-point"
     size_name = "poses"
 
-    def _steps(self) -> Array:
+    def _list_steps(self) -> Array:
         equal = np.full(self.size - 1, self.duration / (self.size - 1))
         return np.array(self.steps) if self.steps else equal
 
     def basis(self, t: Array, order: int) -> Array:
         """Return the derivative of this order of the basis functions."""
-        steps = self._steps()
+        steps = self._list_steps()
         edges = np.concatenate([[0.0], np.cumsum(steps)])
         move = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(steps) - 1)
         s, length = (t - edges[move]) / steps[move], steps[move]
@@ -160,9 +160,9 @@ class PointToPoint(Parametrisation):
 
     def motion(self, coefficients: Array) -> Motion:
         """Return the moves at the given times."""
-        edges = np.concatenate([[0.0], np.cumsum(self._steps())])
+        edges = np.concatenate([[0.0], np.cumsum(self._list_steps())])
         breaks, pieces = [0.0], []
-        for k, step in enumerate(self._steps()):
+        for k, step in enumerate(self._list_steps()):
             start, way = coefficients[k], coefficients[k + 1] - coefficients[k]
             third, hard, top = step / 3, 4.5 / step**2, 1.5 / step
             breaks += [edges[k] + third, edges[k] + 2 * third, edges[k + 1]]
@@ -181,7 +181,7 @@ class PointToPoint(Parametrisation):
     @property
     def shortest_wave(self) -> float:
         """Two moves [s]."""
-        return 2 * float(self._steps().min())
+        return 2 * float(self._list_steps().min())
 
     @property
     def constant(self) -> Array:
@@ -228,7 +228,7 @@ def pace_moves(
 
 def find_violations(
     constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return at which states (N,) a constraint does not hold."""
     over = np.zeros(len(q), dtype=bool)
     for constraint in constraints:

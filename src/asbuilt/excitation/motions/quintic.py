@@ -13,7 +13,7 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import (
     STANDSTILL,
     Motion,
-    check_limit_array,
+    check_limits_of_pace,
     check_way_points,
 )
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
@@ -124,18 +124,9 @@ class QuinticMotion(PiecewisePolynomial):
         joint attains its limit exactly and the others arrive together with it.
         """
         q = check_way_points(poses, "poses")
-        n = q.shape[1]
-        v, a, j = (
-            check_limit_array(x, n, name)
-            for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
-        )
+        v, a, j = check_limits_of_pace(q.shape[1], velocity, acceleration, jerk, "motion")
         if not (np.isfinite(dwell) and dwell >= 0):
             raise MotionError(f"the dwell must be finite and not negative, got {dwell} s")
-        if not np.all(np.isfinite(np.min([v, a, j], axis=0))):
-            raise MotionError(
-                "a joint without a finite velocity, acceleration or jerk limit has no fastest"
-                " motion; give one for every joint"
-            )
         distance = np.abs(np.diff(q, axis=0))
         distance[distance <= STANDSTILL] = 0.0
         # Largest jerk of the rest-to-rest quintic over unit distance and time, at both ends.
@@ -186,10 +177,10 @@ class Quintic(Parametrisation):
     size_name = "way points"
     density = 0.5
 
-    def _times(self) -> Array:
+    def _list_times(self) -> Array:
         return np.linspace(0.0, self.duration, self.size)
 
-    def _parts(self, coefficients: Array) -> tuple[Array, Array, Array]:
+    def _split_coefficients(self, coefficients: Array) -> tuple[Array, Array, Array]:
         m, n = self.size, coefficients.shape[1]
         step = self.duration / (m - 1)
         speed, change = np.zeros((m, n)), np.zeros((m, n))
@@ -203,8 +194,8 @@ class Quintic(Parametrisation):
 
     def motion(self, coefficients: Array) -> Motion:
         """Return the motion through the way points."""
-        q, qd, qdd = self._parts(coefficients)
-        return QuinticMotion.through(q, self._times(), qd, qdd)
+        q, qd, qdd = self._split_coefficients(coefficients)
+        return QuinticMotion.through(q, self._list_times(), qd, qdd)
 
     @property
     def shortest_wave(self) -> float:

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import check_limit_array, check_way_points
+from asbuilt.excitation.motions.motion import check_limits_of_pace, check_way_points
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 Ends = Literal["rest", "clamped", "natural"]
@@ -111,16 +111,7 @@ class SplineMotion(PiecewisePolynomial):
         is not proven optimal.
         """
         q = check_way_points(way_points)
-        n = q.shape[1]
-        limits = [
-            check_limit_array(x, n, name)
-            for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
-        ]
-        if not np.all(np.isfinite(np.min(limits, axis=0))):
-            raise MotionError(
-                "a joint without a finite velocity, acceleration or jerk limit has no fastest"
-                " spline; give one for every joint"
-            )
+        limits = check_limits_of_pace(q.shape[1], velocity, acceleration, jerk, "spline")
         d = np.abs(np.diff(q, axis=0))
         steps = np.max(
             [np.power(d / limit, 1 / k) for k, limit in enumerate(limits, start=1)], axis=(0, 2)

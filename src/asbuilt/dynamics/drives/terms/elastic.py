@@ -86,7 +86,6 @@ class Spring(DriveTerm):
     columns = ("q-rest",)
     formula = "Ks (q - rest)"
     revolute_units = ("N m/rad",)
-    prismatic_units = ("N/m",)
     nonlinear = (NonlinearParameter("rest", 0.0, -1e3, 1e3, "rad or m", fitted=False),)
     by_construction = True
     ratio_powers = (2.0,)
@@ -159,7 +158,6 @@ class ExtensionSpring(DriveTerm):
     columns = (STRETCH,)
     formula = "Ke (1 - length/l) inner outer sin(q + angle)"
     revolute_units = ("N/m",)
-    prismatic_units = ("N/m",)
     nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = GEOMETRY
     by_construction = True
     ratio_powers: ClassVar[tuple[float, ...]] = (2.0,)
@@ -182,7 +180,6 @@ class Cylinder(ExtensionSpring):
     columns = (f"-{ARM}*(1+rate*(length-{LENGTH}))/{LENGTH}",)
     formula = "-Pc (1 + rate (length - l)) inner outer sin(q + angle)/l"
     revolute_units = ("N",)
-    prismatic_units = ("N",)
     nonlinear = (
         *(
             replace(each, default=at, typical=at)

@@ -28,7 +28,6 @@ class Armature(DriveTerm):
     columns = ("qdd",)
     formula = "Ia qdd"
     revolute_units = ("kg m^2",)
-    prismatic_units = ("kg",)
     cause = "armature"
     non_negative = True
     ratio_powers = (2.0,)
@@ -62,7 +61,6 @@ class Viscous(DriveTerm):
     columns = ("qd",)
     formula = "Fv qd"
     revolute_units = ("N m s/rad",)
-    prismatic_units = ("N s/m",)
     cause = "friction"
     non_negative = True
     ratio_powers = (2.0,)
@@ -95,7 +93,6 @@ class AsymmetricViscous(DriveTerm):
     columns = ("maximum(qd, 0)", "minimum(qd, 0)")
     formula = "Fvp max(qd, 0) + Fvn min(qd, 0)"
     revolute_units = ("N m s/rad", "N m s/rad")
-    prismatic_units = ("N s/m", "N s/m")
     tried_for = ALL_SOURCES
     stands_for = "viscous"
     non_negative = True
@@ -204,7 +201,6 @@ class Power(DriveTerm):
     columns = ("sign(qd)*abs(qd)**exponent",)
     formula = "Fp |qd|^exponent sign(qd)"
     revolute_units = ("N m (s/rad)^a",)
-    prismatic_units = ("N (s/m)^a",)
     nonlinear = (NonlinearParameter("exponent", 0.5, 0.0, 4.0, "", credible=(0.25, 2.5)),)
     tried_for = ALL_SOURCES
     stands_for = "viscous"
@@ -231,7 +227,6 @@ class Quadratic(DriveTerm):
     columns = ("qd*abs(qd)",)
     formula = "Fq qd |qd|"
     revolute_units = ("N m s^2/rad^2",)
-    prismatic_units = ("N s^2/m^2",)
     tried_for = ALL_SOURCES
     ratio_powers = (3.0,)
 
@@ -247,5 +242,4 @@ class Cubic(DriveTerm):
     columns = ("qd*qd*qd",)
     formula = "Fk qd^3"
     revolute_units = ("N m s^3/rad^3",)
-    prismatic_units = ("N s^3/m^3",)
     ratio_powers = (4.0,)

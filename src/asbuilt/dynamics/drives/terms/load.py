@@ -27,7 +27,6 @@ class LoadFriction(DriveTerm):
     columns = ("abs(load)*sign(qd)",)
     formula = "Fl |load| sign(qd)"
     revolute_units = ("1",)
-    prismatic_units = ("1",)
     tried_for = ALL_SOURCES
     non_negative = True
     ratio_powers = (0.0,)
@@ -50,7 +49,6 @@ class LoadStribeck(DriveTerm):
     columns: ClassVar[tuple[str, ...]] = ("abs(load)*sign(qd)*exp(-abs(qd/velocity)**power)",)
     formula = "Fls |load| exp(-|qd/velocity|^power) sign(qd)"
     revolute_units: ClassVar[tuple[str, ...]] = ("1",)
-    prismatic_units: ClassVar[tuple[str, ...]] = ("1",)
     nonlinear = (
         NonlinearParameter(
             "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
@@ -83,7 +81,6 @@ class DirectionalLoadFriction(DriveTerm):
     )
     formula = "(Flm max(load sign(qd), 0) + Fle max(-load sign(qd), 0)) sign(qd)"
     revolute_units = ("1", "1")
-    prismatic_units = ("1", "1")
     non_negative = True
     ratio_powers = (0.0, 0.0)
 
@@ -105,7 +102,6 @@ class DirectionalLoadStribeck(LoadStribeck):
     )
     formula = "(Flsm max(load sign(qd), 0) + Flse max(-load sign(qd), 0)) s(qd) sign(qd)"
     revolute_units = ("1", "1")
-    prismatic_units = ("1", "1")
     ratio_powers = (0.0, 0.0)
 
 
@@ -128,5 +124,4 @@ class QuadraticLoadStribeck(LoadStribeck):
     )
     formula = "(Flqm max(load sign(qd), 0)^2 + Flqe max(-load sign(qd), 0)^2) s(qd) sign(qd)"
     revolute_units = ("1/(N m)", "1/(N m)")
-    prismatic_units = ("1/N", "1/N")
     ratio_powers = (-1.0, -1.0)
