@@ -586,10 +586,9 @@ class RobotModel:
             raise DescriptionError(
                 f"{self.name} has {10 * self.n_links} inertial parameters, got shape {values.shape}"
             )
-        inertias = [LinkInertia(values[10 * i : 10 * i + 10]) for i in range(self.n_links)]
         links = tuple(
-            replace(link, inertia=inertia, inertia_known=True, parts=())
-            for link, inertia in zip(self.links, inertias, strict=True)
+            replace(link, inertia=LinkInertia(own), inertia_known=True, parts=())
+            for link, own in zip(self.links, values.reshape(-1, 10), strict=True)
         )
         return replace(self, links=links)
 

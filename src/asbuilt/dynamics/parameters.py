@@ -52,6 +52,6 @@ def parameter_values(model: RobotModel, drive: DriveSet = NO_DRIVE) -> Array:
     return np.concatenate(
         [
             model.parameters,
-            np.array([np.nan if value is None else value for value in drives], dtype=np.float64),
+            np.array(drives, dtype=np.float64),  # None becomes NaN
         ]
     )

@@ -105,51 +105,52 @@ class _Expression:
         self._symbols, self._functions = symbols, functions
 
     def value(self, node: Any) -> Any:
-        """Return the value of a node; the method of its kind has it."""
-        found = getattr(self, "_" + type(node).__name__.lower(), None)
-        if found is None:
-            raise _make_refusal(node)
-        return found(node)
+        """Return the value of a node of a listed kind."""
+        value = self.value
+        match node:
+            case ast.Constant(value=constant) if isinstance(constant, LITERALS):
+                return constant
+            case ast.Name(id=name):
+                return self._look_up(name)
+            case ast.Attribute(value=inner, attr=name):
+                # an item of a namespace or table, never an attribute of an object
+                if isinstance(owner := value(inner), dict) and not name.startswith("_"):
+                    return owner[name]
+            case ast.Subscript(value=inner, slice=key):
+                if isinstance(owner := value(inner), str | list | tuple | dict):
+                    return owner[value(key)]
+            case ast.Slice(lower=lower, upper=upper, step=step):
+                return slice(*(each and value(each) for each in (lower, upper, step)))
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in BINARY:
+                return BINARY[type(op)](value(left), value(right))
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in UNARY:
+                return UNARY[type(op)](value(operand))
+            case ast.BoolOp():
+                return self._join_truths(node)
+            case ast.Compare():
+                return self._compare(node)
+            case ast.IfExp(test=test, body=body, orelse=other):
+                return value(body if value(test) else other)
+            case ast.Tuple(elts=items):
+                return tuple(map(value, items))
+            case ast.List(elts=items):
+                return [*map(value, items)]
+            case ast.Dict(keys=keys, values=values):
+                return dict(zip(map(value, keys), map(value, values), strict=True))
+            case ast.Call(func=called, args=given, keywords=named):
+                function = self._find_function(called)
+                return function(
+                    *map(value, given), **{str(each.arg): value(each.value) for each in named}
+                )
+        raise _make_refusal(node)
 
-    def _constant(self, node: ast.Constant) -> Any:
-        if not isinstance(node.value, LITERALS):
-            raise _make_refusal(node)
-        return node.value
-
-    def _name(self, node: ast.Name) -> Any:
+    def _look_up(self, name: str) -> Any:
         try:
-            return self._symbols[node.id]
+            return self._symbols[name]
         except KeyError:
-            raise NameError(f"name '{node.id}' is not defined") from None
+            raise NameError(f"name '{name}' is not defined") from None
 
-    def _attribute(self, node: ast.Attribute) -> Any:
-        """Return an item of a namespace or table, never an attribute of an object."""
-        owner = self.value(node.value)
-        if not isinstance(owner, dict) or node.attr.startswith("_"):
-            raise _make_refusal(node)
-        return owner[node.attr]
-
-    def _subscript(self, node: ast.Subscript) -> Any:
-        owner = self.value(node.value)
-        if not isinstance(owner, str | list | tuple | dict):
-            raise _make_refusal(node)
-        return owner[self.value(node.slice)]
-
-    def _slice(self, node: ast.Slice) -> slice:
-        ends = (node.lower, node.upper, node.step)
-        return slice(*(None if each is None else self.value(each) for each in ends))
-
-    def _binop(self, node: ast.BinOp) -> Any:
-        if type(node.op) not in BINARY:
-            raise _make_refusal(node)
-        return BINARY[type(node.op)](self.value(node.left), self.value(node.right))
-
-    def _unaryop(self, node: ast.UnaryOp) -> Any:
-        if type(node.op) not in UNARY:
-            raise _make_refusal(node)
-        return UNARY[type(node.op)](self.value(node.operand))
-
-    def _boolop(self, node: ast.BoolOp) -> Any:
+    def _join_truths(self, node: ast.BoolOp) -> Any:
         ends = bool if isinstance(node.op, ast.Or) else operator.not_
         for each in node.values[:-1]:
             if ends(value := self.value(each)):
@@ -164,26 +165,7 @@ class _Expression:
             left = right
         return found
 
-    def _ifexp(self, node: ast.IfExp) -> Any:
-        return self.value(node.body if self.value(node.test) else node.orelse)
-
-    def _tuple(self, node: ast.Tuple) -> tuple[Any, ...]:
-        return tuple(map(self.value, node.elts))
-
-    def _list(self, node: ast.List) -> list[Any]:
-        return [*map(self.value, node.elts)]
-
-    def _dict(self, node: ast.Dict) -> dict[Any, Any]:
-        return dict(zip(map(self.value, node.keys), map(self.value, node.values), strict=True))
-
-    def _call(self, node: ast.Call) -> Any:
-        function = self._function(node.func)
-        return function(
-            *map(self.value, node.args),
-            **{str(each.arg): self.value(each.value) for each in node.keywords},
-        )
-
-    def _function(self, node: ast.expr) -> Callable[..., Any]:
+    def _find_function(self, node: ast.expr) -> Callable[..., Any]:
         """Return a listed function, or a listed method of a text or table."""
         if isinstance(node, ast.Attribute):
             owner = self.value(node.value)

@@ -435,14 +435,15 @@ def _read_drive(connection: _Connection) -> DriveValues:
     element, place = connection.element.find("dynamics"), connection.place
     if element is None:
         return DriveValues()
-    damping = read_number(element, "damping", place) if element.get("damping") is not None else None
-    friction = (
-        read_number(element, "friction", place) if element.get("friction") is not None else None
-    )
-    for name, value in (("damping", damping), ("friction", friction)):
-        if value is not None and value < 0.0:
+    given = {
+        name: read_number(element, name, place)
+        for name in ("damping", "friction")
+        if element.get(name) is not None
+    }
+    for name, value in given.items():
+        if value < 0.0:
             raise DescriptionError(f"{place}: {name} is {value}; it must not be negative")
-    return DriveValues(viscous=damping, coulomb=friction)
+    return DriveValues(viscous=given.get("damping"), coulomb=given.get("friction"))
 
 
 FORMATS.register(

@@ -217,15 +217,10 @@ def read_described_servo(model: RobotModel) -> PositionServo | None:
 
     None if it states none. Such gains are often settings of a simulator.
     """
-    kp, kd = (
-        tuple(_restore_value(getattr(joint.drive, name)) for joint in model.joints)
-        for name in ("kp", "kd")
-    )
+    # None becomes NaN
+    gains = np.array([(joint.drive.kp, joint.drive.kd) for joint in model.joints], dtype=np.float64)
+    kp, kd = map(tuple, gains.T.tolist())
     if not np.any(np.isfinite(kp)):
         return None
     limits = tuple(joint.limits.torque for joint in model.joints)
     return PositionServo(kp=kp, kd=kd, torque_limit=limits)
-
-
-def _restore_value(value: float | None) -> float:
-    return np.nan if value is None else value

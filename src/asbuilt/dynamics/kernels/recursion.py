@@ -1,6 +1,7 @@
 """What the batched kernels share.
 
-A robot's geometry in flat arrays, and the step from one link to the next for a block of samples.
+A robot's geometry in flat arrays, and the step from one link to the next, for a block of samples
+or a single one.
 
 A block of `BLOCK` samples travels down the tree in scratch memory that fits the first-level cache,
 one row per quantity. Each link has a slot of rows there: angular velocity w, angular acceleration
@@ -337,6 +338,7 @@ def carry_screw(kind, p, o, screw):
         return screw
     zx, zy, zz, mx, my, mz = screw
     cx, cy, cz = cross(zx, zy, zz, p[o + 9], p[o + 10], p[o + 11])
+    # m before z: the order decides which product the compiler joins with which sum
     mx, my, mz = rotate_into(kind, p, o, mx + cx, my + cy, mz + cz)
     zx, zy, zz = rotate_into(kind, p, o, zx, zy, zz)
     return zx, zy, zz, mx, my, mz

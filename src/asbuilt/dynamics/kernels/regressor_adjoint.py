@@ -347,7 +347,6 @@ def _adjoint(
     rows = allocate_scratch(found // BLOCK + 3 * n)
     rest(rows, gravity)
     loaded = loads.size > 0
-    place = np.empty(4, np.int64)
     for block in range(0, n_samples, BLOCK):
         count = min(BLOCK, n_samples - block)
         gather_states(q, qd, qdd, block, count, n, rows, angles // BLOCK)
@@ -404,10 +403,8 @@ def _adjoint(
                 o = (STATE + 6 * d) * BLOCK
                 _add_own_terms(rows, state, state + o, state_bar, state_bar + o, given)
             above = codes[i, PARENT] + 1
-            place[0] = found + i * BLOCK
-            place[1] = found + (n + i) * BLOCK
-            place[2] = found + (2 * n + i) * BLOCK
-            place[3] = n * BLOCK
+            one = found + i * BLOCK
+            place = one, one + n * BLOCK, one + 2 * n * BLOCK, n * BLOCK
             _carry_state_back(
                 codes[i],
                 placements[i],

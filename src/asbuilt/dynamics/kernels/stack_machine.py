@@ -11,7 +11,6 @@ import numpy as np
 from asbuilt.compilation import part
 from asbuilt.dynamics.kernels.operations import (
     ABS,
-    ACT,
     ADD,
     ATAN,
     COS,
@@ -43,26 +42,22 @@ def run(program, first, numbers, constants, q, qd, qdd, load, stack, out):
     top = -1
     for row in range(first, program.size, 3):
         operation, joint = program[row], program[row + 1]
-        if operation == SPEND:
+        if operation <= LOAD:  # these push one value
+            top += 1
+            if operation == NUMBER:
+                stack[top] = numbers[constants + program[row + 2]]
+            elif operation == Q:
+                stack[top] = q[joint]
+            elif operation == QD:
+                stack[top] = qd[joint]
+            elif operation == QDD:
+                stack[top] = qdd[joint]
+            else:
+                stack[top] = load[joint]
+        elif operation <= SPEND:
             out[joint] += stack[top] * numbers[constants + program[row + 2]]
-            top -= 1
-        elif operation == ACT:
-            out[joint] += stack[top] * numbers[constants + program[row + 2]]
-        elif operation == NUMBER:
-            top += 1
-            stack[top] = numbers[constants + program[row + 2]]
-        elif operation == Q:
-            top += 1
-            stack[top] = q[joint]
-        elif operation == QD:
-            top += 1
-            stack[top] = qd[joint]
-        elif operation == QDD:
-            top += 1
-            stack[top] = qdd[joint]
-        elif operation == LOAD:
-            top += 1
-            stack[top] = load[joint]
+            if operation == SPEND:
+                top -= 1
         elif operation < NEGATIVE:
             top -= 1
             stack[top] = _apply_binary(operation, stack[top], stack[top + 1])

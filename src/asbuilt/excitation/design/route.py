@@ -158,10 +158,10 @@ def segments_free(
             for (i, j), count in zip(pairs, counts, strict=True)
         ]
     )
-    over = []
-    for start in range(0, len(places), AT_ONCE):
-        part = places[start : start + AT_ONCE]
-        over.append(find_violations(obstacles, part, np.zeros_like(part), np.zeros_like(part)))
+    over = [
+        find_violations(obstacles, places[start : start + AT_ONCE])
+        for start in range(0, len(places), AT_ONCE)
+    ]
     return ~np.logical_or.reduceat(np.concatenate(over), np.cumsum([0, *counts[:-1]]))
 
 

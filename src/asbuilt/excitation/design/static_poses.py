@@ -161,7 +161,7 @@ def design_static_poses(
     weight = [WeightLimit((model,), STANDING * torque)] if loads else []
     everywhere = rng.uniform(bounds.lower, bounds.upper, size=(SEARCH.candidates, model.n_joints))
     barriers = [*constraints, *(limit for limit in weight if limit.binds(everywhere))]
-    pool = _select_within_constraints(barriers, everywhere)
+    pool = everywhere[~find_violations(barriers, everywhere)]
     if len(pool) < 2:
         raise MotionError(
             f"{model.name}: none of {SEARCH.candidates} random poses keeps the torque limits and is"
@@ -207,12 +207,6 @@ def design_static_poses(
         solve_seconds=time.monotonic() - begin,
         notes=tuple(note for each in constraints for note in each.notes(*states)),
     )
-
-
-def _select_within_constraints(constraints: Sequence[StateConstraint], poses: Array) -> Array:
-    """Return the poses that keep the constraints."""
-    rest = np.zeros_like(poses)
-    return poses[~find_violations(constraints, poses, rest, rest)]
 
 
 def _weight_pose_rows(information: Information, poses: Array, kept: Array) -> Array:
@@ -308,7 +302,7 @@ def _refine_poses(
             if obstacles
             else True
         )
-        if not straight or not len(_select_within_constraints(constraints, moved[k : k + 1])):
+        if not straight or find_violations(constraints, moved[k : k + 1])[0]:
             moved[k] = poses[k]
     better = DOptimality().value(_sum_information(information, kept, moved)) >= DOptimality().value(
         _sum_information(information, kept, poses)

@@ -226,10 +226,9 @@ def pace_moves(
     return whole
 
 
-def find_violations(
-    constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array
-) -> Mask:
-    """Return at which states (N,) a constraint does not hold."""
+def find_violations(constraints: Sequence[StateConstraint], q: Array, *rates: Array) -> Mask:
+    """Return at which states (N,), at rest unless `rates` qd, qdd are given, one does not hold."""
+    qd, qdd = rates or (np.zeros_like(q), np.zeros_like(q))
     over = np.zeros(len(q), dtype=bool)
     for constraint in constraints:
         values = constraint.values(q, qd, qdd)
@@ -248,10 +247,5 @@ def _make_motion(
 def _holds(
     motion: PointToPointMotion, constraints: Sequence[StateConstraint], *, at_rest: bool = False
 ) -> bool:
-    q, qd, qdd = motion.at(motion.sample_times(CHECK_RATE))
-    rest = np.zeros_like(q)
-    return not np.any(
-        find_violations(constraints, q, rest, rest)
-        if at_rest
-        else find_violations(constraints, q, qd, qdd)
-    )
+    state = motion.at(motion.sample_times(CHECK_RATE))
+    return not np.any(find_violations(constraints, *state[: 1 if at_rest else 3]))
