@@ -1,4 +1,4 @@
-"""CAD values as a prior: positive definite, with a distance free of frames and units."""
+"""CAD values: base parameters by design, and a prior with a distance free of frames and units."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ class PriorRules:
 
 
 RULES = PriorRules()
+USUAL_DESIGN_EFFECT = 10.0
+"""Samples per independent sample: the median of 14 recordings of four robots."""
 
 PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
@@ -276,10 +278,6 @@ def find_non_negative_columns(n_links: int, n_joints: int, drive: DriveSet) -> N
     """Return the columns of standard parameters that are non-negative for passive drives."""
     bounded = [term.non_negative for term in drive.terms for _ in term.symbols] * n_joints
     return 10 * n_links + np.flatnonzero(bounded)
-
-
-USUAL_DESIGN_EFFECT = 10.0
-"""Samples per independent sample: the median of 14 recordings of four robots."""
 
 
 def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> CadPrior:

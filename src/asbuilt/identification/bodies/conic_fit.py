@@ -1,4 +1,4 @@
-"""Least torque error over physically consistent parameters, by a conic program."""
+"""Least torque error over physically consistent parameters, by conic programs of Clarabel."""
 
 from __future__ import annotations
 

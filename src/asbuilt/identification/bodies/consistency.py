@@ -1,4 +1,4 @@
-"""Physical consistency of base parameters."""
+"""Physical consistency of base parameters, and proofs of inconsistency: by which, by how much."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Entropic fits along descending weights of CAD, each from the one before."""
+"""Entropic fits along descending weights of CAD, and the closest to CAD that the data allow."""
 
 from __future__ import annotations
 
@@ -27,6 +27,11 @@ DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
 TO_THE_DATA: tuple[float, ...] = (*DESCENT, 1e-2, 1e-3, 1e-4)
 """Weights on the way to where the data alone decide."""
+CLOSE = 0.01
+"""Relative distance of the chi-square from its limit at which the search for the weight ends."""
+MOST_HALVINGS = 20
+
+
 START_PARTS = (1e-2, 1e-3, 1e-4)
 """Least pseudo-inertias of the start relative to CAD; later ones for masses far below CAD."""
 
@@ -107,11 +112,6 @@ def _measure_widths(bounds: BodyBounds) -> Array:
     opposite = np.all(bounds.rows[:, None] == -bounds.rows[None], axis=2)
     width = bounds.offsets[:, None] + bounds.offsets[None]
     return np.asarray(np.min(np.where(opposite, width, np.inf), axis=1, initial=np.inf))
-
-
-CLOSE = 0.01
-"""Relative distance of the chi-square from its limit at which the search for the weight ends."""
-MOST_HALVINGS = 20
 
 
 @use_one_blas_thread()

@@ -1,4 +1,4 @@
-"""What each time block adds to the error of an estimate, and how errors were estimated."""
+"""What each time block adds to the error of an estimate, and what all blocks together miss."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ COVERED = 0.975
 """Upper quantile of the 95 % interval for which standard errors are widened."""
 MOST_GROUPS = 60
 """Blocks whose errors are kept; of more, neighbours are added up."""
+LEAST_LEFT = 0.05
+"""Least `(1 - 2 p D / N)^2`: a fit that absorbs more of its residuals is not corrected further."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,10 +228,6 @@ def mean_degrees(degrees_of_freedom: Array) -> float:
     """
     inverse = float(np.mean(1.0 / np.asarray(degrees_of_freedom, dtype=np.float64)))
     return 1.0 / inverse if inverse > 0.0 else np.inf
-
-
-LEAST_LEFT = 0.05
-"""Least `(1 - 2 p D / N)^2`: a fit that absorbs more of its residuals is not corrected further."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

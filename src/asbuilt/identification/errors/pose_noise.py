@@ -6,7 +6,14 @@ less `dW beta`, so that the scores have the mean `E[W_k^T e_k] = -E[dW_k^T dW_k]
 squares explain noise by bodies that are too light (Fuller, Measurement Error Models, 1987, section
 2.2).
 Nothing drives a base, so that its equations lose most. Where they weigh as their noise says the
-bias is many standard errors, and without it they tell the most.
+bias is many standard errors, and without it they have the most information.
+
+Equations of a base have the noise of its pose, differentiated twice and multiplied by the mass of
+the whole robot: a force [N], a moment [N m]. Equations of the joints have the noise of their
+torques, which is of another size. So there are three sizes of noise. The residual of
+`P (tau - Y chi)` has parts of all equations, `P e`, and for noise that is independent from equation
+to equation the mean square of row k is `sum_j <P_kj^2> sigma_j^2`. The residual is taken with a fit
+without the bias by noise of the pose (`expect_pose_noise`), which depends on the weights in turn.
 """
 
 from __future__ import annotations

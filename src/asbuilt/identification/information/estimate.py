@@ -1,4 +1,4 @@
-"""The outcome of an estimator."""
+"""What estimators use, and what they return."""
 
 from __future__ import annotations
 

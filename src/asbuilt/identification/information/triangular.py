@@ -12,6 +12,8 @@ from asbuilt.arrays import Array, Indices
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
+NEGLIGIBLE_COEFFICIENT = 1e-6
+"""Coefficient of a direction, relative to the largest, that is rounding."""
 
 
 def triangular_factor(rows: Array) -> Array:
@@ -109,9 +111,6 @@ class GrowingFactor:
             lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
             self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p
-
-
-NEGLIGIBLE_COEFFICIENT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Standard parameters of the robot as built, by a result."""
+"""Information about base parameters in a result, and standard parameters of the robot as built."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From an estimate to a result: errors, physical consistency, verdicts."""
+"""From an estimate to a result: errors, physical consistency, verdicts, and its findings."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ class PoorDetermination:
 
 
 POOR = PoorDetermination()
+MOST_DIRECTIONS, MOST_NAMES = 6, 12
 
 
 def conclude(
@@ -214,9 +215,6 @@ def _find_poorly_determined(
     )
     torque = error * column / np.sqrt(information.n_samples)
     return np.asarray((error > POOR.relative_error * size) & (torque > POOR.torque))
-
-
-MOST_DIRECTIONS, MOST_NAMES = 6, 12
 
 
 def report_estimation(

@@ -1,4 +1,4 @@
-"""Torque predicted from base parameters, next to the torque measured."""
+"""Torque predicted from base parameters, and how far it is from the torque measured."""
 
 from __future__ import annotations
 
