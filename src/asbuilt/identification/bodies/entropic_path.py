@@ -32,7 +32,6 @@ CLOSE = 0.01
 MOST_HALVINGS = 20
 
 
-@use_one_blas_thread()
 START_PARTS = (1e-2, 1e-3, 1e-4)
 """Least pseudo-inertias of the start relative to CAD; later ones for masses far below CAD."""
 
@@ -115,6 +114,7 @@ def _measure_widths(bounds: BodyBounds) -> Array:
     return np.asarray(np.min(np.where(opposite, width, np.inf), axis=1, initial=np.inf))
 
 
+@use_one_blas_thread()
 def find_plausible_parameters(
     cad: CadPrior, base: BaseParameters, beta: Array, information_root: Array, limit: float
 ) -> tuple[Array, float] | None:
