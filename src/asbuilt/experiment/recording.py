@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.findings import Cure, join_names
@@ -332,8 +332,8 @@ class Recording:
             (self.t >= start) & (self.t < stop), f"no sample between {start:g} s and {stop:g} s"
         )
 
-    def taken(self, keep: NDArray[np.bool_] | slice, empty: str = "no sample is left") -> Recording:
-        """Return the samples that the mask or slice `keep` selects."""
+    def taken(self, keep: Mask | Indices | slice, empty: str = "no sample is left") -> Recording:
+        """Return the samples that `keep` selects."""
         if not self.t[keep].size:
             raise RecordingError(
                 f"{self.source}: {empty}; it lasts from {np.nanmin(self.t):g} s to"
@@ -380,6 +380,22 @@ def median_rate(t: Array) -> float:
 def time_span(t: Array) -> float:
     """Return the time from the earliest to the latest of times (N,) [s]."""
     return float(np.nanmax(t) - np.nanmin(t)) if np.any(np.isfinite(t)) else float("nan")
+
+
+def join_recordings(parts: Sequence[Recording]) -> Recording:
+    """Return consecutive parts of a recording as one, with the channels that all of them have.
+
+    Accelerations and extra quantities are left out.
+    """
+    channels = {
+        name: [getattr(part, name) for part in parts]
+        for name in ("t", "q", "tau", "qd", "command", "contact")
+    }
+    joined = {
+        name: None if any(x is None for x in values) else np.concatenate(values)
+        for name, values in channels.items()
+    }
+    return replace(parts[-1], **cast(Any, joined), qdd=None, extra={})
 
 
 def find_advancing_rows(t: Array, kept: Mask) -> Mask:

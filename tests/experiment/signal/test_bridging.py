@@ -7,10 +7,15 @@ import pytest
 
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.resampling import resample_segments
+from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.experiment.signal.signal_chain import SignalChain
 
 NOISE = 1e-5
+
+
+def resampled(recording, *settings, **named):
+    grid = plan_uniform_grid(recording, *settings, **named)
+    return grid.uniform(), grid.rate, grid.notes
 
 
 def motion(t: np.ndarray) -> np.ndarray:
@@ -29,7 +34,7 @@ def recording(rate: float = 1000.0, pauses: int = 12, missing: int = 30) -> Reco
 
 
 def test_what_is_bridged_is_as_good_as_what_was_logged() -> None:
-    (run,), rate, notes = resample_segments(recording(), None, None, 0.25 / 7.0)
+    (run,), rate, notes = resampled(recording(), None, None, 0.25 / 7.0)
     assert rate == 1000.0
     assert run.t.size == 20_000
     assert np.abs(run.q - motion(run.t)).max() < 8 * NOISE

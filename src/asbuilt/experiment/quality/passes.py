@@ -11,7 +11,12 @@ from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
-from asbuilt.experiment.recording import Recording, median_rate, time_span
+from asbuilt.experiment.recording import (
+    Recording,
+    join_recordings,
+    median_rate,
+    time_span,
+)
 from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
@@ -332,11 +337,11 @@ def run_second_pass(
         for wanted, part in zip(rows, parts, strict=True):
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
-                part.append(_copy_rows(chunk, here - begin))
+                part.append(chunk.taken(here - begin))
         if known.n_chunks == 1:
             torques.append(chunk.tau[known.valid_torque])
         begin, place = stop, place + len(changed)
-    segments = tuple(_join(part) for part in parts)
+    segments = tuple(map(join_recordings, parts))
     return SecondPass(
         segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
     )
@@ -348,23 +353,3 @@ def _find_plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
     if known.torque_range.count[joint] < 20 or high == low:
         return ()
     return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
-
-
-def _copy_rows(chunk: Recording, rows: Indices) -> Recording:
-    return Recording(
-        t=chunk.t[rows],
-        q=chunk.q[rows],
-        tau=chunk.tau[rows],
-        qd=None if chunk.qd is None else chunk.qd[rows],
-        joint_names=chunk.joint_names,
-        source=chunk.source,
-    )
-
-
-def _join(parts: Sequence[Recording]) -> Recording:
-    t, q, tau = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau")
-    )
-    logged = [part.qd for part in parts if part.qd is not None]
-    qd = np.concatenate(logged) if len(logged) == len(parts) else None
-    return replace(parts[0], t=t, q=q, tau=tau, qd=qd)

@@ -13,7 +13,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.noise.band_choice import POSITION_BANDWIDTHS, Band, choose_band
 from asbuilt.experiment.signal.noise.position_step import find_position_steps
-from asbuilt.experiment.signal.resampling import resample_segments
+from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.findings import Cure, Finding, join_names
 
 MEASURED = 20_000
@@ -48,17 +48,19 @@ class PositionNoise:
     def of(cls, recording: Recording) -> PositionNoise | None:
         """Measure a recording; None if no segment can be used, or no position changes."""
         try:
-            segments, rate, _ = resample_segments(recording)
+            grid = plan_uniform_grid(recording)
         except RecordingError:
             return None
         finite = recording.q[np.all(np.isfinite(recording.q), axis=1)]
         changed = np.any(np.diff(finite, axis=0) != 0.0, axis=1)
-        if rate < 1.0 or not changed.any():
+        if grid.rate < 1.0 or not changed.any():
             return None
-        band = choose_band(segments, rate, commanded=recording.torque_source == "command")
+        band = choose_band(
+            grid.uniform(), grid.rate, commanded=recording.torque_source == "command"
+        )
         step = find_position_steps([finite[np.concatenate([[True], changed])]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
-        return cls(step, np.maximum(density, step**2 / (6.0 * rate)), band)
+        return cls(step, np.maximum(density, step**2 / (6.0 * grid.rate)), band)
 
 
 def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[Finding]:

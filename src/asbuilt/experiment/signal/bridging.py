@@ -2,67 +2,82 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, cast
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.experiment.recording import Recording
 
 
-def bridge_pauses(
-    recording: Recording, rows: Indices, longest: float, pause: float
-) -> tuple[Recording, Indices, tuple[float, ...]]:
-    """Return a recording whose shorter pauses are filled, its rows, and the lengths of these.
+class Pause(NamedTuple):
+    """Hold a pause before usable row `row`: times to fill in, samples `near` it, their times."""
+
+    row: int
+    times: Array
+    near: slice
+    near_times: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bridges:
+    """Hold how the shorter pauses of a clock are filled, every channel alike.
 
     Parameters
     ----------
-    recording, rows
-        The recording and its usable rows.
-    longest
-        Longest pause [s] that is filled.
-    pause
-        Steps of the clock [s] from which there is a pause.
+    usable
+        Usable rows of the recording.
+    pauses
+        The pauses between them that are filled; if there is none, channels stay as they are.
+    t, rows
+        Times of the channels once they are filled, and their usable rows.
 
     Notes
     -----
     Every channel is fitted by a polynomial of degree 5 in least squares, over as many samples on
     either side as are missing, and at least 8: an interpolating spline would continue the slope of
-    the noise. A command is held.
+    the noise.
     """
-    steps = np.diff(recording.t[rows])
-    places = np.flatnonzero((steps > pause) & (steps <= longest))
-    if not places.size:
-        return recording, rows, ()
+
+    usable: Indices
+    pauses: tuple[Pause, ...]
+    t: Array
+    rows: Indices
+
+    def fill(self, x: Array) -> Array:
+        """Return a channel of the recording (N, n) with its pauses filled."""
+        if not self.pauses:
+            return x
+        x = x[self.usable]
+        return _insert(
+            x,
+            self.pauses,
+            [_interpolate_locally(p.near_times, x[p.near], p.times) for p in self.pauses],
+        )
+
+
+def plan_bridges(t: Array, usable: Indices, longest: float, pause: float) -> Bridges:
+    """Return bridges of the pauses from `pause` to `longest` [s] between usable rows of times t."""
+    logged = t[usable]
+    steps = np.diff(logged)
     period = float(np.median(steps))
-    names = [
-        name
-        for name in ("q", "tau", "qd", "qdd", "command")
-        if getattr(recording, name) is not None
-    ]
-    t = recording.t[rows]
-    columns = {name: getattr(recording, name)[rows] for name in names}
-    before = 0
-    parts: dict[str, list[Array]] = {name: [] for name in ("t", *names)}
-    for place in places.tolist():
+    pauses = []
+    for place in np.flatnonzero((steps > pause) & (steps <= longest)).tolist():
         count = round(float(steps[place]) / period) - 1
-        times = t[place] + np.arange(1, count + 1) * (steps[place] / (count + 1))
-        near = _select_around(t, place, count, pause)
-        parts["t"] += [t[before : place + 1], times]
-        for name in names:
-            if name == "command":
-                filled = np.repeat(columns[name][place : place + 1], count, axis=0)
-            else:
-                filled = _interpolate_locally(t[near], columns[name][near], times)
-            parts[name] += [columns[name][before : place + 1], filled]
-        before = place + 1
-    parts["t"].append(t[before:])
-    for name in names:
-        parts[name].append(columns[name][before:])
-    whole = {name: np.concatenate(each) for name, each in parts.items()}
-    filled_in = replace(recording, **cast(Any, whole), qdd=None, extra={})
-    return filled_in, np.arange(whole["t"].size), tuple(steps[places].tolist())
+        times = logged[place] + np.arange(1, count + 1) * (steps[place] / (count + 1))
+        near = _select_around(logged, place, count, pause)
+        pauses.append(Pause(place + 1, times, near, logged[near]))
+    if not pauses:
+        return Bridges(usable, (), t, usable)
+    filled = _insert(logged, pauses, [each.times for each in pauses])
+    return Bridges(usable, tuple(pauses), filled, np.arange(filled.size))
+
+
+def _insert(x: Array, pauses: Sequence[Pause], filled: Sequence[Array]) -> Array:
+    """Return usable rows (L, ...) with what fills each pause between them."""
+    rows = np.repeat([each.row for each in pauses], [len(each) for each in filled])
+    return np.insert(x, rows, np.concatenate(filled), axis=0)
 
 
 def _select_around(t: Array, place: int, count: int, pause: float) -> slice:

@@ -154,7 +154,11 @@ def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = 
     count = max(0, (length - taps.size) // decimation + 1)
     if out is None:
         out = np.empty((rows, count))
-    if rows and count:
+    if rows and 0 < count < LANES:
+        # Zeros behind make as many outputs as are summed at once; theirs are dropped.
+        behind = np.zeros((rows, (LANES - count) * decimation))
+        out[:] = filter_rows(np.concatenate([x, behind], axis=1), taps, decimation)[:, :count]
+    elif rows and count:
         weights = np.zeros((taps.size + (LANES - 1) * decimation, LANES))
         for lane in range(LANES):
             weights[lane * decimation : lane * decimation + taps.size, lane] = taps
@@ -191,32 +195,16 @@ def _filter_rows(
 
     `weights` holds the taps of eight neighbouring outputs for each of the inputs that they span,
     0 where an output does not take it: eight outputs of eight rows are summed at once, every one
-    over its inputs in order. The last outputs are summed with some before them again; fewer than
-    eight come from a copy with zeros behind.
+    over its inputs in order. The last outputs are summed with some before them again.
     """
-    span, few = weights.size // LANES, count < LANES
-    padded = np.zeros(EIGHT * span if few else 0)
-    found = np.empty(EIGHT * LANES)
+    span = weights.size // LANES
     for first in range(0, rows, EIGHT):
-        if few:
-            for r in range(min(EIGHT, rows - first)):
-                begin = (first + r) * stride
-                taken = span - (LANES - count) * decimation
-                for j in range(taken):
-                    padded[r * span + j] = memory[begin + j]
         below = min(rows - 1 - first, EIGHT - 1)
-        source, apart = (padded, span) if few else (memory, stride)
-        target, target_apart = (found, np.int64(LANES)) if few else (out, out_stride)
         # one call, which is inlined and compiled once
         for k in range(0, count, LANES):
             at = min(k, count - LANES)
-            begin = 0 if few else first * stride + at * decimation
-            to = 0 if few else first * out_stride + at
-            _sum_eight_rows(source, begin, apart, below, weights, span, target, to, target_apart)
-        if few:
-            for r in range(min(EIGHT, rows - first)):
-                for k in range(count):
-                    out[(first + r) * out_stride + k] = found[r * LANES + k]
+            begin, to = first * stride + at * decimation, first * out_stride + at
+            _sum_eight_rows(memory, begin, stride, below, weights, span, out, to, out_stride)
 
 
 @part

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Mask
 from asbuilt.errors import UsageError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, join_recordings
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.prepared_motion import (
     MotionFilters,
@@ -106,7 +106,7 @@ def stream_samples(
     low = -np.inf
     origin, clock_bound = np.nan, np.inf
     for chunk, more in _with_more(recordings):
-        joined = chunk if held is None else _join(held, chunk)
+        joined = chunk if held is None else join_recordings([held, chunk])
         held = joined
         if joined.n_samples < SHORTEST and more:
             continue
@@ -154,15 +154,6 @@ def stream_samples(
             )
             if samples.n_filtered:
                 yield samples
-
-
-def _join(first: Recording, second: Recording) -> Recording:
-    qd = None if first.qd is None or second.qd is None else np.concatenate([first.qd, second.qd])
-    t, q, tau = (
-        np.concatenate(pair)
-        for pair in ((first.t, second.t), (first.q, second.q), (first.tau, second.tau))
-    )
-    return replace(second, t=t, q=q, tau=tau, qd=qd, qdd=None, extra={})
 
 
 def _with_more(recordings: Iterable[Recording]) -> Iterator[tuple[Recording, bool]]:

@@ -12,12 +12,11 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.filter_plan import FilteredMotion, FilterPlan, SegmentArrays
-from asbuilt.experiment.signal.lowpass import SPREAD, butterworth, settling_samples
+from asbuilt.experiment.signal.lowpass import SPREAD
 from asbuilt.experiment.signal.noise.band_choice import choose_band
 from asbuilt.experiment.signal.noise.spikes import without_spikes
-from asbuilt.experiment.signal.noise.velocity_choice import VelocityVerdict, compare_velocities
+from asbuilt.experiment.signal.noise.velocity_choice import validate_velocities
 from asbuilt.experiment.signal.resampling import (
     Grid,
     UniformSegment,
@@ -252,7 +251,7 @@ def settle_chain(
         verdict = filters.once(
             ("velocity", rate, chain.cutoff, chain.order),
             segments,
-            lambda: _validate_velocity(chain, segments, rate),
+            lambda: validate_velocities(segments, rate, chain.cutoff or 0.0, chain.order),
         )
         chain = replace(
             chain, velocity="measured" if verdict is not None and verdict.helps else "derived"
@@ -305,23 +304,6 @@ def _is_same(one: Array | None, other: Array | None) -> bool:
     if one is None or other is None:
         return one is other
     return one is other or (one.shape == other.shape and bool(np.all(one == other)))
-
-
-def _validate_velocity(
-    chain: SignalChain, segments: Sequence[UniformSegment], rate: float
-) -> VelocityVerdict | None:
-    cutoff, order = chain.cutoff or 0.0, chain.order
-    pairs = []
-    for segment in segments:
-        if segment.qd is None:
-            return None
-        if segment.t.size > 2 * settling_samples(cutoff, rate, order=order):
-            derived = central_differences(segment.q, rate)
-            smooth, logged = (
-                butterworth(x, cutoff=cutoff, rate=rate, order=order) for x in (derived, segment.qd)
-            )
-            pairs.append((smooth, logged, derived, segment.qd))
-    return compare_velocities(pairs, rate) if pairs else None
 
 
 def assemble_samples(

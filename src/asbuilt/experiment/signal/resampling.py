@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.compilation import kernel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows
-from asbuilt.experiment.signal.bridging import bridge_pauses
+from asbuilt.experiment.signal.bridging import Bridges, plan_bridges
 from asbuilt.findings import Cure
 
 GAP = 4.5
@@ -47,10 +47,8 @@ class Grid:
     ----------
     recording
         The recording.
-    rows
-        Its usable rows.
-    gap, pause
-        Steps of the clock [s] that end a segment, and from which a pause is bridged.
+    bridges
+        How its pauses are filled.
     segments
         Rows of each segment once pauses are bridged.
     clocks
@@ -62,9 +60,7 @@ class Grid:
     """
 
     recording: Recording
-    rows: Indices
-    gap: float
-    pause: float
+    bridges: Bridges
     segments: tuple[Indices, ...]
     clocks: tuple[Array, ...] | None
     rate: float
@@ -72,40 +68,38 @@ class Grid:
 
     def uniform(self) -> list[UniformSegment]:
         """Return the segments."""
-        recording = self._bridged(self.recording)
-        return [
-            UniformSegment(
-                self._times(recording.t, k),
-                self._on_clock(recording.q, k),
-                self._on_clock(recording.tau, k),
-                self._if_logged(recording.qd, k),
-                self._if_logged(recording.qdd if recording.undriven else None, k),
-            )
-            for k in range(len(self.segments))
-        ]
-
-    def _if_logged(self, x: Array | None, k: int) -> Array | None:
-        """Return a channel in a segment, None if it was not logged, or not for every sample."""
-        if x is None or not np.all(np.isfinite(x[_simplify_indices(self.segments[k])])):
-            return None
-        return self._on_clock(x, k)
+        recording = self.recording
+        q, tau = self.channel(recording.q), self.channel(recording.tau)
+        qd = self._logged_channel(recording.qd)
+        qdd = self._logged_channel(recording.qdd if recording.undriven else None)
+        times = map(self._times, range(len(self.segments)))
+        return list(map(UniformSegment, times, q, tau, qd, qdd))
 
     def channel(self, x: Array) -> list[Array]:
         """Return a channel of the recording (N, n) in each segment, (L, n)."""
-        bare = replace(self.recording, tau=x, qd=None, qdd=None, command=None, extra={})
-        bridged_x = self._bridged(bare).tau
-        return [self._on_clock(bridged_x, k) for k in range(len(self.segments))]
+        filled = self.bridges.fill(x)
+        return [self._on_clock(filled, k) for k in range(len(self.segments))]
 
-    def _bridged(self, recording: Recording) -> Recording:
-        return bridge_pauses(recording, self.rows, self.gap, self.pause)[0]
+    def _logged_channel(self, x: Array | None) -> list[Array | None]:
+        """Return a channel in each segment, None if it was not logged, or not for every sample."""
+        if x is None:
+            return [None] * len(self.segments)
+        filled = self.bridges.fill(x)
+        return [
+            self._on_clock(filled, k)
+            if np.isfinite(filled[_simplify_indices(rows)]).all()
+            else None
+            for k, rows in enumerate(self.segments)
+        ]
 
-    def _times(self, t: Array, k: int) -> Array:
-        rows = self.segments[k]
+    def _times(self, k: int) -> Array:
+        """Return the times of a segment on the uniform clock."""
         if self.clocks is not None:
             clock = self.clocks[k]
             count = int(np.floor((clock[-1] - clock[0]) * self.rate + 1e-6)) + 1
             return np.asarray(clock[0] + np.arange(count) / self.rate)
-        part, even = t[_simplify_indices(rows)], t[rows[0]] + np.arange(rows.size) / self.rate
+        part = self.bridges.t[_simplify_indices(self.segments[k])]
+        even = part[0] + np.arange(part.size) / self.rate
         return np.asarray(even if np.max(np.abs(even - part)) < 0.5 / self.rate else part)
 
     def _on_clock(self, x: Array, k: int) -> Array:
@@ -113,22 +107,8 @@ class Grid:
         if self.clocks is None:
             return x[_simplify_indices(rows)]
         clock = self.clocks[k]
-        inside = np.minimum(self._times(clock, k), clock[-1])
+        inside = np.minimum(self._times(k), clock[-1])
         return np.ascontiguousarray(CubicSpline(clock, x[rows], axis=0)(inside))
-
-
-def resample_segments(
-    recording: Recording,
-    rate: float | None = None,
-    max_gap: float | None = None,
-    resolved: float = 0.0,
-) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
-    """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
-
-    They come from `plan_uniform_grid`, with the same parameters.
-    """
-    grid = plan_uniform_grid(recording, rate, max_gap, resolved)
-    return grid.uniform(), grid.rate, grid.notes
 
 
 def plan_uniform_grid(
@@ -194,14 +174,15 @@ def plan_uniform_grid(
             upper=logged_rate,
         )
     gap, pause = max(GAP * period, resolved) if max_gap is None else max_gap, GAP * period
-    logged, usable = recording, kept_rows
-    recording, kept_rows, filled = bridge_pauses(recording, kept_rows, gap, pause)
-    if filled:
+    bridges = plan_bridges(recording.t, kept_rows, gap, pause)
+    if bridges.pauses:
+        longest = steps[[each.row - 1 for each in bridges.pauses]].max()
         notes.append(
-            f"{len(filled)} pauses of up to {max(filled):.3g} s, shorter than the filter resolves,"
-            " were bridged by local polynomials"
+            f"{len(bridges.pauses)} pauses of up to {longest:.3g} s, shorter than the filter"
+            " resolves, were bridged by local polynomials"
         )
-        steps = np.diff(recording.t[kept_rows])
+    stamps, kept_rows = bridges.t, bridges.rows
+    steps = np.diff(stamps[kept_rows])
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
         notes.append(
@@ -219,15 +200,16 @@ def plan_uniform_grid(
     target = logged_rate if rate is None else rate
     inside = np.delete(steps, breaks - 1)
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
-        return Grid(logged, usable, gap, pause, segments, None, target, tuple(notes))
-    clocks = [_choose_clock(recording.t[rows], recording.q[rows]) for rows in segments]
+        return Grid(recording, bridges, segments, None, target, tuple(notes))
+    q = bridges.fill(recording.q)
+    clocks = [_choose_clock(stamps[rows], q[rows]) for rows in segments]
     ticks = sum(even for _, even in clocks)
     if rate is None and ticks == len(segments):
         target = _round_rate(
             1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
         )
     late = max(
-        float(np.max(np.abs(clock - recording.t[rows])))
+        float(np.max(np.abs(clock - stamps[rows])))
         for rows, (clock, _) in zip(segments, clocks, strict=True)
     )
     if ticks and late > JITTER / target:
@@ -240,8 +222,8 @@ def plan_uniform_grid(
             f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was"
             f" resampled to {target:g} Hz by cubic splines"
         )
-    stamps = tuple(clock for clock, _ in clocks)
-    return Grid(logged, usable, gap, pause, segments, stamps, target, tuple(notes))
+    times = tuple(clock for clock, _ in clocks)
+    return Grid(recording, bridges, segments, times, target, tuple(notes))
 
 
 def _drop_repeats(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -124,30 +124,19 @@ class Samples:
         shape = (t.size, len(self.joint_names))
         if self.tau_raw.size == 0:
             object.__setattr__(self, "tau_raw", self.tau)
-        for name in ("q", "qd", "qdd", "tau", "tau_raw"):
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("q", "qd", "qdd", "tau", "tau_raw"), shape)
+        if self.contact is not None:
+            shapes["contact"] = (t.size, np.shape(self.contact)[-1])
+        if self.encoder is not None:
+            shapes["encoder"] = (3, *shape)
+        for name, expected in shapes.items():
             array = _read_only(getattr(self, name))
-            if array.shape != shape:
+            if array.shape != expected:
                 raise RecordingError(
-                    f"{self.source}: {name} must have shape {shape} for {shape[1]} joints, got"
-                    f" {array.shape}"
+                    f"{self.source}: {name} must have shape {expected} for {t.size} samples of"
+                    f" {shape[1]} joints, got {array.shape}"
                 )
             object.__setattr__(self, name, array)
-        if self.contact is not None:
-            contact = _read_only(self.contact)
-            if contact.ndim != 2 or len(contact) != t.size:
-                raise RecordingError(
-                    f"{self.source}: contact must have a row for each of {t.size} samples, got"
-                    f" {contact.shape}"
-                )
-            object.__setattr__(self, "contact", contact)
-        if self.encoder is not None:
-            encoder = _read_only(self.encoder)
-            if encoder.shape != (3, *shape):
-                raise RecordingError(
-                    f"{self.source}: a second encoder must have shape {(3, *shape)}, got"
-                    f" {encoder.shape}"
-                )
-            object.__setattr__(self, "encoder", encoder)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
         object.__setattr__(self, "segments", segments)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
@@ -223,7 +212,8 @@ class Samples:
         """Return x (N, ...) at the samples of segments alone."""
         if sum(b - a for a, b in self.segments) == len(x):
             return x
-        return np.concatenate([x[a:b] for a, b in self.segments])
+        parts = [x[a:b] for a, b in self.segments]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def spans(self) -> Iterator[slice]:
         """Yield spans of contiguous samples that together are all of segments, some at a time."""
@@ -232,21 +222,7 @@ class Samples:
                 yield slice(first, min(first + AT_ONCE, b))
 
     def within(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return the same arrays with those segments of them where `keep` (N,) is true."""
-        return replace(self, segments=tuple(self._ranges(keep)))
-
-    def compact(self) -> Samples:
-        """Return the samples of segments alone."""
-        if sum(b - a for a, b in self.segments) == self.n_samples:
-            return self
-        return self._taken(list(self.segments))
-
-    def select(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
-        return self._taken(self._ranges(keep))
-
-    def _ranges(self, keep: NDArray[np.bool_]) -> list[tuple[int, int]]:
-        """Return the contiguous samples of segments where `keep` is true."""
+        """Return the same arrays with those parts of segments where `keep` (N,) is true."""
         mask = np.asarray(keep)
         if mask.dtype != np.bool_ or mask.shape != self.t.shape:
             raise UsageError(
@@ -255,41 +231,30 @@ class Samples:
             )
         ranges: list[tuple[int, int]] = []
         for a, b in self.segments:
-            edges = (
-                np.flatnonzero(np.diff(np.concatenate([[0], mask[a:b].astype(np.int8), [0]]))) + a
-            )
+            edges = a + np.flatnonzero(np.diff(mask[a:b].astype(np.int8), prepend=0, append=0))
             ranges.extend(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
         if not ranges:
             raise RecordingError(
                 f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and"
                 f" {self.t[-1]:g} s"
             )
-        return ranges
+        return replace(self, segments=tuple(ranges))
 
-    def _taken(self, ranges: list[tuple[int, int]]) -> Samples:
-        """Return the samples of these ranges, each a segment."""
-        stops = np.cumsum([b - a for a, b in ranges]).tolist()
-        segments = tuple(zip([0, *stops[:-1]], stops, strict=True))
+    def select(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
+        return self.within(keep).compact()
 
-        def take(x: Array) -> Array:
-            return (
-                x[slice(*ranges[0])]
-                if len(ranges) == 1
-                else np.concatenate([x[a:b] for a, b in ranges])
-            )
-
-        return replace(
-            self,
-            t=take(self.t),
-            q=take(self.q),
-            qd=take(self.qd),
-            qdd=take(self.qdd),
-            tau=take(self.tau),
-            tau_raw=take(self.tau_raw),
-            contact=None if self.contact is None else take(self.contact),
-            encoder=None if self.encoder is None else np.stack([take(x) for x in self.encoder]),
-            segments=segments,
-        )
+    def compact(self) -> Samples:
+        """Return the samples of segments alone."""
+        if sum(b - a for a, b in self.segments) == self.n_samples:
+            return self
+        names = ("t", "q", "qd", "qdd", "tau", "tau_raw", "contact")
+        arrays = {name: getattr(self, name) for name in names}
+        kept = {k: None if x is None else self.in_segments(x) for k, x in arrays.items()}
+        if self.encoder is not None:
+            kept["encoder"] = np.stack([self.in_segments(x) for x in self.encoder])
+        bounds = [0, *np.cumsum([b - a for a, b in self.segments]).tolist()]
+        return replace(self, **cast(Any, kept), segments=tuple(pairwise(bounds)))
 
     def between(self, start: float, stop: float) -> Samples:
         """Return the samples with `start <= t < stop` [s]."""

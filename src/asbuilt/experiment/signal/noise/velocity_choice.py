@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.experiment.signal.differentiation import central_differences
+from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.resampling import UniformSegment
 
 LARGEST_GAIN_ERROR = 0.02
 """Largest deviation of its scale from the scale of the derivative."""
@@ -49,6 +52,26 @@ class VelocityVerdict:
             f" {1e3 * self.lag:.2g} ms, gain {self.gain:.3f}, noise {self.noise:.2g} of the"
             " derivative's"
         )
+
+
+def validate_velocities(
+    segments: Sequence[UniformSegment], rate: float, cutoff: float, order: int = 4
+) -> VelocityVerdict | None:
+    """Compare logged velocities with positions that are differentiated and low-passed alike.
+
+    None if velocities are not logged in every segment, or no segment outlasts the low-pass.
+    """
+    pairs = []
+    for segment in segments:
+        if segment.qd is None:
+            return None
+        if segment.t.size > 2 * settling_samples(cutoff, rate, order=order):
+            derived = central_differences(segment.q, rate)
+            smooth, logged = (
+                butterworth(x, cutoff=cutoff, rate=rate, order=order) for x in (derived, segment.qd)
+            )
+            pairs.append((smooth, logged, derived, segment.qd))
+    return compare_velocities(pairs, rate) if pairs else None
 
 
 def compare_velocities(
