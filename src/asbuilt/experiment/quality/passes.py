@@ -112,13 +112,13 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     RecordingError
         If there is no chunk, or the joints are not the model's.
     """
-    n = model.n_joints
     lower, upper = position_limits(model)
     # Share of its limit from which a torque counts as saturated.
     full = 0.99 * np.array([joint.limits.torque for joint in model.joints])
-    positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
-    outside, saturated = Exceedance.none(n), Exceedance.none(n)
-    times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
+    positions, torques, moments = Extremes(), Extremes(), PositionMoments()
+    outside, saturated = Exceedance(), Exceedance()
+    times, flags, spikes = [], [], list[Spikes]()
+    missing: dict[tuple[int, int], Missing] = {}
     first = last = None
     begin = 0
     for logged in chunks:
@@ -126,7 +126,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         first = first or chunk
         chunk = chunk.with_torque_of(first.has_torque)
         not_repeated = _mark_not_repeated(chunk, last)
-        missing += _find_missing(chunk, begin)
+        _add_missing(missing, chunk, begin)
         last, chunk = chunk, blank_incredible(chunk)
         q, tau = chunk.q, chunk.tau
         valid_torque = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(tau))
@@ -157,7 +157,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         not_repeated=not_repeated,
         valid_torque=valid_torque,
         valid=valid,
-        missing=_merge(missing),
+        missing=tuple(missing[key] for key in sorted(missing)),
         position_range=positions,
         moments=moments,
         outside_limits=outside,
@@ -216,7 +216,7 @@ def blank_incredible(recording: Recording) -> Recording:
 
 
 def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
-    """Yield what was logged; torques of a servo are computed from its command."""
+    """Yield what was logged by its name; torques of a servo are computed from its command."""
     yield "position", recording.q
     if recording.servo is not None and recording.command is not None:
         yield "command", recording.command
@@ -226,6 +226,10 @@ def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
         yield "velocity", recording.qd
     if recording.qdd is not None:
         yield "acceleration", recording.qdd
+    if recording.second_encoder is not None:
+        positions = recording.second_encoder[1]
+        # Joints may be without a second encoder.
+        yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
 
 
 def position_limits(model: RobotModel) -> tuple[Array, Array]:
@@ -237,40 +241,21 @@ def position_limits(model: RobotModel) -> tuple[Array, Array]:
 
 def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
-    changed = find_true_rows(np.diff(chunk.q, axis=0) != 0) | find_true_rows(
-        np.diff(chunk.tau, axis=0) != 0
+    before = before or replace(chunk, q=np.full_like(chunk.q, np.nan))
+    q, tau = (
+        np.concatenate([getattr(before, name)[-1:], getattr(chunk, name)]) for name in ("q", "tau")
     )
-    first = before is None or bool(
-        np.any(chunk.q[0] != before.q[-1]) or np.any(chunk.tau[0] != before.tau[-1])
-    )
-    return np.concatenate([[first], changed])
+    return find_true_rows(np.diff(q, axis=0) != 0) | find_true_rows(np.diff(tau, axis=0) != 0)
 
 
-def _find_missing(chunk: Recording, begin: int) -> Iterator[Missing]:
-    for what, values in _with_second_encoder(chunk):
+def _add_missing(missing: dict[tuple[int, int], Missing], chunk: Recording, begin: int) -> None:
+    """Add the rows of a chunk, which begins at row `begin`, by quantity and joint."""
+    for what, values in _list_quantities(chunk):
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
-            rows = np.flatnonzero(bad[:, k])
-            yield Missing(what, k, begin + rows, float(values[rows[0], k]))
-
-
-def _with_second_encoder(chunk: Recording) -> Iterator[tuple[str, Array]]:
-    """Yield what was logged, and a second encoder, which joints may be without."""
-    yield from _list_quantities(chunk)
-    if chunk.second_encoder is not None:
-        positions = chunk.second_encoder[1]
-        yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
-
-
-def _merge(missing: list[Missing]) -> tuple[Missing, ...]:
-    """Return one entry per column, quantity by quantity."""
-    found: dict[tuple[int, int], list[Missing]] = {}
-    for each in missing:
-        found.setdefault((list(CREDIBLE).index(each.quantity), each.joint), []).append(each)
-    return tuple(
-        replace(parts[0], rows=np.concatenate([part.rows for part in parts]))
-        for _, parts in sorted(found.items(), key=lambda item: item[0])
-    )
+            rows, key = np.flatnonzero(bad[:, k]), (list(CREDIBLE).index(what), k)
+            known = missing.get(key) or Missing(what, k, rows[:0], float(values[rows[0], k]))
+            missing[key] = replace(known, rows=np.append(known.rows, begin + rows))
 
 
 _NEAR = 0.05

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from math import factorial
 
 import numpy as np
@@ -17,18 +18,19 @@ IN_STEP = 0.995
 """Correlation of positions from which joints move in step."""
 
 
+ZERO, UNKNOWN, HIGHEST, LOWEST = (
+    partial(np.array, value) for value in (0, np.nan, np.inf, -np.inf)
+)
+"""Values before any sample, the same for all columns."""
+
+
 @dataclass(frozen=True, eq=False)
 class Extremes:
     """Hold count, lowest and highest finite value of each column, all (n,); infinite if none."""
 
-    count: Indices
-    low: Array
-    high: Array
-
-    @classmethod
-    def none(cls, n: int) -> Extremes:
-        """Return the statistics of no sample."""
-        return cls(np.zeros(n, dtype=np.int64), np.full(n, np.inf), np.full(n, -np.inf))
+    count: Indices = field(default_factory=ZERO)
+    low: Array = field(default_factory=HIGHEST)
+    high: Array = field(default_factory=LOWEST)
 
     def with_more(self, values: Array) -> Extremes:
         """Include further values (N, n); those that are not finite do not count."""
@@ -47,16 +49,10 @@ class Exceedance:
     All are (n,).
     """
 
-    count: Indices
-    amount: Array
-    value: Array
-    row: Indices
-
-    @classmethod
-    def none(cls, n: int) -> Exceedance:
-        """Return the statistics of no sample."""
-        zeros = np.zeros(n, dtype=np.int64)
-        return cls(zeros, np.full(n, -np.inf), np.full(n, np.nan), zeros)
+    count: Indices = field(default_factory=ZERO)
+    amount: Array = field(default_factory=LOWEST)
+    value: Array = field(default_factory=UNKNOWN)
+    row: Indices = field(default_factory=ZERO)
 
     def with_more(self, amount: Array, exceeds: Mask, value: Array, rows: Indices) -> Exceedance:
         """Include amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
@@ -81,22 +77,15 @@ class PositionMoments:
     `about` and `total` are (n,), `products` (n, n).
     """
 
-    n_samples: int
-    about: Array
-    total: Array
-    products: Array
-
-    @classmethod
-    def none(cls, n: int) -> PositionMoments:
-        """Return the moments of no sample."""
-        return cls(0, np.zeros(n), np.zeros(n), np.zeros((n, n)))
+    n_samples: int = 0
+    about: Array = field(default_factory=ZERO)
+    total: Array = field(default_factory=ZERO)
+    products: Array = field(default_factory=ZERO)
 
     def with_more(self, q: Array) -> PositionMoments:
         """Include further positions (N, n); rows with a value that is not finite do not count."""
         complete = q[np.all(np.isfinite(q), axis=1)]
-        if not len(complete):
-            return self
-        about = self.about if self.n_samples else complete[0]
+        about = self.about if self.n_samples or not len(complete) else complete[0]
         apart = complete - about
         return PositionMoments(
             self.n_samples + len(complete),

@@ -124,7 +124,9 @@ class Samples:
         shape = (t.size, len(self.joint_names))
         if self.tau_raw.size == 0:
             object.__setattr__(self, "tau_raw", self.tau)
-        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("q", "qd", "qdd", "tau", "tau_raw"), shape)
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(
+            ("q", "qd", "qdd", "tau", "tau_raw"), shape
+        )
         if self.contact is not None:
             shapes["contact"] = (t.size, np.shape(self.contact)[-1])
         if self.encoder is not None:

@@ -82,11 +82,10 @@ class Conventions:
         """Return these conventions with joint k multiplied by two signs, from another zero."""
         fit = self.fit
         q, qd, qdd, tau = (np.array(each) for each in (fit.q, fit.qd, fit.qdd, fit.tau))
-        moved, pulled = fit.motion_of[k], fit.torque_of[k]
-        q[:, moved] = position * (q[:, moved] - zero)
-        qd[:, moved] *= position
-        qdd[:, moved] *= position
-        tau[:, pulled] *= torque
+        q[:, k] = position * (q[:, k] - zero)
+        qd[:, k] *= position
+        qdd[:, k] *= position
+        tau[:, k] *= torque
         signs, torques, zeros = (
             np.array(each) for each in (self.position_sign, self.torque_sign, self.zero)
         )
@@ -149,7 +148,7 @@ def _count_joints_beyond(fit: TorqueFit) -> int:
     """Return how many joints leave their limits, wherever their full turns are counted from."""
     lower, upper = position_limits(fit.model)
     turn = np.where([joint.is_revolute for joint in fit.model.joints], 2.0 * np.pi, 0.0)
-    q = fit.q[:, list(fit.motion_of)]
+    q = fit.q
     shares = [np.mean((q + n * turn < lower) | (q + n * turn > upper), axis=0) for n in (-1, 0, 1)]
     return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
 
@@ -227,8 +226,8 @@ class GravityThresholds:
 GRAVITY = GravityThresholds()
 
 
-def check_gravity(fit: TorqueFit) -> tuple[Finding, Array] | None:
-    """Return a finding and the gravity (3,) [m/s^2] if the torques show another direction.
+def check_gravity(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
+    """Return a finding, and the fit with the gravity of the torques if it has another direction.
 
     The torques without gravity and gravity's torques along each axis are compared with the measured
     ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
@@ -268,7 +267,7 @@ def check_gravity(fit: TorqueFit) -> tuple[Finding, Array] | None:
         " mounted in another way than its description",
         Cure("give the direction of gravity", settings={"gravity": name}),
     )
-    return finding, gravity
+    return finding, replace(fit, model=fit.model.with_gravity(gravity))
 
 
 def _find_friction_sign(fit: TorqueFit) -> float:
@@ -285,20 +284,18 @@ class _Cosines:
 
     measured: Array
     motion: Array
-    gravity: tuple[Array, Array, Array]
+    gravity: Sequence[Array]
 
     @classmethod
     def of(cls, fit: TorqueFit) -> _Cosines:
-        q, qd, qdd = (values[:, list(fit.motion_of)] for values in (fit.q, fit.qd, fit.qdd))
-
         def torque(gravity: Array) -> Array:
-            return inverse_dynamics(fit.model.with_gravity(gravity), q, qd, qdd, threads=1)
+            mounted = fit.model.with_gravity(gravity)
+            return inverse_dynamics(mounted, fit.q, fit.qd, fit.qdd, threads=1)
 
         still = torque(np.zeros(3))
         x, y, z = (torque(axis) - still for axis in np.eye(3))
-        measured = fit.tau[:, list(fit.torque_of)]
-        y_, m, gx, gy, gz = (fit.without_friction(each) for each in (measured, still, x, y, z))
-        return cls(y_, m, (gx, gy, gz))
+        measured, m, *g = (fit.without_friction(each) for each in (fit.tau, still, x, y, z))
+        return cls(measured, m, g)
 
     def at(self, gravity: Array) -> float:
         """Return the cosine of measured and modelled torques under a gravity [m/s^2]."""

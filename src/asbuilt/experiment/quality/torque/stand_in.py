@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,26 +13,14 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
 from asbuilt.findings import Cure, Finding
 
+DENSITY = 0.5, 800.0
+"""Densities [kg/m^3] of rods `stretched_length` wide that a robot may have.
 
-@dataclass(frozen=True, slots=True)
-class StandInThresholds:
-    """Say when torques do not fit an arm of this length.
-
-    Mass of arms grows with the third power of length. The density [kg/m^3] of rods
-    `stretched_length` wide is 2 to 16 for the descriptions of thirteen robots whose torque of
-    gravity varies by 0.4 to 65 N m, 50 for the TX40 and 87 for the two-link arm; recordings of six
-    real arms in N m give 1.7 to 87.
-    """
-
-    density: tuple[float, float] = (0.5, 800.0)
-    """Densities that a robot may have: a quarter of the lightest, nine times the heaviest."""
-    correlation: float = 0.7
-    """Correlation of the largest torque with the rods' torque from which its scale is clear."""
-    gravity: float = 0.8
-    """Least share of gravity in that torque."""
-
-
-THRESHOLDS = StandInThresholds()
+Mass of arms grows with the third power of length. These are a quarter of the lightest and nine
+times the heaviest: 2 to 16 for the descriptions of thirteen robots whose torque of gravity varies
+by 0.4 to 65 N m, 50 for the TX40 and 87 for the two-link arm; recordings of six real arms in N m
+give 1.7 to 87.
+"""
 
 
 def replace_links_by_rods(model: RobotModel) -> RobotModel:
@@ -59,21 +48,19 @@ def infer_density(fit: TorqueFit) -> float | None:
     rods = replace(fit, model=replace_links_by_rods(fit.model))
     predicted = rods.predicted
     k = int(np.argmax(predicted))
-    if not predicted[k] > 0 or rods.gravity[k] < THRESHOLDS.gravity * predicted[k]:
+    # Least share of gravity in the largest torque, and its least correlation with the rods' torque.
+    if not predicted[k] > 0 or rods.gravity[k] < 0.8 * predicted[k]:
         return None
-    if abs(rods.correlation[k]) < THRESHOLDS.correlation:
+    if abs(rods.correlation[k]) < 0.7:
         return None
     return float(np.linalg.norm(rods.measured) / np.linalg.norm(predicted))
 
 
-def check_scale_without_masses(fit: TorqueFit) -> Finding | None:
-    """Return a finding where no robot of this length has torques of this size."""
-    density = infer_density(fit)
-    if density is None:
-        return None
-    low, high = THRESHOLDS.density
-    if low < density < high:
-        return None
+def check_scale_without_masses(fit: TorqueFit) -> Iterator[Finding]:
+    """Find torques of a size that no robot of this length has."""
+    density, (low, high) = infer_density(fit), DENSITY
+    if density is None or low < density < high:
+        return
     length = stretched_length(fit.model)
     bound = (
         f"more than {low * length**3:.2g}" if density < low else f"less than {high * length**3:.0f}"
@@ -85,7 +72,7 @@ def check_scale_without_masses(fit: TorqueFit) -> Finding | None:
     )
     if density > high:
         cure = Cure('write units = { torque = "mN m" } in a recording sheet, or the unit it has')
-    return Finding(
+    yield Finding(
         "torque_scale",
         "warning",
         f"the torques look not to be N m: gravity's share of them fits an arm of about"

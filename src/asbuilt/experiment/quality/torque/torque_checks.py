@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from asbuilt.experiment.quality.torque.torque_fit import (
     find_swapped_torques,
 )
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
-from asbuilt.findings import Cure, Finding, Severity, join_names
+from asbuilt.findings import Cure, Finding, join_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +62,9 @@ def check_torques(
     """
     fit = TorqueFit.of(model, motion, position_scale)
     if not np.any(fit.predicted > 0):
-        signs = fit.friction_correlation
-        yield _without_masses(model, signs)
-        yield from _check_signs_by_friction(model, signs)
-        scale = check_scale_without_masses(fit)
-        if scale is not None:
-            yield scale
+        yield from _check_without_masses(fit)
         return
-    ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
-    if ratio == 0:
+    if fit.ratio == 0:
         yield Finding(
             "no_torque",
             "error",
@@ -82,35 +76,32 @@ def check_torques(
     mounted = check_gravity(fit)
     if mounted is not None:
         yield mounted[0]
-        model = model.with_gravity(mounted[1])
-        fit = TorqueFit.of(model, motion, position_scale)
-        ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
+        fit = mounted[1]
     low, high = THRESHOLDS.plausible
-    if not low < ratio < high:
-        fit = TorqueFit.of(model, motion, position_scale, 1.0 / ratio)
-    else:
-        ratio = 1.0
+    ratio = 1.0 if low < fit.ratio < high else fit.ratio
+    fit = replace(fit, tau=fit.tau * (1.0 / ratio))
     best = find_best_assignment(fit)
     other = check_conventions(best)
     if best is not fit:
-        yield _report_swapped(model, fit, best)
+        yield _report_swapped(fit, best)
     if other is not None:
         yield other[0]
         best = other[1]
     elif best is fit:
-        yield from _find_swapped_without_cad(model, fit)
-    yield from _check_sign_and_scale(model, recording, best, ratio)
+        yield from _find_swapped_without_cad(fit)
+    yield from _check_sign_and_scale(recording, best, ratio)
 
 
-def _without_masses(model: RobotModel, friction: Array) -> Finding:
-    """Say what of the torques can be checked without masses, by correlations of friction (n,)."""
+def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
+    """Check signs by friction, and the scale by the length of the arm."""
+    model, friction = fit.model, fit.friction_correlation
     seen = np.flatnonzero(np.abs(friction) > THRESHOLDS.braking)
     by = (
         f"their signs by friction at {join_names([model.joint_names[k] for k in seen])} alone"
         if seen.size
         else "their signs neither, as no friction shows"
     )
-    return Finding(
+    yield Finding(
         "no_inertia",
         "info",
         f"{model.name} has no inertial parameters, or none that act in this motion; the order of"
@@ -118,6 +109,8 @@ def _without_masses(model: RobotModel, friction: Array) -> Finding:
         " the scale of the torques",
         Cure("use a description with masses to have them checked"),
     )
+    yield from _check_signs_by_friction(model, friction)
+    yield from check_scale_without_masses(fit)
 
 
 def _check_signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
@@ -148,19 +141,19 @@ def _report_driven_motion(
     model: RobotModel, k: int, correlation: float, sign: float, wrong: Collection[int]
 ) -> Finding:
     """Return the finding of a joint whose torque grows against the direction of its motion."""
-    return _report_flipped_joint(
-        model,
-        k,
+    return Finding(
+        "joint_torque_flipped",
         "warning",
         f"the torque of {model.joint_names[k]} correlates negatively with its direction of motion"
         f" ({correlation:.2f}), unlike friction; its sign may be flipped",
         _make_signs_cure(model, sign, wrong),
+        joint=model.joint_names[k],
     )
 
 
-def _report_swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Finding:
-    names = model.joint_names
-    moved = [k for k in range(model.n_joints) if best.torque_of[k] != k or best.motion_of[k] != k]
+def _report_swapped(fit: TorqueFit, best: TorqueFit) -> Finding:
+    names = fit.model.joint_names
+    moved = [k for k in range(len(names)) if best.torque_of[k] != k or best.motion_of[k] != k]
     fits = []
     for k in moved:
         torque, motion = names[best.torque_of[k]], names[best.motion_of[k]]
@@ -182,10 +175,10 @@ def _report_swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Findi
     )
 
 
-def _find_swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Finding]:
+def _find_swapped_without_cad(fit: TorqueFit) -> Iterator[Finding]:
     swap = find_swapped_torques(fit)
     if swap is not None:
-        one, other = (model.joint_names[k] for k in swap.joints)
+        one, other = (fit.model.joint_names[k] for k in swap.joints)
         yield Finding(
             "joints_swapped",
             "error",
@@ -197,10 +190,8 @@ def _find_swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Fin
         )
 
 
-def _check_sign_and_scale(
-    model: RobotModel, recording: FirstPass, fit: TorqueFit, ratio: float
-) -> Iterator[Finding]:
-    names = model.joint_names
+def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
+    model, names = fit.model, fit.model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
     clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > THRESHOLDS.clear))]
     if not clear:
@@ -236,13 +227,13 @@ def _check_sign_and_scale(
     braking = np.flatnonzero(unclear & (friction < -THRESHOLDS.braking))
     doubtful = [k for k in braking.tolist() if k not in alone]
     for k in alone:
-        yield _report_flipped_joint(
-            model,
-            k,
+        yield Finding(
+            "joint_torque_flipped",
             "error",
             f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
             f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
             _make_signs_cure(model, sign, alone),
+            joint=names[k],
         )
     for k in doubtful:
         yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
@@ -323,12 +314,6 @@ def _make_signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -
     """Return the cure of signs, where the `flipped` joints have the opposite of all others."""
     signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(model.n_joints))
     return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
-
-
-def _report_flipped_joint(
-    model: RobotModel, k: int, severity: Severity, message: str, cure: Cure
-) -> Finding:
-    return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
 
 
 def _report_scale(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
