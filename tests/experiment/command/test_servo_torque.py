@@ -7,11 +7,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import command_rate, drive_by_command, hold_command
-from asbuilt.experiment.command.usable_samples import (
+from asbuilt.experiment.command.servo_torque import (
+    command_rate,
+    drive_by_command,
     drop_saturated,
     estimate_direction_speeds,
     find_saturated,
+    hold_command,
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples

@@ -39,14 +39,14 @@ from asbuilt.experiment.quality.position_checks import (
     check_positions,
 )
 from asbuilt.experiment.quality.reductions import UniformSegments, smooth_motion
-from asbuilt.experiment.quality.torque.signal_checks import (
+from asbuilt.experiment.quality.signal_checks import (
     check_channels,
     check_saturation,
     check_signs,
     check_spikes,
     filter_findings,
 )
-from asbuilt.experiment.quality.torque.torque_checks import check_torques
+from asbuilt.experiment.quality.torque_checks import check_torques
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, join_names, rank_findings, undesigned
 from asbuilt.tables import WIDTH, preformat, wrap_text

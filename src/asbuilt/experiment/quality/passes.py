@@ -17,7 +17,7 @@ from asbuilt.experiment.recording import (
     median_rate,
     time_span,
 )
-from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
+from asbuilt.experiment.signal.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
 CREDIBLE = {

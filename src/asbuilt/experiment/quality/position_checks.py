@@ -11,8 +11,8 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.band_choice import POSITION_BANDWIDTHS, Band, choose_band
-from asbuilt.experiment.signal.noise.position_step import find_position_steps
+from asbuilt.experiment.signal.band_choice import POSITION_BANDWIDTHS, Band, choose_band
+from asbuilt.experiment.signal.position_step import find_position_steps
 from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.findings import Cure, Finding, join_names
 

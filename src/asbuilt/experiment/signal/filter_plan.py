@@ -22,7 +22,6 @@ from asbuilt.experiment.signal.lowpass import (
     kernel_samples,
     settling_samples,
 )
-from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.parallel_filter import (
     STOP_BAND_EDGE,
     ParallelFilter,
@@ -30,6 +29,7 @@ from asbuilt.experiment.signal.parallel_filter import (
 )
 from asbuilt.experiment.signal.resampling import HALF_WIDTH, UniformSegment
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.spectrum import power_density
 from asbuilt.experiment.signal.standstill import PAUSE, find_moving_ranges, find_rests
 from asbuilt.findings import Cure
 

@@ -20,9 +20,10 @@ from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
     command_rate,
     differentiate_logged_positions,
+    drop_saturated,
+    drop_slow_rows,
     hold_command,
 )
-from asbuilt.experiment.command.usable_samples import drop_saturated, drop_slow_rows
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion

@@ -9,11 +9,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.quality.conventions import check_conventions, check_gravity
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.experiment.quality.torque.conventions import check_conventions, check_gravity
-from asbuilt.experiment.quality.torque.stand_in import check_scale_without_masses
-from asbuilt.experiment.quality.torque.torque_fit import (
+from asbuilt.experiment.quality.stand_in import check_scale_without_masses
+from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
     find_best_assignment,
     find_swapped_torques,

@@ -13,7 +13,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.quality.passes import position_limits
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque_fit import TorqueFit
 from asbuilt.findings import Cure, Finding, join_names
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)

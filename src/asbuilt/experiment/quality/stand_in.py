@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.description.appearance import link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque_fit import TorqueFit
 from asbuilt.findings import Cure, Finding
 
 DENSITY = 0.5, 800.0
