@@ -97,9 +97,9 @@ def _lead_goal(
     steps count no more than one that reaches the limit. A limited goal has no steps.
     """
     servo = recording.servo
-    if servo is None or not np.any(servo.leads):
-        return _sample_goal(recording, delay, derivative, curve)
     goal = _sample_goal(recording, delay, derivative, curve)
+    if servo is None or not np.any(servo.leads):
+        return goal
     if not servo.limits_goal:
         recording, curve = replace(recording, command=_with_small_steps(recording, servo)), None
     return goal + servo.leads * _sample_goal(recording, delay, derivative + 1, curve)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -20,87 +20,63 @@ QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 """Zero positions [rad] by which the conventions of two makers differ."""
 
 
-@dataclass(frozen=True, slots=True)
-class ConventionThresholds:
-    """Decide from correlations of measured with rigid-body torques, and the misfit's logarithm."""
-
-    doubtful: float = 0.75
-    """Correlation of each joint from which conventions are not doubted."""
-    clear: float = 0.9
-    """Mean correlation that the joints must reach that another convention fits better."""
-    fall: float = 2.0
-    """Fall of the misfit's logarithm, summed over joints, from which a convention is decisive."""
-    beyond: float = 0.02
-    """Share of positions outside the limits from which a joint leaves them."""
-    kept: int = 5
-    """Number of conventions to which another joint is added."""
-    near: float = 1.0
-    """Difference of that sum below which another convention fits about as well."""
-
-
-THRESHOLDS = ConventionThresholds()
+DOUBTFUL, CLEAR = 0.75, 0.9
+"""Correlation, or cosine, of measured with rigid-body torques from which a convention is not
+doubted, and that another one must reach. In recordings of seven real robots the cosine is at least
+0.92 in the right direction of gravity, and at most 0.69 in directions across it.
+"""
+FALL = 2.0
+"""Fall of the misfit's logarithm, summed over joints, from which a convention is decisive."""
+Convention = tuple[float, float, float]
+"""Signs of position and torque, and zero: `sign (logged - zero)` is the model's position."""
+DESCRIBED: Convention = (1.0, 1.0, 0.0)
+OTHER_SIGNS = {
+    (-1.0, -1.0): ["turns the other way, position and torque"],
+    (-1.0, 1.0): ["has the opposite sign of position"],
+    (1.0, -1.0): ["has the opposite sign of torque"],
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Conventions:
-    """Hold a fit and the convention of each joint in it.
-
-    The position in the model is `position_sign (logged - zero)`, the torque `torque_sign` times the
-    logged one; all are of shape (n,).
-    """
+    """Hold a fit, and the joints whose convention in it is not the description's."""
 
     fit: TorqueFit
-    position_sign: Array
-    torque_sign: Array
-    zero: Array
-
-    @classmethod
-    def as_logged(cls, fit: TorqueFit) -> Conventions:
-        """Return the conventions of the description for every joint."""
-        n = fit.model.n_joints
-        return cls(fit, np.ones(n), np.ones(n), np.zeros(n))
-
-    @property
-    def changed(self) -> list[int]:
-        """Joints whose convention is not the description's."""
-        other = (self.position_sign < 0.0) | (self.torque_sign < 0.0) | (self.zero != 0.0)
-        return [int(k) for k in np.flatnonzero(other)]
+    changed: Mapping[int, Convention]
 
     @cached_property
     def cost(self) -> float:
         """Misfit of the torques; a changed joint, and one beyond its limits, must be worth it."""
-        return self.fit.cost + THRESHOLDS.fall * (
-            len(self.changed) + _count_joints_beyond(self.fit)
-        )
+        return self.fit.cost + FALL * (len(self.changed) + _count_joints_beyond(self.fit))
 
-    @property
-    def key(self) -> tuple[bytes, ...]:
-        """What distinguishes conventions, in whichever order they were reached."""
-        return tuple(each.tobytes() for each in (self.position_sign, self.torque_sign, self.zero))
-
-    def with_joint(self, k: int, position: float, torque: float, zero: float) -> Conventions:
-        """Return these conventions with joint k multiplied by two signs, from another zero."""
-        fit = self.fit
+    def with_joint(self, k: int, convention: Convention) -> Conventions:
+        """Return these conventions with another one of joint k."""
+        fit, (position, torque, zero) = self.fit, convention
         q, qd, qdd, tau = (np.array(each) for each in (fit.q, fit.qd, fit.qdd, fit.tau))
         q[:, k] = position * (q[:, k] - zero)
         qd[:, k] *= position
         qdd[:, k] *= position
         tau[:, k] *= torque
-        signs, torques, zeros = (
-            np.array(each) for each in (self.position_sign, self.torque_sign, self.zero)
-        )
-        signs[k], torques[k], zeros[k] = position, torque, zero
-        return Conventions(replace(fit, q=q, qd=qd, qdd=qdd, tau=tau), signs, torques, zeros)
+        changed = {**self.changed, k: convention}
+        return Conventions(replace(fit, q=q, qd=qd, qdd=qdd, tau=tau), changed)
 
     def changes(self) -> Iterator[Conventions]:
         """Yield the conventions with one more joint changed; a torque alone is another check's."""
         for k, joint in enumerate(self.fit.model.joints):
-            if k in self.changed:
-                continue
             zeros = QUARTERS if joint.is_revolute else QUARTERS[:1]
-            for position, torque, zero in product((1.0, -1.0), (1.0, -1.0), zeros):
-                if position < 0.0 or zero != 0.0:
-                    yield self.with_joint(k, position, torque, zero)
+            for convention in product((1.0, -1.0), (1.0, -1.0), zeros):
+                position, _, zero = convention
+                if k not in self.changed and (position < 0.0 or zero != 0.0):
+                    yield self.with_joint(k, convention)
+
+    def __str__(self) -> str:
+        sentences = []
+        for k, (position, torque, zero) in sorted(self.changed.items()):
+            what = list(OTHER_SIGNS.get((position, torque), ()))
+            if zero != 0.0:
+                what.append(f"reads {np.degrees(zero):.0f} deg where the description has zero")
+            sentences.append(f"{self.fit.model.joint_names[k]} {' and '.join(what)}")
+        return join_names(sentences)
 
 
 def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
@@ -110,35 +86,38 @@ def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     falls decisively, and positions keep their limits. Small errors of a zero are left to
     `asbuilt.identification.effects`.
     """
-    if not np.any(np.abs(fit.correlation[fit.decides]) < THRESHOLDS.doubtful):
+    if not np.any(np.abs(fit.correlation[fit.decides]) < DOUBTFUL):
         return None
-    logged = best = Conventions.as_logged(fit)
+    logged = best = Conventions(fit, {})
     front, near = [logged], []
     for _ in range(fit.model.n_joints):
-        changes = {change.key: change for each in front for change in each.changes()}
-        front = sorted(changes.values(), key=lambda each: each.cost)[: THRESHOLDS.kept]
+        # The same conventions may be reached in several orders.
+        changes = {
+            frozenset(change.changed.items()): change for each in front for change in each.changes()
+        }
+        # Another joint is added to the five best.
+        front = sorted(changes.values(), key=lambda each: each.cost)[:5]
         if not front or front[0].cost > best.cost:
             break
         best = front[0]
-        limit = best.cost + THRESHOLDS.near
-        near = [each for each in front[1:] if each.cost < limit]
+        # Less than 1 apart another convention fits about as well.
+        near = [each for each in front[1:] if each.cost < best.cost + 1.0]
     fallen = _find_improved_joints(fit, best.fit)
     if best is logged or not fallen.size:
         return None
     before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
-    if after <= THRESHOLDS.clear:
+    if after <= CLEAR:
         return None
-    others = " or ".join(_describe_conventions(each, each.changed) for each in near)
+    others = " or ".join(map(str, near))
     return (
         Finding(
             "joint_convention",
             "error",
-            "the log follows another convention than the description:"
-            f" {_describe_conventions(best, best.changed)}"
+            f"the log follows another convention than the description: {best}"
             f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
             + (f"; as likely: {others}" if others else ""),
             _make_cure(best),
-            joint=fit.model.joint_names[best.changed[0]],
+            joint=fit.model.joint_names[min(best.changed)],
         ),
         best.fit,
     )
@@ -148,9 +127,10 @@ def _count_joints_beyond(fit: TorqueFit) -> int:
     """Return how many joints leave their limits, wherever their full turns are counted from."""
     lower, upper = position_limits(fit.model)
     turn = np.where([joint.is_revolute for joint in fit.model.joints], 2.0 * np.pi, 0.0)
-    q = fit.q
-    shares = [np.mean((q + n * turn < lower) | (q + n * turn > upper), axis=0) for n in (-1, 0, 1)]
-    return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
+    turned = [fit.q + n * turn for n in (-1, 0, 1)]
+    shares = [np.mean((q < lower) | (q > upper), axis=0) for q in turned]
+    # Share of positions outside the limits from which a joint leaves them.
+    return int(np.count_nonzero(np.min(shares, axis=0) > 0.02))
 
 
 def _find_improved_joints(before: TorqueFit, after: TorqueFit) -> Indices:
@@ -159,34 +139,14 @@ def _find_improved_joints(before: TorqueFit, after: TorqueFit) -> Indices:
     return np.flatnonzero(after.decides & (least[1] < 0.5 * least[0]))
 
 
-def _describe_conventions(conventions: Conventions, joints: Sequence[int]) -> str:
-    names = conventions.fit.model.joint_names
-    sentences = []
-    for k in joints:
-        what = []
-        if conventions.position_sign[k] < 0.0 and conventions.torque_sign[k] < 0.0:
-            what.append("turns the other way, position and torque")
-        elif conventions.position_sign[k] < 0.0:
-            what.append("has the opposite sign of position")
-        elif conventions.torque_sign[k] < 0.0:
-            what.append("has the opposite sign of torque")
-        if conventions.zero[k] != 0.0:
-            degrees = np.degrees(conventions.zero[k])
-            what.append(f"reads {degrees:.0f} deg where the description has zero")
-        sentences.append(f"{names[k]} {' and '.join(what)}")
-    return join_names(sentences)
-
-
-def _make_cure(conventions: Conventions) -> Cure:
-    fields = {
-        "position_sign": conventions.position_sign,
-        "sign": conventions.torque_sign,
-        "zero": conventions.zero,
-    }
+def _make_cure(best: Conventions) -> Cure:
+    of_joints = [best.changed.get(k, DESCRIBED) for k in range(best.fit.model.n_joints)]
     written = [
         f"{name} = [{', '.join(f'{value:.6g}' for value in values)}]"
-        for name, values in fields.items()
-        if np.any(values != (0.0 if name == "zero" else 1.0))
+        for name, values, usual in zip(
+            ("position_sign", "sign", "zero"), zip(*of_joints, strict=True), DESCRIBED, strict=True
+        )
+        if any(value != usual for value in values)
     ]
     return Cure(
         "compare zero and direction of these joints with the robot's; if so, write"
@@ -202,30 +162,6 @@ AXES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class GravityThresholds:
-    """Decide from cosines of measured with rigid-body torques, over all samples and joints.
-
-    In recordings of seven real robots the cosine is at least 0.92 in the right direction, and at
-    most 0.69 in directions across it.
-    """
-
-    doubtful: float = 0.75
-    """Cosine in the described direction from which it is not doubted."""
-    clear: float = 0.9
-    """Least cosine in another direction that is right."""
-    oblique: float = 0.97
-    """Least cosine in a direction that is no axis."""
-    friction: float = 0.5
-    """Mean correlation of torques with the directions of motion that shows their sign."""
-    fall: float = 2.0
-    """Fall of the misfit's logarithm, summed over joints, from which a robot is upside down, and
-    its torque not flipped, by its inertia alone."""
-
-
-GRAVITY = GravityThresholds()
-
-
 def check_gravity(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     """Return a finding, and the fit with the gravity of the torques if it has another direction.
 
@@ -238,26 +174,27 @@ def check_gravity(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     given = np.asarray(fit.model.gravity)
     cosines = _Cosines.of(fit)
     now = cosines.at(given)
-    if now > GRAVITY.doubtful:
+    if now > DOUBTFUL:
         return None
     along = max((np.asarray(axis) for axis in AXES.values()), key=cosines.at)
-    if max(-now, cosines.at(along)) < GRAVITY.clear:
+    if max(-now, cosines.at(along)) < CLEAR:
         along = cosines.estimated()
-        if cosines.at(along) < GRAVITY.oblique:
+        # A direction that is no axis must fit better.
+        if cosines.at(along) < 0.97:
             return None
-    elif -now > GRAVITY.clear:
+    elif -now > CLEAR:
         along = -given
     if not along.any():
         return None
     mounted = replace(fit, model=fit.model.with_gravity(along))
     sign = _find_friction_sign(mounted)
     parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
-    if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - GRAVITY.fall)):
+    if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - FALL)):
         return None
     gravity = along if sign >= 0.0 else -along
     cosine = abs(cosines.at(along))
-    name = next((each for each, axis in AXES.items() if np.array_equal(axis, gravity)), "")
-    name = name or ",".join(f"{g:.3g}" for g in gravity)
+    named = (each for each, axis in AXES.items() if np.array_equal(axis, gravity))
+    name = next(named, ",".join(f"{g:.3g}" for g in gravity))
     direction = ", ".join(f"{g:.3g}" for g in given)
     finding = Finding(
         "gravity_direction",
@@ -275,7 +212,7 @@ def _find_friction_sign(fit: TorqueFit) -> float:
     friction = fit.friction_correlation
     shown = friction[friction != 0.0]
     mean = float(np.mean(shown)) if 2 * shown.size > friction.size else 0.0
-    return float(np.sign(mean)) if abs(mean) > GRAVITY.friction else 0.0
+    return float(np.sign(mean)) if abs(mean) > 0.5 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +245,5 @@ class _Cosines:
         """Return the gravity of free fall in the direction of least squares, to three digits."""
         columns = np.stack([part.ravel() for part in self.gravity], axis=1)
         g = np.linalg.lstsq(columns, (self.measured - self.motion).ravel(), rcond=None)[0]
-        norm = float(np.linalg.norm(g))
-        if norm == 0.0:
-            return np.zeros(3)
+        norm = float(np.linalg.norm(g)) or np.inf
         return np.array([float(f"{value:.3g}") for value in FREE_FALL * g / norm])

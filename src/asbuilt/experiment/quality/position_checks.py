@@ -99,27 +99,6 @@ def _describe_step(model: RobotModel, joint: int, step: float) -> str:
     return f"steps of {1e3 * step:.3g} mrad ({2.0 * np.pi / step:.0f} per turn)"
 
 
-@dataclass(frozen=True, slots=True)
-class CouplingThresholds:
-    """Hold when a logged follower is away from where its coupling puts it: own choices.
-
-    Parameters
-    ----------
-    angle, length
-        Root mean square [rad, m] that the play of a gripper explains.
-    share
-        Share of the follower's range in the log that it must exceed besides.
-    singular
-        Ratio of singular values of loops below which a posture is near a singular one.
-    """
-
-    angle: float = 0.02
-    length: float = 0.001
-    share: float = 0.05
-    singular: float = 0.02
-
-
-THRESHOLDS = CouplingThresholds()
 SAMPLED = 2000
 """Samples of a log at which loops are looked at."""
 BLOCKS = 10
@@ -134,60 +113,68 @@ def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
     rows = known[:: max(1, known.size // SAMPLED)]
     at = closure.postures(recording.q[rows])
+    names = model.joint_names
     moving = [k for k in range(model.n_joints) if closure.moves_loops(k)]
+
+    def describe(k: int) -> tuple[str, float]:
+        """Return the posture of sample k as text, and its time."""
+        where = [f"{names[j]} at {recording.q[rows[k], j]:.4g}" for j in moving]
+        time = float(recording.t[rows[k]])
+        return f"at {time:.3f} s, with {join_names(where, len(where))}", time
+
     failed = np.flatnonzero(~at.closed)
     if failed.size:
-        k, first = moving[0], int(failed[0])
-        where = [f"{model.joint_names[j]} at {recording.q[rows[first], j]:.4g}" for j in moving]
+        where, time = describe(int(failed[0]))
         yield Finding(
             "loops_open",
             "error",
-            f"the encoders contradict the loops of the description: they do not close at"
-            f" {recording.t[rows[first]]:.3f} s, with {join_names(where, len(where))}"
+            f"the encoders contradict the loops of the description: they do not close {where}"
             f" ({100.0 * failed.size / rows.size:.3g} % of the samples)",
             Cure("correct zero positions, signs and units of the log, or the lengths of the links"),
-            joint=model.joint_names[k],
-            time=float(recording.t[rows[first]]),
+            joint=names[moving[0]],
+            time=time,
         )
     if not at.closed.any():
         return
     nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
-    near = at.distance[nearest] < THRESHOLDS.singular
-    where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
+    where, time = describe(nearest)
     text = (
-        f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
-        f" {join_names(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of"
-        " the"
-        " largest"
+        f"the loops are nearest to a singular posture {where}: smallest singular value"
+        f" {at.distance[nearest]:.2g} of the largest"
     )
-    joint, time = model.joint_names[moving[0]], float(recording.t[rows[nearest]])
-    if not near:
-        yield Finding("distance_to_singularity", "info", text, joint=joint, time=time)
+    # Ratio of singular values of loops from which a posture is far from a singular one.
+    if at.distance[nearest] >= 0.02:
+        yield Finding("distance_to_singularity", "info", text, joint=names[moving[0]], time=time)
         return
     yield Finding(
         "near_singular_posture",
         "warning",
         f"{text}; there small errors of positions make large ones of passive joints and torques",
         Cure("keep away from it, or cut these samples out"),
-        joint=joint,
+        joint=names[moving[0]],
         time=time,
     )
 
 
 def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
-    placed, shares = _place_joints(model, recording.q), model.link_shares
+    # Positions of the joints of all links; NaN at samples that have NaN.
+    known = np.isfinite(recording.q).all(axis=1)
+    placed = np.full((known.size, model.n_links), np.nan)
+    placed[known] = model.link_positions(recording.q[known])
     for k, joint in enumerate(model.followers, start=model.n_joints):
         master = " and ".join(
-            name for name, share in zip(model.joint_names, shares[k], strict=True) if share
+            name
+            for name, share in zip(model.joint_names, model.link_shares[k], strict=True)
+            if share
         )
         logged = recording.extra.get(f"q_{joint.name}")
         if logged is not None:
             q = np.asarray(logged).reshape(-1)
             away = float(np.sqrt(np.nanmean((q - placed[:, k]) ** 2)))
-            play = THRESHOLDS.angle if joint.is_revolute else THRESHOLDS.length
-            if away > max(play, THRESHOLDS.share * float(np.nanmax(q) - np.nanmin(q))):
-                unit = "rad" if joint.is_revolute else "m"
+            # Play of a gripper [rad or m], and the share of the follower's range that exceeds it.
+            play, unit = (0.02, "rad") if joint.is_revolute else (0.001, "m")
+            if away > max(play, 0.05 * float(np.nanmax(q) - np.nanmin(q))):
                 yield Finding(
                     "coupling_disagrees",
                     "warning",
@@ -211,14 +198,6 @@ def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding
                 Cure("if it has a drive of its own, remove the mimic from the description"),
                 joint=joint.name,
             )
-
-
-def _place_joints(model: RobotModel, q: Array) -> Array:
-    """Return the positions of the joints of all links, NaN at samples that have NaN."""
-    known = np.isfinite(q).all(axis=1)
-    placed = np.full((len(q), model.n_links), np.nan)
-    placed[known] = model.link_positions(q[known])
-    return placed
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,13 +254,13 @@ def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]
         return
     sign = 1.0 if second[0] == "link" else -1.0
     found = [
-        estimate_encoder_lag(recording.t, own, other)
-        for own, other in zip(recording.q.T, second[1].T, strict=True)
+        (joint, estimate_encoder_lag(recording.t, own, other))
+        for joint, own, other in zip(model.joints, recording.q.T, second[1].T, strict=True)
     ]
     # Standard errors beyond which a lag is one.
     lagging = [
         (joint, each)
-        for joint, each in zip(model.joints, found, strict=True)
+        for joint, each in found
         if each is not None and abs(each.value) > 3.0 * each.std_error
     ]
     if not lagging:
@@ -297,7 +276,7 @@ def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]
         else f"{1e6 * each.rest:.1f} um"
         for joint, each in lagging
     ]
-    without = [joint.name for joint, each in zip(model.joints, found, strict=True) if each is None]
+    without = [joint.name for joint, each in found if each is None]
     also = f"; {join_names(without)} have one encoder that moves" if without else ""
     yield Finding(
         "encoder_lag",

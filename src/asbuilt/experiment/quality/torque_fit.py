@@ -11,7 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.description.model import RobotModel
+from asbuilt.description.appearance import link_solids, stretched_length
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import spring_columns
@@ -330,3 +332,36 @@ class _NormalEquations:
         explained = scale**2 * (self.grams @ beta @ beta)
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))
+
+
+def replace_links_by_rods(model: RobotModel) -> RobotModel:
+    """Return the robot with thin rods for links.
+
+    Mass [kg] is `length * stretched_length(model)**2`, that is 1 kg/m^3.
+    """
+    bodies = [LinkInertia.zero() for _ in range(model.n_links)]
+    for solid in link_solids(model):
+        if solid.link == ROOT or solid.kind != "rod":
+            continue
+        span = solid.stop - solid.start
+        mass = solid.length * stretched_length(model) ** 2
+        inertia = mass / 12.0 * (span @ span * np.eye(3) - np.outer(span, span))
+        rod = LinkInertia.from_com(mass, 0.5 * (solid.start + solid.stop), inertia)
+        bodies[solid.link] = bodies[solid.link] + rod
+    return model.with_parameters(np.concatenate([body.parameters for body in bodies]))
+
+
+def infer_density(fit: TorqueFit) -> float | None:
+    """Return the density of rods [kg/m^3] whose torques are as large as the measured ones.
+
+    None where the torques are not mostly gravity's, or unlike the torques of rods.
+    """
+    rods = replace(fit, model=replace_links_by_rods(fit.model))
+    predicted = rods.predicted
+    k = int(np.argmax(predicted))
+    # Least share of gravity in the largest torque, and its least correlation with the rods' torque.
+    if not predicted[k] > 0 or rods.gravity[k] < 0.8 * predicted[k]:
+        return None
+    if abs(rods.correlation[k]) < 0.7:
+        return None
+    return float(np.linalg.norm(rods.measured) / np.linalg.norm(predicted))
