@@ -12,7 +12,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.findings import Cure, join_names
@@ -118,21 +118,19 @@ class Recording:
                 file=self.source,
                 value=q.shape,
             )
-        object.__setattr__(self, "t", t)
-        object.__setattr__(self, "q", q)
+        channels = {"t": t, "q": q}
         for name in ("tau", "qd", "qdd", "command"):
-            value = getattr(self, name)
-            if value is None and name != "tau":
-                continue
-            array = _read_only(value, name, self.source)
-            if array.shape != q.shape:
-                raise RecordingError(
-                    f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
-                    file=self.source,
-                    value=array.shape,
-                    expected=q.shape,
-                )
-            object.__setattr__(self, name, array)
+            # A torque must be there, so that None is refused as no array of this shape.
+            if name == "tau" or getattr(self, name) is not None:
+                channels[name] = _read_only(getattr(self, name), name, self.source)
+                if channels[name].shape != q.shape:
+                    raise RecordingError(
+                        f"{self.source}: {name} must have the shape of q, {q.shape}, got"
+                        f" {channels[name].shape}",
+                        file=self.source,
+                        value=channels[name].shape,
+                        expected=q.shape,
+                    )
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
         repeated = min((name for name in names if names.count(name) > 1), default=None)
         n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
@@ -170,9 +168,13 @@ class Recording:
                     file=self.source,
                     value=array.shape,
                 )
-        object.__setattr__(self, "joint_names", names)
-        object.__setattr__(self, "notes", tuple(self.notes))
-        object.__setattr__(self, "extra", MappingProxyType(extra))
+        settled = {
+            "joint_names": names,
+            "notes": tuple(self.notes),
+            "extra": MappingProxyType(extra),
+        }
+        for name, value in {**channels, **settled}.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         return (
@@ -184,24 +186,18 @@ class Recording:
 
     def _repr_html_(self) -> str:
         """Return a table of the range of every joint for notebooks."""
-        heads = ("joint", "position from", "to", "torque from", "to")
+        limits = [
+            pick(values, axis=0) for values in (self.q, self.tau) for pick in (np.nanmin, np.nanmax)
+        ]
         rows = "".join(
             f"<tr><td>{html.escape(name)}</td>"
             + "".join(f"<td>{value:.4g}</td>" for value in values)
             + "</tr>"
-            for name, *values in zip(
-                self.joint_names,
-                *(
-                    pick(values, axis=0)
-                    for values in (self.q, self.tau)
-                    for pick in (np.nanmin, np.nanmax)
-                ),
-                strict=True,
-            )
+            for name, *values in zip(self.joint_names, *limits, strict=True)
         )
+        heads = ("joint", "position from", "to", "torque from", "to")
         head = "".join(f"<th>{each}</th>" for each in heads)
-        caption = html.escape(repr(self))
-        return f"<table><caption>{caption}</caption><tr>{head}</tr>{rows}</table>"
+        return f"<table><caption>{html.escape(repr(self))}</caption><tr>{head}</tr>{rows}</table>"
 
     @property
     def n_samples(self) -> int:
@@ -260,9 +256,8 @@ class Recording:
         extra = {
             name: -value if name.startswith("tau") else value for name, value in self.extra.items()
         }
-        again = FLIPPED in self.notes
         kept = tuple(note for note in self.notes if note != FLIPPED)
-        note = FLIPPED_TWICE if again else FLIPPED
+        note = FLIPPED_TWICE if FLIPPED in self.notes else FLIPPED
         return replace(self, tau=-self.tau, extra=extra, notes=(*kept, note))
 
     def scaled(self, gain: ArrayLike) -> Recording:
@@ -288,14 +283,12 @@ class Recording:
             ),
         )
         listed = ", ".join(f"{g:g}" for g in gains)
-        total = tuple(
-            (gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist()
-        )
+        before = np.ones(self.n_joints) if self.gains is None else np.array(self.gains)
         return replace(
             self,
             tau=self.tau * gains,
             notes=(*self.notes, f"torques were multiplied by {listed}"),
-            gains=total,
+            gains=tuple((gains * before).tolist()),
         )
 
     def reordered(self, names: Sequence[str]) -> Recording:
@@ -398,6 +391,16 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
     return replace(parts[-1], **cast(Any, joined), qdd=None, extra={})
 
 
+def find_changed_rows(*channels: Array) -> Mask:
+    """Return which rows of channels (N, ...) differ from the row before; the first one does.
+
+    >>> find_changed_rows(np.array([[1.0], [1.0], [2.0]])).tolist()
+    [True, False, True]
+    """
+    changed = [find_true_rows(np.atleast_2d((x[1:] != x[:-1]).T).T) for x in channels]
+    return np.concatenate([[True], np.logical_or.reduce(changed)])
+
+
 def find_advancing_rows(t: Array, kept: Mask) -> Mask:
     """Return which of the kept rows (N,) are later than all kept ones before them.
 
@@ -414,8 +417,7 @@ def find_advancing_rows(t: Array, kept: Mask) -> Mask:
 def _is_signal(tau: Array, q: Array) -> bool:
     """Return whether torques (N,) of a joint at positions (N,) are measured."""
     tau = tau[np.isfinite(tau)]
-    varies = bool(tau.size and np.any(tau != tau[0]))
-    return varies or (bool(tau.size) and not np.nanmax(q) > np.nanmin(q))
+    return tau.size > 0 and bool(np.any(tau != tau[0]) or not np.nanmax(q) > np.nanmin(q))
 
 
 def _read_only(value: ArrayLike, name: str, source: str) -> Array:

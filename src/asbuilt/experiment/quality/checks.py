@@ -168,8 +168,10 @@ class RecordingCheck:
         return "\n".join([*head, *([""] if lines else []), *lines, *more])
 
     def __repr__(self) -> str:
-        found = ", ".join(self.codes) or "nothing"
-        return f"RecordingCheck({self.source!r} on {self.robot}: {self.verdict}; found {found})"
+        return (
+            f"RecordingCheck({self.source!r} on {self.robot}: {self.verdict}; found"
+            f" {', '.join(self.codes) or 'nothing'})"
+        )
 
     def __str__(self) -> str:
         return self.as_text()
@@ -261,23 +263,19 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     known = run_first_pass(model, chunks)
     findings = list(check_clock(known))
     noise = None
-    if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
+    if not _has_clock_error(findings):
         beginning = as_modelled(model, blank_incredible(take_first_samples(recording, MEASURED)))
         beginning = beginning.with_torque_of(known.first.has_torque)
-        of_commands = list(check_commands(model, beginning))
         of_loops = list(check_closure(model, beginning))
-        findings += of_loops
+        of_commands = list(check_commands(model, beginning))
+        findings += [*of_loops, *of_commands]
         follows = not any(f.severity == "error" for f in of_loops)
-        of_torques = (
-            [
+        if follows:
+            of_torques = [
                 *_check_in_time(model, chunks, known),
                 *check_signs(model, known.torque_range, beginning),
             ]
-            if follows
-            else []
-        )
-        findings += of_commands
-        findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
+            findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
@@ -303,13 +301,12 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
     Checks that compare torques with the model's are left out, since contacts push the robot.
     """
     held = check_recording(model.standing, drop_base_joints(model, recording))
-    clock = any(f.severity == "error" and f.code.startswith("clock_") for f in held.findings)
     kept = (
         replace(f, cure=f.cure and undesigned(f.cure))
         for f in held.findings
         if f.code not in OF_MODEL_TORQUES
     )
-    further = () if clock else check_free_base(model, recording)
+    further = () if _has_clock_error(held.findings) else check_free_base(model, recording)
     return replace(
         held,
         n_joints=model.n_joints,
@@ -317,6 +314,10 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
         position_step=(),
         position_noise=(),
     )
+
+
+def _has_clock_error(findings: Iterable[Finding]) -> bool:
+    return any(f.severity == "error" and f.code.startswith("clock_") for f in findings)
 
 
 def _report_note(note: str) -> Finding:

@@ -13,6 +13,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
 from asbuilt.experiment.recording import (
     Recording,
+    find_changed_rows,
     join_recordings,
     median_rate,
     time_span,
@@ -137,8 +138,9 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         flags.append(np.stack([not_repeated, valid_torque, valid]))
         rows = np.arange(begin, begin + chunk.n_samples)
         if chunk.torque_source != "command":
-            found = find_spikes(tau, not_repeated)
-            spikes += [replace(each, rows=begin + each.rows) for each in found]
+            spikes += [
+                replace(each, rows=begin + each.rows) for each in find_spikes(tau, not_repeated)
+            ]
         excess = np.maximum(lower - q, q - upper)
         size = np.abs(tau[not_repeated])
         positions, moments = positions.with_more(q), moments.with_more(q)
@@ -235,17 +237,20 @@ def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
 def position_limits(model: RobotModel) -> tuple[Array, Array]:
     """Return the lower and upper limits of the positions [rad or m], each (n,)."""
     endless = [joint.kind == "continuous" for joint in model.joints]
-    lower = np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints])
-    return lower, np.where(endless, np.inf, [joint.limits.upper for joint in model.joints])
+    return (
+        np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints]),
+        np.where(endless, np.inf, [joint.limits.upper for joint in model.joints]),
+    )
 
 
 def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
-    before = before or replace(chunk, q=np.full_like(chunk.q, np.nan))
+    if before is None:
+        return find_changed_rows(chunk.q, chunk.tau)
     q, tau = (
-        np.concatenate([getattr(before, name)[-1:], getattr(chunk, name)]) for name in ("q", "tau")
+        np.concatenate([x[-1:], y]) for x, y in ((before.q, chunk.q), (before.tau, chunk.tau))
     )
-    return find_true_rows(np.diff(q, axis=0) != 0) | find_true_rows(np.diff(tau, axis=0) != 0)
+    return find_changed_rows(q, tau)[1:]
 
 
 def _add_missing(missing: dict[tuple[int, int], Missing], chunk: Recording, begin: int) -> None:
@@ -279,10 +284,9 @@ class Plateau:
     def with_more(self, values: Array, begin: int) -> Plateau:
         """Include further torques (N,), the first of which has the index `begin`."""
         near = values[np.abs(values - self.extreme) < self.width]
-        places = begin + np.flatnonzero(values == self.extreme)
         return replace(
             self,
-            places=np.append(self.places, places),
+            places=np.append(self.places, begin + np.flatnonzero(values == self.extreme)),
             n_near=self.n_near + near.size,
             near=np.union1d(self.near, near) if near.size else self.near,
         )

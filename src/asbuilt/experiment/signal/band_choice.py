@@ -25,42 +25,15 @@ from asbuilt.arrays import Array
 from asbuilt.experiment.signal.resampling import UniformSegment
 from asbuilt.experiment.signal.spectrum import power_density
 
-
-@dataclass(frozen=True, slots=True)
-class NoiseRules:
-    """Hold how the cutoff that noise allows is found."""
-
-    lowest: float = 3.0
-    """Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a
-    second."""
-    window: float = 10.0
-    """Length of the averaged spectra's windows [s]."""
-    quantile: float = 0.25
-    """Quantile over these frequencies of torque over acceleration that counts as inertia.
-
-    Gravity, friction and other joints add torque at some of them.
-    """
-    torque_floor: float = 0.3
-    """Share of the sampling rate from which the torque, or the pose of a base, is noise."""
-    smoothed: int = 11
-    """Number of bins over which the spectrum of a motion is smoothed,"""
-    above_noise: float = 4.0
-    """and multiple of the noise that it then exceeds where a joint or a base moves."""
-    model_error: float = 0.02
-    """Smallest error of a model, as a share of the torque's standard deviation."""
-    as_good: float = 1.02
-    """Predicted error, in multiples of the smallest, that counts as equally good."""
-    bands: int = 12
-    """Bands from 1 Hz to half the sampling rate, equally wide in log frequency; noise is their
-    median."""
-
-
-RULES = NoiseRules()
-MOVING, FAST = 0.02, 1e-3
-"""Shares of a joint's largest acceleration and velocity spectrum from which a frequency is one of
-its motion,"""
-ABOVE_NOISE = 100.0
-"""and multiple of the position's noise that its spectrum exceeds there."""
+LOWEST = 3.0
+"""Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a second."""
+NOISE_FROM = 0.3
+"""Share of the sampling rate from which the torque, or the pose of a base, is noise."""
+SMOOTHED, ABOVE_NOISE = 11, 4.0
+"""Number of bins over which the spectrum of a motion is smoothed, and multiple of the noise that it
+then exceeds where a joint or a base moves."""
+MODEL_ERROR = 0.02
+"""Smallest error of a model, as a share of the torque's standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,19 +61,20 @@ class NoiseLimit:
         The error is the geometric mean over joints, so that each counts by its own relative change
         and none decides for all.
         """
-        tried = (self.frequency >= RULES.lowest) & (self.frequency < usual)
+        tried = (self.frequency >= LOWEST) & (self.frequency < usual)
         if not tried.any():
             return usual
         at = np.flatnonzero(tried)
         at = np.append(at, min(int(at[-1]) + 1, self.frequency.size - 1))
         mean = np.mean(np.log(self.error[at]), axis=1)
-        good = at[mean <= mean.min() + 2.0 * np.log(RULES.as_good)]
+        # An error of 1.02 times the smallest counts as equally good.
+        good = at[mean <= mean.min() + 2.0 * np.log(1.02)]
         return usual if good[-1] == at[-1] else float(self.frequency[good[-1]])
 
     def limiting_joint(self, usual: float) -> int:
         """Return the joint whose expected error grows most up to `usual` [Hz]."""
         last = min(int(np.searchsorted(self.frequency, usual)), self.frequency.size - 1)
-        first = min(int(np.searchsorted(self.frequency, RULES.lowest)), last)
+        first = min(int(np.searchsorted(self.frequency, LOWEST)), last)
         return int(np.argmax(self.error[last] / self.error[first : last + 1].min(axis=0)))
 
     def density(self, cutoff: float) -> Array:
@@ -131,8 +105,9 @@ def estimate_noise_limit(
     NoiseLimit or None
         None if no segment lasts two periods of the lowest cutoff, or nothing moves.
     """
-    window = min(round(RULES.window * rate), max(q.shape[0] for q, _ in segments))
-    if window < 2 * rate / RULES.lowest or rate < 4.0 * RULES.lowest:
+    # Spectra are averaged over windows of 10 s.
+    window = min(round(10.0 * rate), max(q.shape[0] for q, _ in segments))
+    if window < 2 * rate / LOWEST or rate < 4.0 * LOWEST:
         return None
     frequency = np.asarray(np.fft.rfftfreq(window, 1.0 / rate), dtype=np.float64)
     position, torque = (
@@ -143,16 +118,14 @@ def estimate_noise_limit(
         position = np.divide(position, w**2, out=np.zeros_like(position), where=w > 0.0)
     acceleration = w**4 * position
     inertia = _estimate_squared_inertia(frequency, position, acceleration, torque)
-    white = np.median(position[frequency > RULES.torque_floor * rate], axis=0)
-    clear = uniform_filter1d(position, RULES.smoothed, axis=0) > RULES.above_noise * white
-    free = clear[frequency >= RULES.lowest].any(axis=0) & ~torque.any(axis=0)
+    white = np.median(position[frequency > NOISE_FROM * rate], axis=0)
+    clear = uniform_filter1d(position, SMOOTHED, axis=0) > ABOVE_NOISE * white
+    free = clear[frequency >= LOWEST].any(axis=0) & ~torque.any(axis=0)
     torque = np.where(free, clear * np.clip(acceleration - w**4 * white, 0.0, None), torque)
     inertia = np.where(free, 1.0, inertia)
     if not np.any(inertia > 0.0):
         return None
-    excess = (
-        np.clip(inertia * acceleration - torque, 0.0, None) * (frequency >= RULES.lowest)[:, None]
-    )
+    excess = np.clip(inertia * acceleration - torque, 0.0, None) * (frequency >= LOWEST)[:, None]
     share = np.divide(
         excess, inertia * acceleration, out=np.zeros_like(excess), where=acceleration * inertia > 0
     )
@@ -178,18 +151,22 @@ def _estimate_squared_inertia(
     frequency: Array, position: Array, acceleration: Array, torque: Array
 ) -> Array:
     """Return torque over acceleration, squared (n,), at frequencies of the motion."""
-    edges = np.geomspace(1.0, frequency[-1], RULES.bands + 1)
+    # Noise is the median of twelve bands, equally wide in log frequency.
+    edges = np.geomspace(1.0, frequency[-1], 12 + 1)
     bands = [(frequency >= a) & (frequency < b) for a, b in pairwise(edges)]
     noise = np.median([np.median(position[band], axis=0) for band in bands if band.any()], axis=0)
     velocity = (2.0 * np.pi * frequency[:, None]) ** 2 * position
-    clear = position > ABOVE_NOISE * noise
-    clear &= velocity > FAST * velocity.max(axis=0)
+    # Frequencies of the motion: far above the noise of the position, and within these shares of the
+    # largest velocity and acceleration.
+    clear = position > 100.0 * noise
+    clear &= velocity > 1e-3 * velocity.max(axis=0)
     clear = np.where(clear, acceleration, 0.0)
-    moving = (clear > MOVING * clear.max(axis=0)) & (clear > 0.0)
+    moving = (clear > 0.02 * clear.max(axis=0)) & (clear > 0.0)
     found = np.zeros(position.shape[1])
     for k in np.flatnonzero(moving.any(axis=0)):
         at = moving[:, k]
-        found[k] = np.quantile(torque[at, k] / acceleration[at, k], RULES.quantile)
+        # Gravity, friction and other joints add torque at some frequencies.
+        found[k] = np.quantile(torque[at, k] / acceleration[at, k], 0.25)
     return found
 
 
@@ -197,18 +174,18 @@ def _predict_errors(
     frequency: Array, torque: Array, excess: Array, logged: Sequence[Array], rate: float
 ) -> Array:
     """Return the squared error with a low-pass at each frequency relative to an ideal one."""
-    above, width = (frequency >= RULES.lowest)[:, None], float(frequency[1])
-    floor = np.median(torque[frequency > RULES.torque_floor * rate], axis=0)
+    above, width = (frequency >= LOWEST)[:, None], float(frequency[1])
+    floor = np.median(torque[frequency > NOISE_FROM * rate], axis=0)
     useful = np.clip(torque - floor, 0.0, None) * above
     lost = (useful.sum(axis=0) - np.cumsum(useful, axis=0)) * width
     power = np.maximum(
         (torque * above).sum(axis=0) * width,
-        RULES.model_error**2 * np.mean([tau.var(axis=0) for tau in logged], axis=0),
+        MODEL_ERROR**2 * np.mean([tau.var(axis=0) for tau in logged], axis=0),
     )
     power = np.maximum(power, np.finfo(np.float64).tiny)
     rest = np.maximum(power - useful.sum(axis=0) * width, 0.0)
     errors = (rest + lost + np.cumsum(excess, axis=0) * width) / power
-    return np.asarray(np.maximum(errors, RULES.model_error**2), dtype=np.float64)
+    return np.asarray(np.maximum(errors, MODEL_ERROR**2), dtype=np.float64)
 
 
 WINDOW = 20.0
@@ -251,10 +228,8 @@ def _mark_noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     )
     # Share of the velocity's power from which white noise of the positions is allowed for.
     noisy = noise.sum(axis=0) > 0.01 * total.sum(axis=0)
-    smooth = uniform_filter1d(total, RULES.smoothed, axis=0, mode="nearest")
-    last = np.where(smooth > RULES.above_noise * noise, np.arange(len(cycles))[:, None], 0).max(
-        axis=0
-    )
+    smooth = uniform_filter1d(total, SMOOTHED, axis=0, mode="nearest")
+    last = np.where(smooth > ABOVE_NOISE * noise, np.arange(len(cycles))[:, None], 0).max(axis=0)
     return np.asarray(noisy & (np.arange(len(cycles))[:, None] > last))
 
 

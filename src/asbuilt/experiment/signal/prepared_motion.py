@@ -19,7 +19,6 @@ from asbuilt.experiment.signal.resampling import (
     Grid,
     UniformSegment,
     plan_uniform_grid,
-    shift_in_time,
 )
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
@@ -52,10 +51,10 @@ class MotionFilters:
         UsageError
             If a cutoff or rate is impossible for this recording.
         """
-        asked = replace(fit_contacts(chain or SignalChain(), recording), delay=None)
+        asked = replace(chain or SignalChain(), delay=None)
         grid = plan_grid(recording, asked)
-        segments, commanded = grid.uniform(), recording.torque_source == "command"
-        settled, notes, bound = settle_chain(asked, segments, grid.rate, self, commanded)
+        segments = grid.uniform()
+        settled, notes, bound = settle_chain(asked, recording, segments, grid.rate, self)
         if asked.cutoff is None:
             grid = plan_grid(recording, settled)
             segments = grid.uniform()
@@ -114,7 +113,9 @@ class PreparedMotion:
         """Return the motion with another signal (N, n), finite where the torque is, for torque."""
         recording = replace(self.recording, tau=tau)
         channel = self.grid.channel(recording.with_torque_of(recording.has_torque).tau)
-        segments = tuple(map(_with_torque, self.segments, channel))
+        segments = tuple(
+            replace(each, tau=tau) for each, tau in zip(self.segments, channel, strict=True)
+        )
         return replace(self, recording=recording, segments=segments)
 
     def samples(self, delay: Delay = None) -> Samples:
@@ -133,7 +134,7 @@ class PreparedMotion:
         for segment, motion in zip(self.segments, self.motions, strict=True):
             if motion is not None:
                 stop = segment.t.size - plan.margin
-                parts += plan.arrays(advance_torque(segment, plan), motion, plan.margin, stop)[0]
+                parts += plan.arrays(segment, motion, plan.margin, stop)[0]
                 seconds += (stop - plan.margin) / rate
         if not parts:
             longest = max(segment.t.size for segment in self.segments)
@@ -186,7 +187,7 @@ class PreparedMotion:
         return replace(samples, encoder=moved[:, at], encoder_at=side)
 
 
-def fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
+def _fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
     """Return the chain for a recording whose contacts open and close, if it is one.
 
     A touch-down is an acceleration without bound for the log. Wherever a low-pass spreads it, its
@@ -216,15 +217,16 @@ def plan_grid(
 
 def settle_chain(
     chain: SignalChain,
+    recording: Recording,
     segments: Sequence[UniformSegment],
     rate: float,
     filters: MotionFilters,
-    commanded: bool,
 ) -> tuple[SignalChain, tuple[str, ...], float]:
     """Return the chain with its choices made, sentences about them, and a bound of the clock.
 
     The bound is `Samples.clock_bound`.
     """
+    chain, commanded = _fit_contacts(chain, recording), recording.torque_source == "command"
     notes, clock_bound = list[str](), np.inf
     if rate < SLOWEST_RATE:
         raise RecordingError(
@@ -279,24 +281,6 @@ def settle_chain(
                 chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
             )
     return chain, tuple(notes), clock_bound
-
-
-def advance_torque(segment: UniformSegment, plan: FilterPlan) -> UniformSegment:
-    """Return a segment with the torque shifted back by the known delay of the chain."""
-    delays, n = plan.chain.delays, segment.q.shape[1]
-    if not delays:
-        return segment
-    if len(delays) not in (1, n):
-        raise UsageError(
-            f"a delay is one number for all joints or one for each of {n}, got {len(delays)}"
-        )
-    return _with_torque(
-        segment, shift_in_time(segment.tau, np.broadcast_to(delays, (n,)), plan.rate)
-    )
-
-
-def _with_torque(segment: UniformSegment, tau: Array) -> UniformSegment:
-    return replace(segment, tau=tau)
 
 
 def _is_same(one: Array | None, other: Array | None) -> bool:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array, Indices, Mask
-from asbuilt.compilation import kernel
+from asbuilt.arrays import Array, Indices, find_true_rows
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording, find_advancing_rows
+from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
 from asbuilt.experiment.signal.bridging import Bridges, plan_bridges
 from asbuilt.findings import Cure
 
@@ -134,7 +132,7 @@ def plan_uniform_grid(
     n = recording.n_samples
     kept = np.isfinite(recording.t)
     for values in (recording.q, recording.tau):
-        _keep_finite(values, kept)
+        kept &= ~find_true_rows(~np.isfinite(values))
     notes: list[str] = []
     if not kept.all():
         notes.append(
@@ -152,18 +150,17 @@ def plan_uniform_grid(
             f"{index.size - kept_rows.size} samples that repeat the one before (the log was polled"
             " faster than the controller writes) were dropped"
         )
-    t = recording.t[kept_rows]
-    if t.size < SHORTEST:
+    if kept_rows.size < SHORTEST:
         raise RecordingError(
-            f"{recording.source}: {t.size} of {n} samples are usable; at least {SHORTEST} are"
-            " required",
+            f"{recording.source}: {kept_rows.size} of {n} samples are usable; at least {SHORTEST}"
+            " are required",
             file=recording.source,
-            value=t.size,
+            value=kept_rows.size,
             lower=SHORTEST,
         )
-    steps = np.diff(t)
+    steps = np.diff(recording.t[kept_rows])
     period = float(np.median(steps))
-    logged_rate = _estimate_logged_rate(t, period)
+    logged_rate = _round_rate(1.0 / float(np.mean(steps[steps <= GAP * period])))
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
             f"{recording.source}: a rate of {rate:g} Hz is above the rate of the log,"
@@ -226,7 +223,7 @@ def plan_uniform_grid(
     return Grid(recording, bridges, segments, times, target, tuple(notes))
 
 
-def _drop_repeats(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
+def _drop_repeats(recording: Recording, index: Indices) -> Indices:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay.
 
     A second torque channel that changes makes a sample new. Under a command nothing is dropped: its
@@ -236,53 +233,27 @@ def _drop_repeats(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
     if not index.size or commanded:
         return index
     part = _simplify_indices(index)
-    rows = [recording.q[part], recording.tau[part]] + (
-        [recording.qd[part]] if recording.qd is not None else []
-    )
-    rows += [each[part] for key, each in recording.extra.items() if key.startswith("tau")]
-    changed = np.zeros(index.size, dtype=np.bool_)
-    changed[0] = True
-    for row in rows:
-        _add_changes(changed, row.reshape(index.size, -1))
+    further = [each for key, each in recording.extra.items() if key.startswith("tau")]
+    velocities = [] if recording.qd is None else [recording.qd]
+    channels = (recording.q, recording.tau, *velocities, *further)
+    changed = find_changed_rows(*(each[part] for each in channels))
     if changed.all():
         return index
     starts = np.flatnonzero(changed)
     lengths = np.diff(np.append(starts, index.size))
     rest = np.repeat(lengths > GAP * np.median(lengths), lengths)
-    kept_rows: NDArray[np.intp] = index[changed | rest]
-    return kept_rows
+    return np.asarray(index[changed | rest])
 
 
-def _simplify_indices(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+def _simplify_indices(rows: Indices) -> Indices | slice:
     """Return increasing indices as a slice, which copies nothing, if none is left out."""
     if rows.size and rows[-1] - rows[0] + 1 == rows.size:
         return slice(int(rows[0]), int(rows[-1]) + 1)
     return rows
 
 
-@kernel("a2 B1")
-def _keep_finite(values: Array, finite: Mask) -> None:
-    """Unmark rows of (N, m) that are not finite."""
-    for k in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            finite[k] &= np.isfinite(values[k, j])
-
-
-@kernel("B1 a2")
-def _add_changes(changed: Mask, values: Array) -> None:
-    """Mark rows of (N, m) that differ from the row before."""
-    for k in range(1, values.shape[0]):
-        for j in range(values.shape[1]):
-            changed[k] |= values[k, j] != values[k - 1, j]
-
-
-def _estimate_logged_rate(t: Array, period: float) -> float:
-    """Return the inverse of the mean step outside gaps, rounded to a whole number within 0.1 %."""
-    steps = np.diff(t)
-    return _round_rate(1.0 / float(np.mean(steps[steps <= GAP * period])))
-
-
 def _round_rate(rate: float) -> float:
+    """Return a rate rounded to a whole number within 0.1 %."""
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 20 else rate
 
 
