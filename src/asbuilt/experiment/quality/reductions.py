@@ -149,10 +149,8 @@ class UniformSegments:
     def of(cls, t: Array, valid: Mask) -> UniformSegments | None:
         """Choose a dozen segments at most between gaps; None if none is long enough."""
         rows = np.flatnonzero(valid)
-        t = t[rows]
-        if not np.all(np.diff(t) > 0):
-            t, first = np.unique(t, return_index=True)
-            rows = rows[first]
+        t, first = np.unique(t[rows], return_index=True)
+        rows = rows[first]
         if t.size < 20:
             return None
         steps = np.diff(t)
@@ -161,16 +159,14 @@ class UniformSegments:
         window = max(5, int(0.15 / step) | 1)
         breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
         bounds = [
-            (a, min(a + _SEGMENT_SAMPLES, stop))
+            (a, b)
             for start, stop in zip([0, *breaks], [*breaks, t.size], strict=True)
-            if stop - start > 2 * window
             for a in range(start, stop, _SEGMENT_SAMPLES)
+            for b in [min(a + _SEGMENT_SAMPLES, stop)]
+            if b - a > 2 * window
         ]
-        bounds = [(a, b) for a, b in bounds if b - a > 2 * window]
-        if len(bounds) > _MOST_SEGMENTS:
-            bounds = [
-                bounds[k] for k in np.linspace(0, len(bounds) - 1, _MOST_SEGMENTS).astype(int)
-            ]
+        chosen = np.linspace(0, len(bounds) - 1, min(len(bounds), _MOST_SEGMENTS)).astype(int)
+        bounds = [bounds[k] for k in chosen]
         return cls(tuple(rows[a:b] for a, b in bounds), step, window) if bounds else None
 
 

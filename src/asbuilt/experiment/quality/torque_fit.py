@@ -272,7 +272,9 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
         fit.model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns
     ).reshape(samples, n, -1)
     W[:, range(n), range(base.n_base, p)] = np.tanh(fit.qd / BREAKAWAY)
-    y = fit.tau - fit.tau.mean(axis=0)
+    # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
+    y = np.asfortranarray(fit.tau)
+    y = y - y.mean(axis=0)
     spread = _replace_zeros(y.std(axis=0))
     y = y / spread
     normal = _NormalEquations(

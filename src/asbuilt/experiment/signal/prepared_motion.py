@@ -41,7 +41,7 @@ class MotionFilters:
     """Filter every motion once, whatever torque is to go with it; one serves a whole study."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple[object, tuple[Array | None, ...], object]] = []
+        self._kept: list[tuple[object, list[Array], object]] = []
 
     def prepare(self, recording: Recording, chain: SignalChain | None = None) -> PreparedMotion:
         """Return the filtered motion of a recording; what the chain leaves open is chosen for it.
@@ -72,9 +72,10 @@ class MotionFilters:
         self, what: object, segments: Sequence[UniformSegment], make: Callable[[], Found]
     ) -> Found:
         """Return what is made of the motion of segments, as it was made before if it was."""
-        arrays = tuple(x for segment in segments for x in (segment.q, segment.qd))
+        arrays = [x for segment in segments for x in (segment.q, segment.qd) if x is not None]
         for known, before, found in self._kept:
-            if known == what and len(before) == len(arrays) and all(map(_is_same, before, arrays)):
+            same = known == what and len(before) == len(arrays)
+            if same and all(map(np.array_equal, before, arrays)):
                 return found  # type: ignore[return-value]
         made = make()
         self._kept.append((what, arrays, made))
@@ -281,13 +282,6 @@ def settle_chain(
                 chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
             )
     return chain, tuple(notes), clock_bound
-
-
-def _is_same(one: Array | None, other: Array | None) -> bool:
-    """Return whether two arrays hold the same numbers, or neither is there."""
-    if one is None or other is None:
-        return one is other
-    return one is other or (one.shape == other.shape and bool(np.all(one == other)))
 
 
 def assemble_samples(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.errors import RecordingError, UsageError
+from asbuilt.errors import RecordingError, UsageError, refuse
 from asbuilt.experiment.recording import EncoderSide, TorqueSource
 from asbuilt.findings import join_names
 
@@ -114,39 +114,42 @@ class Samples:
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)
-        if t.ndim != 1 or t.size == 0:
-            raise RecordingError(
-                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}"
-            )
-        object.__setattr__(self, "t", t)
-        if np.isnan(self.origin):
-            object.__setattr__(self, "origin", float(t[0]))
-        shape = (t.size, len(self.joint_names))
-        if self.tau_raw.size == 0:
-            object.__setattr__(self, "tau_raw", self.tau)
-        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(
-            ("q", "qd", "qdd", "tau", "tau_raw"), shape
-        )
-        if self.contact is not None:
-            shapes["contact"] = (t.size, np.shape(self.contact)[-1])
-        if self.encoder is not None:
-            shapes["encoder"] = (3, *shape)
-        for name, expected in shapes.items():
-            array = _read_only(getattr(self, name))
-            if array.shape != expected:
-                raise RecordingError(
-                    f"{self.source}: {name} must have shape {expected} for {t.size} samples of"
-                    f" {shape[1]} joints, got {array.shape}"
-                )
-            object.__setattr__(self, name, array)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
-        object.__setattr__(self, "segments", segments)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
-        if any(later < earlier for earlier, later in pairwise(ends)):
-            raise RecordingError(
+        refuse(
+            RecordingError,
+            (
+                t.ndim != 1 or t.size == 0,
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
+            ),
+            (
+                any(later < earlier for earlier, later in pairwise(ends)),
                 f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
-                f" {list(segments)}"
-            )
+                f" {list(segments)}",
+            ),
+        )
+        origin = float(t[0]) if np.isnan(self.origin) else self.origin
+        settled: dict[str, object] = {"t": t, "segments": segments, "origin": origin}
+        shape = (t.size, len(self.joint_names))
+        arrays: dict[str, tuple[Array | None, tuple[int, ...]]] = {
+            "q": (self.q, shape),
+            "qd": (self.qd, shape),
+            "qdd": (self.qdd, shape),
+            "tau": (self.tau, shape),
+            "tau_raw": (self.tau_raw if self.tau_raw.size else self.tau, shape),
+            "contact": (self.contact, (t.size, *np.shape(cast(Any, self.contact))[-1:])),
+            "encoder": (self.encoder, (3, *shape)),
+        }
+        for name, (values, expected) in arrays.items():
+            if values is not None:
+                settled[name] = _read_only(values)
+                if np.shape(values) != expected:
+                    raise RecordingError(
+                        f"{self.source}: {name} must have shape {expected} for {t.size} samples of"
+                        f" {shape[1]} joints, got {np.shape(values)}"
+                    )
+        for name, value in settled.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         return (
