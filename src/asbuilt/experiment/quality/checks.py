@@ -340,14 +340,13 @@ def _check_in_time(
     closer = run_second_pass(model, chunks, known, () if segments is None else segments.rows)
     motion = None if segments is None else smooth_motion(segments, closer.segments)
     excess = find_impossible_motion(model, known, motion)
-    revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from check_recorded_motion(model, known, motion, excess)
     yield from check_channels(model, known)
     yield from check_saturation(model, known, closer)
     yield from check_spikes(model, known)
     yield from filter_findings(closer.torques, known.rate)
     if motion is not None and (excess is None or excess.unit == "deg"):
-        scale = np.where(revolute & (excess is not None), DEGREE, 1.0)
-        yield from check_torques(model, known, motion, scale)
+        scale = [DEGREE if excess and joint.is_revolute else 1.0 for joint in model.joints]
+        yield from check_torques(model, known, motion, np.array(scale))
     if excess is None:
         yield from check_excitation(model, known, motion)

@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.quality.reductions import normalise_columns
 from asbuilt.experiment.recording import Recording, find_advancing_rows
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -113,16 +114,11 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     held = np.flatnonzero(constant & (extent > 10.0 * smallest)).tolist()
     reach = int(SEARCHED / step)
     lags = np.arange(-reach, reach + 1)
-    positions = _normalise(q[reach : len(q) - reach])
-    r = np.array([positions.T @ _normalise(u[reach - lag : len(q) - reach - lag]) for lag in lags])
+    positions = normalise_columns(q[reach : len(q) - reach])
+    r = np.array(
+        [positions.T @ normalise_columns(u[reach - lag : len(q) - reach - lag]) for lag in lags]
+    )
     return _Motion(recording.joint_names, step, q, u, np.asarray(lags * step), r, moving, held)
-
-
-def _normalise(x: Array) -> Array:
-    """Return columns without their means, of unit length; zero where they are constant."""
-    x = x - x.mean(axis=0)
-    length = np.linalg.norm(x, axis=0)
-    return np.asarray(x / np.where(length > 0.0, length, np.inf))
 
 
 def _is_position(recording: Recording, moving: list[int]) -> bool:

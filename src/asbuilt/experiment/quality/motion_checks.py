@@ -15,7 +15,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.reductions import IN_STEP, SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -262,7 +262,8 @@ def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterat
 def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
     moving = recording.moments.moving
     correlation = np.abs(recording.moments.correlations(moving))
-    group = max((np.flatnonzero(row > IN_STEP) for row in correlation), key=len, default=())
+    # Correlation of positions from which joints move in step.
+    group = max((np.flatnonzero(row > 0.995) for row in correlation), key=len, default=())
     if len(group) < 3:
         return
     names = [recording.first.joint_names[moving[k]] for k in group]

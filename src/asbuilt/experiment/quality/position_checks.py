@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, find_changed_rows
 from asbuilt.experiment.signal.band_choice import POSITION_BANDWIDTHS, Band, choose_band
 from asbuilt.experiment.signal.position_step import find_position_steps
 from asbuilt.experiment.signal.resampling import plan_uniform_grid
@@ -52,13 +52,13 @@ class PositionNoise:
         except RecordingError:
             return None
         finite = recording.q[np.all(np.isfinite(recording.q), axis=1)]
-        changed = np.any(np.diff(finite, axis=0) != 0.0, axis=1)
-        if grid.rate < 1.0 or not changed.any():
+        changed = find_changed_rows(finite)
+        if grid.rate < 1.0 or not changed[1:].any():
             return None
         band = choose_band(
             grid.uniform(), grid.rate, commanded=recording.torque_source == "command"
         )
-        step = find_position_steps([finite[np.concatenate([[True], changed])]])
+        step = find_position_steps([finite[changed]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
         return cls(step, np.maximum(density, step**2 / (6.0 * grid.rate)), band)
 

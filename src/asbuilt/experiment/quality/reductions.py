@@ -14,10 +14,6 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import filter_rows
 
-IN_STEP = 0.995
-"""Correlation of positions from which joints move in step."""
-
-
 ZERO, UNKNOWN, HIGHEST, LOWEST = (
     partial(np.array, value) for value in (0, np.nan, np.inf, -np.inf)
 )
@@ -205,3 +201,13 @@ def _derive_cubic_taps(window: int, step: float) -> list[Array]:
 def _resample(even: Array, t: Array, values: Array) -> Array:
     """Return the columns of values (L, n) at the times `even` (N,) as rows (n, N)."""
     return np.array([np.interp(even, t, column) for column in np.ascontiguousarray(values.T)])
+
+
+def normalise_columns(x: Array) -> Array:
+    """Return columns without their means, of unit length; zero where they are constant.
+
+    Products of such columns are their correlations.
+    """
+    x = x - x.mean(axis=0)
+    length = np.linalg.norm(x, axis=0)
+    return np.asarray(x / np.where(length > 0.0, length, np.inf))

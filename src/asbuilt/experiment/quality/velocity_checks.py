@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion, normalise_columns
 from asbuilt.findings import Cure, Finding, join_names
 
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
@@ -17,7 +17,7 @@ LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived fr
 
 SWAPPED, OWN = 0.9, 0.8
 """Least correlation of a swapped column with another joint's derivative, and largest with its own;
-negated, that of a flipped sign."""
+a flipped sign has the negative of the second."""
 _OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
 """Revolutions per minute and per second, and thousandths."""
 
@@ -42,7 +42,7 @@ def check_velocities(
                 Cure("leave the velocity columns out"),
             )
         return
-    correlation = _correlate_columns(logged[:, moving], slope[:, moving])
+    correlation = normalise_columns(logged[:, moving]).T @ normalise_columns(slope[:, moving])
     swapped = [
         (int(moving[a]), int(moving[b]))
         for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
@@ -92,8 +92,7 @@ def check_velocities(
         )
         return
     low, high = 0.7, 1.4  # gains of a usable velocity; the lower also bounds its correlation
-    for k, factor in zip(moving, gain, strict=True):
-        match = float(np.corrcoef(logged[:, k], slope[:, k])[0, 1])
+    for k, factor, match in zip(moving, gain, np.diag(correlation), strict=True):
         if match < -OWN:
             message = (
                 f"the logged velocity of {names[k]} has the opposite sign of the derivative of its"
@@ -196,9 +195,3 @@ def _check_ends(
                 joint=recording.first.joint_names[k],
                 time=float(recording.t[0] if name == "first" else recording.t[-1] - end),
             )
-
-
-def _correlate_columns(a: Array, b: Array) -> Array:
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    norms = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None, :]
-    return np.asarray((a.T @ b) / np.where(norms > 0, norms, 1.0))
