@@ -69,8 +69,6 @@ OF_MODEL_TORQUES = (
     *("rank_deficient", "weak_excitation"),
 )
 """Codes of findings about a robot that is held: on legs contacts push it, and excite it."""
-_HEADLINE = 160
-"""Characters of the first finding in the headline."""
 _MOST_INFOS = 3
 """Findings of severity "info" in the short text."""
 
@@ -141,7 +139,7 @@ class RecordingCheck:
         size = f"{self.duration:.4g} s of {self.n_joints} joints at {self.rate:.4g} Hz"
         if not (self.errors or self.warnings):
             return f"READY: {name} has no errors and no warnings in {size}."
-        first = (*self.errors, *self.warnings)[0].brief(_HEADLINE).rstrip(".")
+        first = (*self.errors, *self.warnings)[0].brief(160).rstrip(".")
         state = "NOT READY" if self.errors else "READY WITH CARE"
         return f"{state}: {first} ({self.verdict} in {name}, {size})."
 

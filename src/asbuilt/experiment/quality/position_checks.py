@@ -22,7 +22,6 @@ COARSE = 2.0 * np.pi / 2**16
 """Step [rad or m] beyond which positions are called coarse: 16 bits per turn."""
 LIMITED = 0.8
 """Share of the cutoff wanted below which noise of the positions limits the band."""
-CURE = Cure("log positions with the encoder's full resolution, or velocities, or move faster")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[
             f"Noise of the positions, not the motion, limits the low-pass to {band.cutoff:.2g} Hz,"
             f" most of all the noise of {model.joint_names[worst]}{by_steps}; faster parts of the"
             " motion determine nothing",
-            CURE,
+            Cure("log positions with the encoder's full resolution, or velocities, or move faster"),
         )
     for k, text in enumerate(steps):
         if text and noise.step[k] > COARSE:
@@ -99,8 +98,6 @@ def _describe_step(model: RobotModel, joint: int, step: float) -> str:
     return f"steps of {1e3 * step:.3g} mrad ({2.0 * np.pi / step:.0f} per turn)"
 
 
-SAMPLED = 2000
-"""Samples of a log at which loops are looked at."""
 BLOCKS = 10
 """Time blocks from whose scatter the error of a lag follows."""
 
@@ -111,7 +108,8 @@ def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     if closure is None:
         return
     known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
-    rows = known[:: max(1, known.size // SAMPLED)]
+    # Loops are looked at in 2000 samples of a log.
+    rows = known[:: max(1, known.size // 2000)]
     at = closure.postures(recording.q[rows])
     names = model.joint_names
     moving = [k for k in range(model.n_joints) if closure.moves_loops(k)]

@@ -241,12 +241,11 @@ LOWEST_CUTOFF = 7.0
 Friction changes sign within a tenth of a second. Tuned on recordings of UR10e, LWR4+, Med 7,
 AIRBOT, Rokae and TX40; none was kept apart to test it.
 """
-HIGHEST_SHARE = 0.2
-"""Highest default cutoff, as a share of the sampling rate; beyond it central differences take a
-quarter and more of the rates.
+HIGHEST_SHARE, HIGHEST_SHARE_LOGGED = 0.2, 0.4
+"""Highest default cutoff, as a share of the sampling rate; beyond the first central differences
+take a quarter and more of the rates. The second holds where accelerations are logged, which nothing
+differences.
 """
-HIGHEST_SHARE_LOGGED = 0.4
-"""Likewise where accelerations are logged, which nothing differences."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

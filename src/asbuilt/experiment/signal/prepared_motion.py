@@ -27,10 +27,6 @@ from asbuilt.experiment.signal.standstill import PAUSE, estimate_standstill_spee
 from asbuilt.experiment.signal.velocity_choice import validate_velocities
 from asbuilt.findings import Cure
 
-UNRESOLVED = 0.25
-"""Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
-quarter.
-"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
 
@@ -211,7 +207,8 @@ def plan_grid(
 
     Single torques that stand out have the mean of their neighbours; joints without torque have 0.
     """
-    resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    # In a quarter of a period a sine at the cutoff turns by as much.
+    resolved = 0.0 if chain.cutoff is None else 0.25 / chain.cutoff
     recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
     return plan_uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 

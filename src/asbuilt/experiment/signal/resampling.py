@@ -236,8 +236,6 @@ def _drop_repeats(recording: Recording, index: Indices) -> Indices:
     velocities = [] if recording.qd is None else [recording.qd]
     channels = (recording.q, recording.tau, *velocities, *further)
     changed = find_changed_rows(*(each[part] for each in channels))
-    if changed.all():
-        return index
     starts = np.flatnonzero(changed)
     lengths = np.diff(np.append(starts, index.size))
     rest = np.repeat(lengths > GAP * np.median(lengths), lengths)
@@ -310,8 +308,8 @@ def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
     Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
     logged, x is continued by its odd reflection.
     """
-    columns = (_shift(each, float(steps)) for each, steps in zip(x.T, delay * rate, strict=True))
-    return np.stack(list(columns), axis=1)
+    steps = (delay * rate).tolist()
+    return np.stack([_shift(each, late) for each, late in zip(x.T, steps, strict=True)], axis=1)
 
 
 def _shift(x: Array, steps: float) -> Array:
