@@ -16,18 +16,20 @@ from asbuilt.experiment.signal.differentiation import (
     smoothing_spline,
 )
 from asbuilt.experiment.signal.lowpass import (
+    HALF_WIDTH,
     butterworth,
     decimate_chebyshev,
     gaussian,
     kernel_samples,
     settling_samples,
+    shift_in_time,
 )
 from asbuilt.experiment.signal.parallel_filter import (
     STOP_BAND_EDGE,
     ParallelFilter,
     design_parallel_filter,
 )
-from asbuilt.experiment.signal.resampling import HALF_WIDTH, UniformSegment, shift_in_time
+from asbuilt.experiment.signal.resampling import UniformSegment
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.signal.spectrum import power_density
 from asbuilt.experiment.signal.standstill import PAUSE, find_moving_ranges, find_rests

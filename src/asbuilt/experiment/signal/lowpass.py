@@ -14,6 +14,8 @@ from asbuilt.experiment.signal.parallel_filter import filter_rows
 
 SPREAD = 0.5
 """Half the width of a Gaussian kernel, in periods of its cutoff: 3.8 standard deviations."""
+HALF_WIDTH = 16
+"""Samples on either side that a shift by a fraction of a sample takes."""
 AT_ONCE = 4
 """Columns that are filtered together."""
 
@@ -222,3 +224,31 @@ def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
         sections[0] = 1.0, 1.0, 0.0, 1.0, -z[0].real, 0.0
     sections[0, :3] *= w**order * (1.0 / np.prod(4.0 - s)).real
     return sections
+
+
+def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
+    """Return x (L, n), whose value at time t is the one at `t + delay`, (n,) [s].
+
+    Fractions of a sample by a Kaiser-windowed sinc (Laakso et al., Splitting the unit delay, IEEE
+    Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
+    logged, x is continued by its odd reflection.
+    """
+    steps = (delay * rate).tolist()
+    return np.stack([_shift(each, late) for each, late in zip(x.T, steps, strict=True)], axis=1)
+
+
+def _shift(x: Array, steps: float) -> Array:
+    """Return x (L,) at every index plus `steps`, a real number."""
+    whole = round(steps)
+    part = steps - whole
+    padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
+    begin = whole + abs(whole)
+    if abs(part) < 1e-9:
+        return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
+    offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
+    # Shape of its window: side lobes of -80 dB.
+    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
+    taps = np.sinc(offsets - part) * window
+    return np.convolve(
+        padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"
+    )

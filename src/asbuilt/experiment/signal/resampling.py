@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -10,7 +12,6 @@ from scipy.interpolate import CubicSpline
 from asbuilt.arrays import Array, Indices, find_true_rows
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
-from asbuilt.experiment.signal.bridging import Bridges, plan_bridges
 from asbuilt.findings import Cure
 
 GAP = 4.5
@@ -19,8 +20,6 @@ JITTER = 0.01
 """Largest deviation of a step of a uniform clock, in sampling periods."""
 SHORTEST = 8
 """Number of samples below which a segment is dropped."""
-HALF_WIDTH = 16
-"""Samples on either side that a shift by a fraction of a sample takes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +34,52 @@ class UniformSegment:
     tau: Array
     qd: Array | None
     qdd: Array | None = None
+
+
+class Pause(NamedTuple):
+    """Hold a pause before usable row `row`: times to fill in, samples `near` it, their times."""
+
+    row: int
+    times: Array
+    near: slice
+    near_times: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bridges:
+    """Hold how the shorter pauses of a clock are filled, every channel alike.
+
+    Parameters
+    ----------
+    usable
+        Usable rows of the recording.
+    pauses
+        The pauses between them that are filled; if there is none, channels stay as they are.
+    t, rows
+        Times of the channels once they are filled, and their usable rows.
+
+    Notes
+    -----
+    Every channel is fitted by a polynomial of degree 5 in least squares, over as many samples on
+    either side as are missing, and at least 8: an interpolating spline would continue the slope of
+    the noise.
+    """
+
+    usable: Indices
+    pauses: tuple[Pause, ...]
+    t: Array
+    rows: Indices
+
+    def fill(self, x: Array) -> Array:
+        """Return a channel of the recording (N, n) with its pauses filled."""
+        if not self.pauses:
+            return x
+        x = x[self.usable]
+        return _insert(
+            x,
+            self.pauses,
+            [_interpolate_locally(p.near_times, x[p.near], p.times) for p in self.pauses],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,29 +346,44 @@ def _assign_ticks(t: Array, period: float) -> Array | None:
     return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
-def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
-    """Return x (L, n), whose value at time t is the one at `t + delay`, (n,) [s].
+def plan_bridges(t: Array, usable: Indices, longest: float, pause: float) -> Bridges:
+    """Return bridges of the pauses from `pause` to `longest` [s] between usable rows of times t."""
+    logged = t[usable]
+    steps = np.diff(logged)
+    period = float(np.median(steps))
+    pauses = []
+    for place in np.flatnonzero((steps > pause) & (steps <= longest)).tolist():
+        count = round(float(steps[place]) / period) - 1
+        times = logged[place] + np.arange(1, count + 1) * (steps[place] / (count + 1))
+        near = _select_around(logged, place, count, pause)
+        pauses.append(Pause(place + 1, times, near, logged[near]))
+    if not pauses:
+        return Bridges(usable, (), t, usable)
+    filled = _insert(logged, pauses, [each.times for each in pauses])
+    return Bridges(usable, tuple(pauses), filled, np.arange(filled.size))
 
-    Fractions of a sample by a Kaiser-windowed sinc (Laakso et al., Splitting the unit delay, IEEE
-    Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
-    logged, x is continued by its odd reflection.
-    """
-    steps = (delay * rate).tolist()
-    return np.stack([_shift(each, late) for each, late in zip(x.T, steps, strict=True)], axis=1)
+
+def _insert(x: Array, pauses: Sequence[Pause], filled: Sequence[Array]) -> Array:
+    """Return usable rows (L, ...) with what fills each pause between them."""
+    rows = np.repeat([each.row for each in pauses], [len(each) for each in filled])
+    return np.insert(x, rows, np.concatenate(filled), axis=0)
 
 
-def _shift(x: Array, steps: float) -> Array:
-    """Return x (L,) at every index plus `steps`, a real number."""
-    whole = round(steps)
-    part = steps - whole
-    padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
-    begin = whole + abs(whole)
-    if abs(part) < 1e-9:
-        return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
-    offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
-    # Shape of its window: side lobes of -80 dB.
-    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
-    taps = np.sinc(offsets - part) * window
-    return np.convolve(
-        padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"
-    )
+def _select_around(t: Array, place: int, count: int, pause: float) -> slice:
+    """Return the samples on either side of a pause, up to the next pause."""
+    # Fewest samples on either side of a pause that the polynomial is fitted to.
+    width = max(8, count)
+    first, last = max(place + 1 - width, 0), min(place + 1 + width, t.size)
+    earlier = np.flatnonzero(np.diff(t[first : place + 1]) > pause)
+    later = np.flatnonzero(np.diff(t[place + 1 : last]) > pause)
+    begin = first + int(earlier[-1]) + 1 if earlier.size else first
+    return slice(begin, place + 2 + int(later[0]) if later.size else last)
+
+
+def _interpolate_locally(t: Array, values: Array, times: Array) -> Array:
+    """Return a polynomial through values (L, n) at other times (m, n)."""
+    centre, half = float(times.mean()), max(float(np.ptp(t)) / 2.0, 1e-12)
+    # Degree of the polynomial; a sine at the cutoff makes less than one turn in its window.
+    degree = min(5, t.size - 1)
+    fit = np.linalg.lstsq(np.vander((t - centre) / half, degree + 1), values, rcond=None)[0]
+    return np.asarray(np.vander((times - centre) / half, degree + 1) @ fit)

@@ -18,7 +18,6 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
-    command_rate,
     differentiate_logged_positions,
     drop_saturated,
     drop_slow_rows,
@@ -137,7 +136,7 @@ class CommandedMotion:
 
     def rate(self, recording: Recording, delay: float) -> Samples:
         """Return samples whose torques are the rate of what the servo of a recording follows."""
-        return self._filtered(self._gains[0] * command_rate(recording, delay, self._curve))
+        return self._filtered(self._gains[0] * hold_command(recording, delay, self._curve, 1))
 
     def grams(
         self, recording: Recording, delay: float, rate: Samples | None = None
@@ -176,7 +175,7 @@ class CommandedMotion:
         return np.stack([np.nan_to_num(servo.kp, nan=1.0), np.nan_to_num(servo.kd)])
 
     @cached_property
-    def _curve(self) -> CommandCurve:
+    def _curve(self) -> CommandCurve | None:
         return CommandCurve.of(self.recording)
 
     @cached_property

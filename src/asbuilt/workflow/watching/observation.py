@@ -12,12 +12,12 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.recording import Recording, find_advancing_rows, join_recordings
+from asbuilt.experiment.signal.differentiation import validate_velocities
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.signal.velocity_choice import validate_velocities
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.causal_filter import choose_pole, largest_velocity_error
