@@ -260,16 +260,11 @@ class Band:
     cutoff: float
     noise: NoiseLimit | None
 
-    @property
-    def limited(self) -> bool:
-        """Whether noise of the log limits the band, not the motion."""
-        return self.cutoff < self.wanted
-
     def __str__(self) -> str:
-        limited = f"; noise in the log limits the band, wanted were {self.wanted:.3g} Hz"
+        by_noise = f"; noise in the log limits the band, wanted were {self.wanted:.3g} Hz"
         return (
             f"95 % of the velocity's power lies below {self.bandwidth:.3g} Hz; positions are kept"
-            f" up to {self.cutoff:.3g} Hz{limited if self.limited else ''}"
+            f" up to {self.cutoff:.3g} Hz{by_noise if self.cutoff < self.wanted else ''}"
         )
 
 
