@@ -23,13 +23,13 @@ DEGREE = np.pi / 180
 """A degree in radians."""
 
 
-def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float) -> Array:
+def match_load(model: RobotModel, q: Array, columns: list[Array], scale: float) -> Array:
     """Return how each of several groups (N, n) follows gravity's torque at `scale * q` (N, n).
 
     The median magnitude of the correlation over the joints that carry much of the load; 0 where the
     positions are none.
     """
-    step, load = _load(model, q, scale)
+    step, load = _evaluate_load(model, q, scale)
     if load is None:
         return np.zeros(len(columns))
     # A joint carries load from a tenth of the largest joint's range on.
@@ -47,7 +47,7 @@ def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["r
     if not all(joint.is_revolute for joint in model.joints):
         return None
     shares = [_measure_explained_share(model, q, tau, scale) for scale in (1.0, DEGREE)]
-    matches = [load_matches(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
+    matches = [match_load(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
     for (plain, turned), least, apart in (
         (shares, CLEAR_SHARE, CLEAR_SHARE),
         (matches, CLEAR_LOAD, CLEARLY_BETTER),
@@ -57,7 +57,7 @@ def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["r
     return None
 
 
-def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]:
+def _evaluate_load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]:
     """Return gravity's torque at every `step`th row, None where the positions are none."""
     from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
 
@@ -71,7 +71,7 @@ def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]
 
 def _measure_explained_share(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
     """Return the share of the torques' variance that gravity's torque explains, at least 0."""
-    step, load = _load(model, q, scale)
+    step, load = _evaluate_load(model, q, scale)
     if load is None:
         return 0.0
     x, y = load - load.mean(axis=0), tau[::step] - tau[::step].mean(axis=0)

@@ -103,14 +103,14 @@ class Recording:
     contact: Array | None = None
 
     def __post_init__(self) -> None:
-        t = _read_only(self.t, "t", self.source)
+        t = _freeze(self.t, "t", self.source)
         if t.ndim != 1 or t.size == 0:
             raise RecordingError(
                 f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
                 file=self.source,
                 value=t.shape,
             )
-        q = _read_only(self.q, "q", self.source)
+        q = _freeze(self.q, "q", self.source)
         if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
             raise RecordingError(
                 f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
@@ -122,7 +122,7 @@ class Recording:
         for name in ("tau", "qd", "qdd", "command"):
             # A torque must be there, so that None is refused as no array of this shape.
             if name == "tau" or getattr(self, name) is not None:
-                channels[name] = _read_only(getattr(self, name), name, self.source)
+                channels[name] = _freeze(getattr(self, name), name, self.source)
                 if channels[name].shape != q.shape:
                     raise RecordingError(
                         f"{self.source}: {name} must have the shape of q, {q.shape}, got"
@@ -160,7 +160,7 @@ class Recording:
                 {"file": self.source, "value": n_gains, "expected": q.shape[1]},
             ),
         )
-        extra = {name: _read_only(value, name, self.source) for name, value in self.extra.items()}
+        extra = {name: _freeze(value, name, self.source) for name, value in self.extra.items()}
         for name, array in extra.items():
             if array.ndim not in (1, 2) or array.shape[0] != t.size:
                 raise RecordingError(
@@ -420,7 +420,7 @@ def _is_signal(tau: Array, q: Array) -> bool:
     return tau.size > 0 and bool(np.any(tau != tau[0]) or not np.nanmax(q) > np.nanmin(q))
 
 
-def _read_only(value: ArrayLike, name: str, source: str) -> Array:
+def _freeze(value: ArrayLike, name: str, source: str) -> Array:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:

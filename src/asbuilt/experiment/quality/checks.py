@@ -25,8 +25,8 @@ from asbuilt.experiment.quality.motion_checks import (
 )
 from asbuilt.experiment.quality.passes import (
     FirstPass,
-    as_modelled,
     blank_incredible,
+    order_as_modelled,
     run_first_pass,
     run_second_pass,
 )
@@ -38,13 +38,12 @@ from asbuilt.experiment.quality.position_checks import (
     check_encoders,
     check_positions,
 )
-from asbuilt.experiment.quality.reductions import UniformSegments, smooth_motion
 from asbuilt.experiment.quality.signal_checks import (
     check_channels,
+    check_noise_floor,
     check_saturation,
     check_signs,
     check_spikes,
-    filter_findings,
 )
 from asbuilt.experiment.quality.torque_checks import check_torques
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
@@ -262,7 +261,9 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     findings = list(check_clock(known))
     noise = None
     if not _has_clock_error(findings):
-        beginning = as_modelled(model, blank_incredible(take_first_samples(recording, MEASURED)))
+        beginning = order_as_modelled(
+            model, blank_incredible(take_first_samples(recording, MEASURED))
+        )
         beginning = beginning.with_torque_of(known.first.has_torque)
         of_loops = list(check_closure(model, beginning))
         of_commands = list(check_commands(model, beginning))
@@ -334,15 +335,14 @@ def _check_in_time(
     model: RobotModel, chunks: Iterable[Recording], known: FirstPass
 ) -> Iterator[Finding]:
     """Find problems of motion, torque and excitation, which need a correct clock."""
-    segments = UniformSegments.of(known.t, known.valid)
-    closer = run_second_pass(model, chunks, known, () if segments is None else segments.rows)
-    motion = None if segments is None else smooth_motion(segments, closer.segments)
+    closer = run_second_pass(model, chunks, known)
+    motion = closer.motion
     excess = find_impossible_motion(model, known, motion)
     yield from check_recorded_motion(model, known, motion, excess)
     yield from check_channels(model, known)
     yield from check_saturation(model, known, closer)
     yield from check_spikes(model, known)
-    yield from filter_findings(closer.torques, known.rate)
+    yield from check_noise_floor(closer.torques, known.rate)
     if motion is not None and (excess is None or excess.unit == "deg"):
         scale = [DEGREE if excess and joint.is_revolute else 1.0 for joint in model.joints]
         yield from check_torques(model, known, motion, np.array(scale))

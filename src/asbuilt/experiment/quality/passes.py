@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,14 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
+from asbuilt.experiment.quality.reductions import (
+    Exceedance,
+    Extremes,
+    PositionMoments,
+    SmoothedMotion,
+    choose_segments,
+    smooth_motion,
+)
 from asbuilt.experiment.recording import (
     Recording,
     find_changed_rows,
@@ -123,7 +130,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     first = last = None
     begin = 0
     for logged in chunks:
-        chunk = as_modelled(model, logged)
+        chunk = order_as_modelled(model, logged)
         first = first or chunk
         chunk = chunk.with_torque_of(first.has_torque)
         not_repeated = _mark_not_repeated(chunk, last)
@@ -169,7 +176,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     )
 
 
-def as_modelled(model: RobotModel, recording: Recording) -> Recording:
+def order_as_modelled(model: RobotModel, recording: Recording) -> Recording:
     """Return the recording with its joints in the order of the model.
 
     Raises
@@ -294,29 +301,31 @@ class Plateau:
 
 @dataclass(frozen=True, eq=False)
 class SecondPass:
-    """Hold the samples of chosen segments, the torques for spectra, and the plateaus of each joint.
+    """Hold the motion in chosen segments, the torques for spectra, and the plateaus of each joint.
 
-    A joint whose torque hardly varies has no plateaus, others one at each extreme.
+    There is no motion where no segment is long enough. A joint whose torque hardly varies has no
+    plateaus, others one at each extreme.
     """
 
-    segments: tuple[Recording, ...]
+    motion: SmoothedMotion | None
     torques: tuple[Array, ...]
     plateaus: tuple[tuple[Plateau, ...], ...]
 
 
-def run_second_pass(
-    model: RobotModel, chunks: Iterable[Recording], known: FirstPass, rows: Sequence[Indices]
-) -> SecondPass:
-    """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
+def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: FirstPass) -> SecondPass:
+    """Read the chunks again for segments of consecutive rows and for torques at their extremes.
 
     The torques for spectra are all torques of one chunk, else the torques of the segments.
     """
+    rows, step, window = choose_segments(known.t, known.valid)
     plateaus = [_find_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]
     torques: list[Array] = []
     begin = place = 0
     for logged in chunks:
-        chunk = blank_incredible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
+        chunk = blank_incredible(
+            order_as_modelled(model, logged).with_torque_of(known.first.has_torque)
+        )
         stop = begin + chunk.n_samples
         changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [
@@ -330,9 +339,10 @@ def run_second_pass(
         if known.n_chunks == 1:
             torques.append(chunk.tau[known.valid_torque])
         begin, place = stop, place + len(changed)
-    segments = tuple(map(join_recordings, parts))
+    segments = list(map(join_recordings, parts))
+    motion = smooth_motion(segments, step, window) if segments else None
     return SecondPass(
-        segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
+        motion, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
     )
 
 

@@ -133,46 +133,38 @@ class SmoothedMotion:
         return np.arange(0, self.n_samples, max(1, self.n_samples // most), dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class UniformSegments:
-    """Hold the rows of each segment to smooth, the clock's step [s], and the window length."""
+def choose_segments(t: Array, valid: Mask) -> tuple[list[Indices], float, int]:
+    """Return rows of a dozen segments at most between gaps, the clock's step, and the window.
 
-    rows: tuple[Indices, ...]
-    step: float
-    window: int
-
-    @classmethod
-    def of(cls, t: Array, valid: Mask) -> UniformSegments | None:
-        """Choose a dozen segments at most between gaps; None if none is long enough."""
-        rows = np.flatnonzero(valid)
-        t, first = np.unique(t[rows], return_index=True)
-        rows = rows[first]
-        if t.size < 20:
-            return None
-        steps = np.diff(t)
-        step = float(np.median(steps))
-        # 0.15: width of the smoothing [s].
-        window = max(5, int(0.15 / step) | 1)
-        breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
-        bounds = [
-            (a, b)
-            for start, stop in zip([0, *breaks], [*breaks, t.size], strict=True)
-            for a in range(start, stop, _SEGMENT_SAMPLES)
-            for b in [min(a + _SEGMENT_SAMPLES, stop)]
-            if b - a > 2 * window
-        ]
-        chosen = np.linspace(0, len(bounds) - 1, min(len(bounds), _MOST_SEGMENTS)).astype(int)
-        bounds = [bounds[k] for k in chosen]
-        return cls(tuple(rows[a:b] for a, b in bounds), step, window) if bounds else None
+    There is no segment where none is long enough for the window, by which it is smoothed.
+    """
+    rows = np.flatnonzero(valid)
+    t, first = np.unique(t[rows], return_index=True)
+    rows = rows[first]
+    if t.size < 20:
+        return [], np.nan, 0
+    steps = np.diff(t)
+    step = float(np.median(steps))
+    # 0.15: width of the smoothing [s].
+    window = max(5, int(0.15 / step) | 1)
+    breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
+    bounds = [
+        (a, b)
+        for start, stop in zip([0, *breaks], [*breaks, t.size], strict=True)
+        for a in range(start, stop, _SEGMENT_SAMPLES)
+        for b in [min(a + _SEGMENT_SAMPLES, stop)]
+        if b - a > 2 * window
+    ]
+    chosen = np.linspace(0, len(bounds) - 1, min(len(bounds), _MOST_SEGMENTS)).astype(int)
+    return [rows[slice(*bounds[k])] for k in chosen], step, window
 
 
-def smooth_motion(segments: UniformSegments, logged: Sequence[Recording]) -> SmoothedMotion:
+def smooth_motion(logged: Sequence[Recording], step: float, window: int) -> SmoothedMotion:
     """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964).
 
     `logged` are the samples of each segment. Derivatives are summed by parts, over steps in place
     of values, so that a joint at rest has a velocity of exactly 0.
     """
-    window, step = segments.window, segments.step
     value, *slopes = _derive_cubic_taps(window, step)
     of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
     smooth: list[list[Array]] = []

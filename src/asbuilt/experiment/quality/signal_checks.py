@@ -106,7 +106,7 @@ def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
         )
 
 
-def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
+def check_noise_floor(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     """Find torques (N, n) without the noise floor of a sensor, by the mean of their spectra."""
     # Number of samples that a spectrum needs.
     long_enough = [tau for tau in torques if len(tau) >= 256]

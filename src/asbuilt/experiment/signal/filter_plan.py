@@ -188,7 +188,7 @@ class FilterPlan:
             else max(2 * self.margin + 1, 5)
         )
 
-    def arrays(
+    def cut(
         self, segment: UniformSegment, motion: FilteredMotion, low: int, stop: int
     ) -> tuple[list[SegmentArrays], int]:
         """Return what is left of a segment between logged samples, and where a longer one goes on.
@@ -248,7 +248,7 @@ class FilterPlan:
             )
         return shift_in_time(tau, np.broadcast_to(delays, n), self.rate) if delays else tau
 
-    def description(self) -> Iterator[str]:
+    def describe(self) -> Iterator[str]:
         """Yield sentences about what the plan does."""
         chain, cutoff = self.chain, self.chain.cutoff
         if chain.derivative == "central":

@@ -134,7 +134,7 @@ def stream_samples(
             stop = segment.t.size - (plan.support if goes_on else plan.margin)
             after = begin
             if plan.fits(segment) and stop > begin:
-                found, after = plan.arrays(segment, plan.motion(segment), begin, stop)
+                found, after = plan.cut(segment, plan.motion(segment), begin, stop)
                 parts.extend(found)
             if goes_on:
                 low = (
@@ -144,7 +144,7 @@ def stream_samples(
                 )
                 held = joined.between(segment.t[0] + (after - plan.support - 0.5) / rate, np.inf)
         if parts:
-            provenance = (*joined.notes, *notes, *plan.description())
+            provenance = (*joined.notes, *notes, *plan.describe())
             samples = assemble_samples(
                 joined, plan, parts, origin, has_torque, clock_bound, provenance
             )

@@ -23,7 +23,7 @@ from asbuilt.experiment.signal.resampling import (
 )
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
-from asbuilt.experiment.signal.spikes import without_spikes
+from asbuilt.experiment.signal.spikes import replace_spikes
 from asbuilt.experiment.signal.standstill import PAUSE, estimate_standstill_speeds
 from asbuilt.findings import Cure
 
@@ -131,7 +131,7 @@ class PreparedMotion:
         for segment, motion in zip(self.segments, self.motions, strict=True):
             if motion is not None:
                 stop = segment.t.size - plan.margin
-                parts += plan.arrays(segment, motion, plan.margin, stop)[0]
+                parts += plan.cut(segment, motion, plan.margin, stop)[0]
                 seconds += (stop - plan.margin) / rate
         if not parts:
             longest = max(segment.t.size for segment in self.segments)
@@ -151,7 +151,7 @@ class PreparedMotion:
             float(self.segments[0].t[0]),
             recording.has_torque,
             self.clock_bound,
-            (*recording.notes, *self.grid.notes, *self.notes, *plan.description()),
+            (*recording.notes, *self.grid.notes, *self.notes, *plan.describe()),
         )
         samples = self._with_second_encoder(samples)
         if samples.parallel is not None and samples.n_filtered == 0:
@@ -210,7 +210,7 @@ def plan_grid(
     # In a quarter of a period a sine at the cutoff turns by as much.
     resolved = 0.0 if chain.cutoff is None else 0.25 / chain.cutoff
     recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
-    return plan_uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
+    return plan_uniform_grid(replace_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 
 
 def settle_chain(

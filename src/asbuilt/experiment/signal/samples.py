@@ -113,7 +113,7 @@ class Samples:
     encoder_at: EncoderSide = "link"
 
     def __post_init__(self) -> None:
-        t = _read_only(self.t)
+        t = _freeze(self.t)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
         refuse(
@@ -142,7 +142,7 @@ class Samples:
         }
         for name, (values, expected) in arrays.items():
             if values is not None:
-                settled[name] = _read_only(values)
+                settled[name] = _freeze(values)
                 if np.shape(values) != expected:
                     raise RecordingError(
                         f"{self.source}: {name} must have shape {expected} for {t.size} samples of"
@@ -276,7 +276,7 @@ class Samples:
         return self.parallel.n_outputs(n_inputs) if self.parallel else n_inputs
 
 
-def _read_only(value: ArrayLike) -> Array:
+def _freeze(value: ArrayLike) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.flags.writeable:
         array = array.view()

@@ -63,7 +63,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     return found
 
 
-def without_spikes(recording: Recording) -> Recording:
+def replace_spikes(recording: Recording) -> Recording:
     """Return the recording with the mean of their neighbours in place of torques that stand out."""
     if recording.torque_source == "command" or recording.n_samples < FEWEST:
         return recording
