@@ -203,8 +203,9 @@ def _design_sections(cutoff: float, rate: float, order: int, corrected: bool) ->
             f"a low-pass at {cutoff:g} Hz is impossible at {rate:g} Hz: the cutoff must lie between"
             f" 0 and {0.5 * rate:g} Hz"
         )
-    single = single_pass_cutoff(cutoff, rate, order) if corrected else cutoff
-    return butterworth_sections(order, single, rate)
+    return butterworth_sections(
+        order, single_pass_cutoff(cutoff, rate, order) if corrected else cutoff, rate
+    )
 
 
 def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:

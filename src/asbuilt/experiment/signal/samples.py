@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_true_ranges
 from asbuilt.errors import RecordingError, UsageError, refuse
 from asbuilt.experiment.recording import EncoderSide, TorqueSource
 from asbuilt.findings import join_names
@@ -234,16 +234,17 @@ class Samples:
                 f"a selection is one truth value for each of {self.n_samples} samples, got"
                 f" {mask.dtype} of shape {mask.shape}"
             )
-        ranges: list[tuple[int, int]] = []
-        for a, b in self.segments:
-            edges = a + np.flatnonzero(np.diff(mask[a:b].astype(np.int8), prepend=0, append=0))
-            ranges.extend(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        ranges = tuple(
+            (a + first, a + last)
+            for a, b in self.segments
+            for first, last in find_true_ranges(mask[a:b])
+        )
         if not ranges:
             raise RecordingError(
                 f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and"
                 f" {self.t[-1]:g} s"
             )
-        return replace(self, segments=tuple(ranges))
+        return replace(self, segments=ranges)
 
     def select(self, keep: NDArray[np.bool_]) -> Samples:
         """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
