@@ -272,9 +272,8 @@ def settle_chain(
         notes.insert(0, str(band))
     if chain.standstill is None and not chain.rests:
         plan = FilterPlan.of(chain, rate)
-        fitting = [segment for segment in segments if plan.fits(segment)]
-        if fitting:
-            motions = [filters.motion(plan, segment)[:2] for segment in fitting]
+        motions = [filters.motion(plan, each)[:2] for each in segments if plan.fits(each)]
+        if motions:
             chain = replace(
                 chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
             )
