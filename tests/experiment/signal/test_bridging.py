@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,16 @@ def test_single_lost_samples_of_a_slow_log_leave_one_segment(missing: int) -> No
     assert len(samples.segments) == 1
     acceleration = -((2 * np.pi * 0.5) ** 2) * np.sin(2 * np.pi * 0.5 * samples.t)
     assert np.abs(samples.qdd[:, 0] - acceleration).max() < 0.03 * np.abs(acceleration).max()
+
+
+def test_logged_velocities_and_accelerations_are_bridged_alike() -> None:
+    log = recording()
+    rates = 2 * np.pi * np.array([0.5, 1.1])
+    qd = np.stack([np.cos(rates[0] * log.t), -0.3 * np.sin(rates[1] * log.t)], axis=1) * rates
+    qdd = -motion(log.t) * rates**2
+    logged = replace(log, qd=qd, qdd=qdd, undriven=log.joint_names)
+    (run,), _, _ = resampled(logged, None, None, 0.25 / 7.0)
+    assert run.qd is not None
+    assert run.qdd is not None
+    assert np.abs(run.qdd + motion(run.t) * rates**2).max() < 1e-5
+    assert np.abs(run.qd[:, 0] - rates[0] * np.cos(rates[0] * run.t)).max() < 1e-6
