@@ -103,34 +103,38 @@ class Recording:
     contact: Array | None = None
 
     def __post_init__(self) -> None:
-        t = _freeze(self.t, "t", self.source)
-        if t.ndim != 1 or t.size == 0:
-            raise RecordingError(
+        named = {name: getattr(self, name) for name in ("t", "q", "tau", "qd", "qdd", "command")}
+        channels = {
+            name: _freeze(values, name, self.source)
+            for name, values in named.items()
+            # None is refused as a torque, as it is no array of the shape of q.
+            if name == "tau" or values is not None
+        }
+        extra = {name: _freeze(values, name, self.source) for name, values in self.extra.items()}
+        t, q = channels["t"], channels["q"]
+        refuse(
+            RecordingError,
+            (
+                t.ndim != 1 or t.size == 0,
                 f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
-                file=self.source,
-                value=t.shape,
-            )
-        q = _freeze(self.q, "q", self.source)
-        if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
-            raise RecordingError(
+                {"file": self.source, "value": t.shape},
+            ),
+            (
+                q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0,
                 f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
                 f" got {q.shape}",
-                file=self.source,
-                value=q.shape,
-            )
-        channels = {"t": t, "q": q}
-        for name in ("tau", "qd", "qdd", "command"):
-            # A torque must be there, so that None is refused as no array of this shape.
-            if name == "tau" or getattr(self, name) is not None:
-                channels[name] = _freeze(getattr(self, name), name, self.source)
-                if channels[name].shape != q.shape:
-                    raise RecordingError(
-                        f"{self.source}: {name} must have the shape of q, {q.shape}, got"
-                        f" {channels[name].shape}",
-                        file=self.source,
-                        value=channels[name].shape,
-                        expected=q.shape,
-                    )
+                {"file": self.source, "value": q.shape},
+            ),
+            *(
+                (
+                    array.shape != q.shape,
+                    f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
+                    {"file": self.source, "value": array.shape, "expected": q.shape},
+                )
+                for name, array in channels.items()
+                if name != "t"
+            ),
+        )
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
         repeated = min((name for name in names if names.count(name) > 1), default=None)
         n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
@@ -159,15 +163,15 @@ class Recording:
                 f"{self.source}: the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
                 {"file": self.source, "value": n_gains, "expected": q.shape[1]},
             ),
-        )
-        extra = {name: _freeze(value, name, self.source) for name, value in self.extra.items()}
-        for name, array in extra.items():
-            if array.ndim not in (1, 2) or array.shape[0] != t.size:
-                raise RecordingError(
+            *(
+                (
+                    array.ndim not in (1, 2) or array.shape[0] != t.size,
                     f"{self.source}: {name} has shape {array.shape} but there are {t.size} times",
-                    file=self.source,
-                    value=array.shape,
+                    {"file": self.source, "value": array.shape},
                 )
+                for name, array in extra.items()
+            ),
+        )
         settled = {
             "joint_names": names,
             "notes": tuple(self.notes),

@@ -116,22 +116,8 @@ class Samples:
         t = _freeze(self.t)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
-        refuse(
-            RecordingError,
-            (
-                t.ndim != 1 or t.size == 0,
-                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
-            ),
-            (
-                any(later < earlier for earlier, later in pairwise(ends)),
-                f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
-                f" {list(segments)}",
-            ),
-        )
-        origin = float(t[0]) if np.isnan(self.origin) else self.origin
-        settled: dict[str, object] = {"t": t, "segments": segments, "origin": origin}
         shape = (t.size, len(self.joint_names))
-        arrays: dict[str, tuple[Array | None, tuple[int, ...]]] = {
+        expected: dict[str, tuple[Array | None, tuple[int, ...]]] = {
             "q": (self.q, shape),
             "qd": (self.qd, shape),
             "qdd": (self.qdd, shape),
@@ -140,14 +126,29 @@ class Samples:
             "contact": (self.contact, (t.size, *np.shape(cast(Any, self.contact))[-1:])),
             "encoder": (self.encoder, (3, *shape)),
         }
-        for name, (values, expected) in arrays.items():
-            if values is not None:
-                settled[name] = _freeze(values)
-                if np.shape(values) != expected:
-                    raise RecordingError(
-                        f"{self.source}: {name} must have shape {expected} for {t.size} samples of"
-                        f" {shape[1]} joints, got {np.shape(values)}"
-                    )
+        arrays = {name: _freeze(x) for name, (x, _) in expected.items() if x is not None}
+        refuse(
+            RecordingError,
+            (
+                t.ndim != 1 or t.size == 0,
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
+            ),
+            *(
+                (
+                    array.shape != expected[name][1],
+                    f"{self.source}: {name} must have shape {expected[name][1]} for {t.size}"
+                    f" samples of {shape[1]} joints, got {array.shape}",
+                )
+                for name, array in arrays.items()
+            ),
+            (
+                any(later < earlier for earlier, later in pairwise(ends)),
+                f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
+                f" {list(segments)}",
+            ),
+        )
+        origin = float(t[0]) if np.isnan(self.origin) else self.origin
+        settled = {"t": t, "segments": segments, "origin": origin, **arrays}
         for name, value in settled.items():
             object.__setattr__(self, name, value)
 
