@@ -16,7 +16,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.band_choice import choose_band
+from asbuilt.experiment.signal.band_choice import choose_band
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, plan_grid
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.workflow.logged_rates import settle_rates

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,38 +15,25 @@ CLEARLY_BETTER = 0.1
 """Correlation with gravity's torque by which positions are rather degrees than radians."""
 
 
-@dataclass(frozen=True, slots=True)
-class GravityRules:
-    """Hold when positions and torques are taken for the load of gravity."""
-
-    largest_angle: float = 400.0
-    """Positions beyond are none, neither in radians nor in degrees."""
-    most_samples: int = 2000
-    """Samples that a guess looks at."""
-    clearly_explained: float = 0.3
-    """Share of the torques' variance that gravity must explain in the right unit alone."""
-    heavy: float = 0.1
-    """Range of gravity's torque, relative to the largest joint's, from which a joint
-    carries load."""
-
-
-RULES = GravityRules()
+CLEAR_SHARE = 0.3
+"""Share of the torques' variance that gravity must explain in the right unit alone."""
 LARGEST_RADIANS = 4 * np.pi
 """Positions beyond are degrees: few axes turn twice either way."""
 DEGREE = np.pi / 180
 """A degree in radians."""
 
 
-def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float) -> Array:
+def match_load(model: RobotModel, q: Array, columns: list[Array], scale: float) -> Array:
     """Return how each of several groups (N, n) follows gravity's torque at `scale * q` (N, n).
 
     The median magnitude of the correlation over the joints that carry much of the load; 0 where the
     positions are none.
     """
-    step, load = _load(model, q, scale)
+    step, load = _evaluate_load(model, q, scale)
     if load is None:
         return np.zeros(len(columns))
-    heavy = np.ptp(load, axis=0) > RULES.heavy * max(float(np.ptp(load, axis=0).max()), 1e-9)
+    # A joint carries load from a tenth of the largest joint's range on.
+    heavy = np.ptp(load, axis=0) > 0.1 * max(float(np.ptp(load, axis=0).max()), 1e-9)
     found = [correlations(load[:, heavy], tau[::step][:, heavy]) for tau in columns]
     return np.array([np.median(np.abs(each)) for each in found])
 
@@ -61,9 +47,9 @@ def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["r
     if not all(joint.is_revolute for joint in model.joints):
         return None
     shares = [_measure_explained_share(model, q, tau, scale) for scale in (1.0, DEGREE)]
-    matches = [load_matches(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
+    matches = [match_load(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
     for (plain, turned), least, apart in (
-        (shares, RULES.clearly_explained, RULES.clearly_explained),
+        (shares, CLEAR_SHARE, CLEAR_SHARE),
         (matches, CLEAR_LOAD, CLEARLY_BETTER),
     ):
         if max(plain, turned) > least and abs(plain - turned) > apart:
@@ -71,20 +57,21 @@ def infer_unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["r
     return None
 
 
-def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]:
+def _evaluate_load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]:
     """Return gravity's torque at every `step`th row, None where the positions are none."""
     from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
 
-    step = max(1, q.shape[0] // RULES.most_samples)
+    # 2000 samples are looked at; positions beyond 400 are neither radians nor degrees.
+    step = max(1, q.shape[0] // 2000)
     rows = q[::step]
-    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > RULES.largest_angle:
+    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > 400.0:
         return step, None
     return step, gravity_torque(model, scale * rows)
 
 
 def _measure_explained_share(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
     """Return the share of the torques' variance that gravity's torque explains, at least 0."""
-    step, load = _load(model, q, scale)
+    step, load = _evaluate_load(model, q, scale)
     if load is None:
         return 0.0
     x, y = load - load.mean(axis=0), tau[::step] - tau[::step].mean(axis=0)

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError, refuse
 from asbuilt.findings import Cure, join_names
@@ -103,36 +103,38 @@ class Recording:
     contact: Array | None = None
 
     def __post_init__(self) -> None:
-        t = _read_only(self.t, "t", self.source)
-        if t.ndim != 1 or t.size == 0:
-            raise RecordingError(
+        named = {name: getattr(self, name) for name in ("t", "q", "tau", "qd", "qdd", "command")}
+        channels = {
+            name: _freeze(values, name, self.source)
+            for name, values in named.items()
+            # None is refused as a torque, as it is no array of the shape of q.
+            if name == "tau" or values is not None
+        }
+        extra = {name: _freeze(values, name, self.source) for name, values in self.extra.items()}
+        t, q = channels["t"], channels["q"]
+        refuse(
+            RecordingError,
+            (
+                t.ndim != 1 or t.size == 0,
                 f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
-                file=self.source,
-                value=t.shape,
-            )
-        q = _read_only(self.q, "q", self.source)
-        if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
-            raise RecordingError(
+                {"file": self.source, "value": t.shape},
+            ),
+            (
+                q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0,
                 f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
                 f" got {q.shape}",
-                file=self.source,
-                value=q.shape,
-            )
-        object.__setattr__(self, "t", t)
-        object.__setattr__(self, "q", q)
-        for name in ("tau", "qd", "qdd", "command"):
-            value = getattr(self, name)
-            if value is None and name != "tau":
-                continue
-            array = _read_only(value, name, self.source)
-            if array.shape != q.shape:
-                raise RecordingError(
+                {"file": self.source, "value": q.shape},
+            ),
+            *(
+                (
+                    array.shape != q.shape,
                     f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
-                    file=self.source,
-                    value=array.shape,
-                    expected=q.shape,
+                    {"file": self.source, "value": array.shape, "expected": q.shape},
                 )
-            object.__setattr__(self, name, array)
+                for name, array in channels.items()
+                if name != "t"
+            ),
+        )
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
         repeated = min((name for name in names if names.count(name) > 1), default=None)
         n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
@@ -161,18 +163,22 @@ class Recording:
                 f"{self.source}: the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
                 {"file": self.source, "value": n_gains, "expected": q.shape[1]},
             ),
-        )
-        extra = {name: _read_only(value, name, self.source) for name, value in self.extra.items()}
-        for name, array in extra.items():
-            if array.ndim not in (1, 2) or array.shape[0] != t.size:
-                raise RecordingError(
+            *(
+                (
+                    array.ndim not in (1, 2) or array.shape[0] != t.size,
                     f"{self.source}: {name} has shape {array.shape} but there are {t.size} times",
-                    file=self.source,
-                    value=array.shape,
+                    {"file": self.source, "value": array.shape},
                 )
-        object.__setattr__(self, "joint_names", names)
-        object.__setattr__(self, "notes", tuple(self.notes))
-        object.__setattr__(self, "extra", MappingProxyType(extra))
+                for name, array in extra.items()
+            ),
+        )
+        settled = {
+            "joint_names": names,
+            "notes": tuple(self.notes),
+            "extra": MappingProxyType(extra),
+        }
+        for name, value in {**channels, **settled}.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         return (
@@ -184,24 +190,18 @@ class Recording:
 
     def _repr_html_(self) -> str:
         """Return a table of the range of every joint for notebooks."""
-        heads = ("joint", "position from", "to", "torque from", "to")
+        limits = [
+            pick(values, axis=0) for values in (self.q, self.tau) for pick in (np.nanmin, np.nanmax)
+        ]
         rows = "".join(
             f"<tr><td>{html.escape(name)}</td>"
             + "".join(f"<td>{value:.4g}</td>" for value in values)
             + "</tr>"
-            for name, *values in zip(
-                self.joint_names,
-                *(
-                    pick(values, axis=0)
-                    for values in (self.q, self.tau)
-                    for pick in (np.nanmin, np.nanmax)
-                ),
-                strict=True,
-            )
+            for name, *values in zip(self.joint_names, *limits, strict=True)
         )
+        heads = ("joint", "position from", "to", "torque from", "to")
         head = "".join(f"<th>{each}</th>" for each in heads)
-        caption = html.escape(repr(self))
-        return f"<table><caption>{caption}</caption><tr>{head}</tr>{rows}</table>"
+        return f"<table><caption>{html.escape(repr(self))}</caption><tr>{head}</tr>{rows}</table>"
 
     @property
     def n_samples(self) -> int:
@@ -260,9 +260,8 @@ class Recording:
         extra = {
             name: -value if name.startswith("tau") else value for name, value in self.extra.items()
         }
-        again = FLIPPED in self.notes
         kept = tuple(note for note in self.notes if note != FLIPPED)
-        note = FLIPPED_TWICE if again else FLIPPED
+        note = FLIPPED_TWICE if FLIPPED in self.notes else FLIPPED
         return replace(self, tau=-self.tau, extra=extra, notes=(*kept, note))
 
     def scaled(self, gain: ArrayLike) -> Recording:
@@ -288,14 +287,12 @@ class Recording:
             ),
         )
         listed = ", ".join(f"{g:g}" for g in gains)
-        total = tuple(
-            (gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist()
-        )
+        before = np.ones(self.n_joints) if self.gains is None else np.array(self.gains)
         return replace(
             self,
             tau=self.tau * gains,
             notes=(*self.notes, f"torques were multiplied by {listed}"),
-            gains=total,
+            gains=tuple((gains * before).tolist()),
         )
 
     def reordered(self, names: Sequence[str]) -> Recording:
@@ -332,8 +329,8 @@ class Recording:
             (self.t >= start) & (self.t < stop), f"no sample between {start:g} s and {stop:g} s"
         )
 
-    def taken(self, keep: NDArray[np.bool_] | slice, empty: str = "no sample is left") -> Recording:
-        """Return the samples that the mask or slice `keep` selects."""
+    def taken(self, keep: Mask | Indices | slice, empty: str = "no sample is left") -> Recording:
+        """Return the samples that `keep` selects."""
         if not self.t[keep].size:
             raise RecordingError(
                 f"{self.source}: {empty}; it lasts from {np.nanmin(self.t):g} s to"
@@ -382,6 +379,32 @@ def time_span(t: Array) -> float:
     return float(np.nanmax(t) - np.nanmin(t)) if np.any(np.isfinite(t)) else float("nan")
 
 
+def join_recordings(parts: Sequence[Recording]) -> Recording:
+    """Return consecutive parts of a recording as one, with the channels that all of them have.
+
+    Accelerations and extra quantities are left out.
+    """
+    channels = {
+        name: [getattr(part, name) for part in parts]
+        for name in ("t", "q", "tau", "qd", "command", "contact")
+    }
+    joined = {
+        name: None if any(x is None for x in values) else np.concatenate(values)
+        for name, values in channels.items()
+    }
+    return replace(parts[-1], **cast(Any, joined), qdd=None, extra={})
+
+
+def find_changed_rows(*channels: Array) -> Mask:
+    """Return which rows of channels (N, ...) differ from the row before; the first one does.
+
+    >>> find_changed_rows(np.array([[1.0], [1.0], [2.0]])).tolist()
+    [True, False, True]
+    """
+    changed = [find_true_rows(np.atleast_2d((x[1:] != x[:-1]).T).T) for x in channels]
+    return np.concatenate([[True], np.logical_or.reduce(changed)])
+
+
 def find_advancing_rows(t: Array, kept: Mask) -> Mask:
     """Return which of the kept rows (N,) are later than all kept ones before them.
 
@@ -398,11 +421,10 @@ def find_advancing_rows(t: Array, kept: Mask) -> Mask:
 def _is_signal(tau: Array, q: Array) -> bool:
     """Return whether torques (N,) of a joint at positions (N,) are measured."""
     tau = tau[np.isfinite(tau)]
-    varies = bool(tau.size and np.any(tau != tau[0]))
-    return varies or (bool(tau.size) and not np.nanmax(q) > np.nanmin(q))
+    return tau.size > 0 and bool(np.any(tau != tau[0]) or not np.nanmax(q) > np.nanmin(q))
 
 
-def _read_only(value: ArrayLike, name: str, source: str) -> Array:
+def _freeze(value: ArrayLike, name: str, source: str) -> Array:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:

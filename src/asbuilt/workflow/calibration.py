@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
-from asbuilt.experiment.command.usable_samples import drop_slow_rows
+from asbuilt.experiment.command.servo_torque import drop_slow_rows
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.command.usable_samples import drop_saturated
+from asbuilt.experiment.command.servo_torque import drop_saturated
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording

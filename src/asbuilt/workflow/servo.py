@@ -14,8 +14,7 @@ from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, rea
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.command.usable_samples import drop_slow_rows
+from asbuilt.experiment.command.servo_torque import drive_by_command, drop_slow_rows
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.preparation import resolve_chain

@@ -15,7 +15,7 @@ from asbuilt.experiment.command.magnitude import (
 )
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.torque.signal_checks import describe_laws
+from asbuilt.experiment.quality.signal_checks import describe_laws
 from asbuilt.experiment.recording import Recording
 
 DUTY, VOLTAGE, RESISTANCE, INDUCED = 3.0, 12.0, 4.0, 1.8

@@ -7,11 +7,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import command_rate, drive_by_command, hold_command
-from asbuilt.experiment.command.usable_samples import (
+from asbuilt.experiment.command.servo_torque import (
+    drive_by_command,
     drop_saturated,
     estimate_direction_speeds,
     find_saturated,
+    hold_command,
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
@@ -81,7 +82,7 @@ def test_rate_is_the_derivative_of_the_held_command():
     recording = Recording(t=t, q=u, tau=u, command=u)
     ahead, behind = (hold_command(recording, delay) for delay in (-1e-4, 1e-4))
     numeric = (ahead - behind) / 2e-4
-    assert command_rate(recording)[5:-5] == pytest.approx(numeric[5:-5], abs=1e-6)
+    assert hold_command(recording, derivative=1)[5:-5] == pytest.approx(numeric[5:-5], abs=1e-6)
 
 
 def test_a_lead_adds_the_rate_of_what_acts():
@@ -96,7 +97,9 @@ def test_a_lead_adds_the_rate_of_what_acts():
     assert held[inside, 0] == pytest.approx(expected[inside], abs=1e-6)
     assert drive_by_command(recording, servo).tau == pytest.approx(10.0 * held)
     numeric = (hold_command(recording, 0.0069) - hold_command(recording, 0.0071)) / 2e-4
-    assert command_rate(recording, 0.007)[inside] == pytest.approx(numeric[inside], abs=1e-4)
+    assert hold_command(recording, 0.007, derivative=1)[inside] == pytest.approx(
+        numeric[inside], abs=1e-4
+    )
 
 
 def test_an_unknown_stiffness_counts_as_one_and_logged_torques_are_kept():

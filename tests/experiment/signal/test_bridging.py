@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.resampling import resample_segments
+from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.experiment.signal.signal_chain import SignalChain
 
 NOISE = 1e-5
+
+
+def resampled(recording, *settings, **named):
+    grid = plan_uniform_grid(recording, *settings, **named)
+    return grid.uniform(), grid.rate, grid.notes
 
 
 def motion(t: np.ndarray) -> np.ndarray:
@@ -29,7 +36,7 @@ def recording(rate: float = 1000.0, pauses: int = 12, missing: int = 30) -> Reco
 
 
 def test_what_is_bridged_is_as_good_as_what_was_logged() -> None:
-    (run,), rate, notes = resample_segments(recording(), None, None, 0.25 / 7.0)
+    (run,), rate, notes = resampled(recording(), None, None, 0.25 / 7.0)
     assert rate == 1000.0
     assert run.t.size == 20_000
     assert np.abs(run.q - motion(run.t)).max() < 8 * NOISE
@@ -54,3 +61,16 @@ def test_single_lost_samples_of_a_slow_log_leave_one_segment(missing: int) -> No
     assert len(samples.segments) == 1
     acceleration = -((2 * np.pi * 0.5) ** 2) * np.sin(2 * np.pi * 0.5 * samples.t)
     assert np.abs(samples.qdd[:, 0] - acceleration).max() < 0.03 * np.abs(acceleration).max()
+
+
+def test_logged_velocities_and_accelerations_are_bridged_alike() -> None:
+    log = recording()
+    rates = 2 * np.pi * np.array([0.5, 1.1])
+    qd = np.stack([np.cos(rates[0] * log.t), -0.3 * np.sin(rates[1] * log.t)], axis=1) * rates
+    qdd = -motion(log.t) * rates**2
+    logged = replace(log, qd=qd, qdd=qdd, undriven=log.joint_names)
+    (run,), _, _ = resampled(logged, None, None, 0.25 / 7.0)
+    assert run.qd is not None
+    assert run.qdd is not None
+    assert np.abs(run.qdd + motion(run.t) * rates**2).max() < 1e-5
+    assert np.abs(run.qd[:, 0] - rates[0] * np.cos(rates[0] * run.t)).max() < 1e-6

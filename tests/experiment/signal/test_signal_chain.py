@@ -162,6 +162,18 @@ def test_chunks_give_what_the_whole_gives(chunk, rest):
         )
 
 
+def test_chunks_keep_contacts():
+    log = moving()
+    closed = (np.sin(3.0 * log.t) > 0.0).astype(float)[:, None]
+    log = replace(log, contact=np.hstack([closed, 1.0 - closed]))
+    chain = SignalChain(cutoff=6.0, standstill=(0.05, 0.05))
+    whole = prepare_samples(log, chain)
+    chunks = (log.taken(slice(k, k + 900)) for k in range(0, log.n_samples, 900))
+    for part in stream_samples(chunks, chain):
+        same = np.searchsorted(whole.t, part.t - 1e-6)
+        np.testing.assert_array_equal(part.contact, whole.contact[same])
+
+
 def test_paper2015_cannot_be_streamed():
     with pytest.raises(UsageError, match="cannot process chunks"):
         list(stream_samples([moving()], SignalChain.preset("paper2015")))

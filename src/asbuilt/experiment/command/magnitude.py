@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.command.servo_torque import (
     LOGGED,
     differentiate_logged_positions,
@@ -20,33 +20,6 @@ from asbuilt.findings import Cure, join_names
 
 Kind = Literal["motor", "supply"]
 KINDS: tuple[Kind, ...] = ("motor", "supply")
-
-
-@dataclass(frozen=True, slots=True)
-class MagnitudeRules:
-    """Say how a law is estimated, and when it counts: own choices.
-
-    Parameters
-    ----------
-    block
-        Length of the blocks [s], half of which validate the other half.
-    fewest
-        Blocks below which a joint has no law.
-    explained
-        Share of the variance of blocks not fitted from which a law explains a column.
-    shortest, longest, tried
-        Range of the lag [s], and how many values of it start the search.
-    """
-
-    block: float = 2.0
-    fewest: int = 6
-    explained: float = 0.7
-    shortest: float = -0.1
-    longest: float = 0.5
-    tried: int = 31
-
-
-RULES = MagnitudeRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +55,8 @@ class MagnitudeLaw:
     @property
     def holds(self) -> bool:
         """Whether the law explains the column well enough to be used."""
-        return self.explained >= RULES.explained and self.scale > 0.0
+        # Own choice of the share of the variance of blocks not fitted.
+        return self.explained >= 0.7 and self.scale > 0.0
 
 
 def is_magnitude(values: Array) -> bool:
@@ -126,31 +100,24 @@ def fit_magnitude_laws(
     ]
     if not parts:
         return (None,) * several[0].n_joints
-    errors = [hold_command(each) - each.q for each, _ in parts]
-    m, e, w = (
-        np.concatenate(columns)
-        for columns in (
-            [each for _, each in parts],
-            errors,
-            [_choose_velocity(each) for each, _ in parts],
-        )
-    )
+    m = np.concatenate([magnitude for _, magnitude in parts])
+    e = np.concatenate([hold_command(each) - each.q for each, _ in parts])
+    w = np.concatenate([_choose_velocity(each) for each, _ in parts])
     blocks, first = list[Array](), 0
     for each, _ in parts:
-        own = np.floor((each.t - np.nanmin(each.t)) / RULES.block)
+        # Blocks of 2 s, half of which validate the other half.
+        own = np.floor((each.t - np.nanmin(each.t)) / 2.0)
         blocks.append(own + first)
         first += int(np.nanmax(own)) + 1
     block = np.concatenate(blocks)
-    laws = {
-        kind: tuple(
-            _fit_joint_law(kind, block, m[:, k], e[:, k], w[:, k]) for k in range(m.shape[1])
-        )
+    laws = [
+        [_fit_joint_law(kind, block, *columns) for columns in zip(m.T, e.T, w.T, strict=True)]
         for kind in KINDS
-    }
-    return max(laws.values(), key=_sum_explained)
+    ]
+    return tuple(max(laws, key=_sum_explained))
 
 
-def _sum_explained(laws: Sequence[MagnitudeLaw | None]) -> float:
+def _sum_explained(laws: Iterable[MagnitudeLaw | None]) -> float:
     """Return the sum over joints of what laws explain."""
     return sum(max(law.explained, 0.0) for law in laws if law is not None)
 
@@ -179,21 +146,29 @@ def sign_by_command(recording: Recording, unused: Collection[str] = ()) -> Recor
         of a joint as the current of a motor, so that its sign or its proportion to the torque is
         unknown.
     """
-    if recording.command is None:
-        raise RecordingError(
+    lowest = float(np.nanmin(recording.tau))
+    refuse(
+        RecordingError,
+        (
+            recording.command is None,
             f"{recording.source}: the sign of the torques shall come from the command, but the log"
             " has no commanded positions",
-            cure=Cure("name their columns in the recording sheet as columns.command"),
-            file=recording.source,
-        )
-    if np.nanmin(recording.tau) < 0.0:
-        raise RecordingError(
+            {
+                "cure": Cure("name their columns in the recording sheet as columns.command"),
+                "file": recording.source,
+            },
+        ),
+        (
+            lowest < 0.0,
             f"{recording.source}: the sign of the torques shall come from the command, but the log"
-            f" has torques down to {np.nanmin(recording.tau):.4g}: they have a sign",
-            cure=Cure('leave out sign = "command"'),
-            file=recording.source,
-            value=float(np.nanmin(recording.tau)),
-        )
+            f" has torques down to {lowest:.4g}: they have a sign",
+            {
+                "cure": Cure('leave out sign = "command"'),
+                "file": recording.source,
+                "value": lowest,
+            },
+        ),
+    )
     laws = fit_magnitude_laws(recording)
     for kind, what in (
         (None, "do not follow the command"),
@@ -230,17 +205,16 @@ def _choose_velocity(recording: Recording) -> Array:
 def _fit_joint_law(
     kind: Kind, blocks: Array, magnitude: Array, error: Array, velocity: Array
 ) -> MagnitudeLaw | None:
-    """Return the law of one joint, each input (N,); None if it has too few rows."""
+    """Return the law of one joint, each input (N,); None if it has too few rows.
+
+    It is fitted to all blocks, and validated on the blocks of the other parity.
+    """
     rows = np.all(np.isfinite([blocks, magnitude, error, velocity]), axis=0)
     m, e, w = magnitude[rows], error[rows], velocity[rows]
     block = blocks[rows].astype(np.intp)
-    if np.unique(block).size < RULES.fewest or not np.ptp(m) > 0.0 or not np.ptp(e) > 0.0:
+    # Six blocks at least, and something to explain.
+    if np.unique(block).size < 6 or not np.ptp(m) > 0.0 or not np.ptp(e) > 0.0:
         return None
-    return _fit_kind(kind, m, e, w, block)
-
-
-def _fit_kind(kind: Kind, m: Array, e: Array, w: Array, block: Indices) -> MagnitudeLaw:
-    """Fit one kind of law, and validate it on the blocks of the other parity."""
     odd = block % 2 == 1
     left = 0.0
     for here in (odd, ~odd):
@@ -251,9 +225,9 @@ def _fit_kind(kind: Kind, m: Array, e: Array, w: Array, block: Indices) -> Magni
         )
     lag = _fit_lag(kind, m, e, w)
     scale, rest = _fit_line(_evaluate_shape(kind, e, w, lag), m)
-    total = float(np.sum((m - m.mean()) ** 2))
+    lag_error = _estimate_lag_error(kind, m, e, w, lag, block)
     return MagnitudeLaw(
-        kind, scale, lag, _estimate_lag_error(kind, m, e, w, lag, block), rest, 1.0 - left / total
+        kind, scale, lag, lag_error, rest, 1.0 - left / float(np.sum((m - m.mean()) ** 2))
     )
 
 
@@ -272,19 +246,14 @@ def _fit_line(x: Array, y: Array) -> tuple[float, float]:
 
 def _fit_lag(kind: Kind, m: Array, e: Array, w: Array) -> float:
     """Return the lag with which the law fits best, by the profile over it."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
 
     def cost(lag: float) -> float:
         x = _evaluate_shape(kind, e, w, lag)
         scale, rest = _fit_line(x, m)
         return float(np.sum((m - scale * x - rest) ** 2))
 
-    return _find_lowest(cost)
-
-
-def _find_lowest(cost: Callable[[float], float]) -> float:
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
-
-    tried = np.linspace(RULES.shortest, RULES.longest, RULES.tried)
+    tried = np.linspace(-0.1, 0.5, 31)
     best = float(tried[int(np.argmin([cost(float(each)) for each in tried]))])
     step = float(tried[1] - tried[0])
     return float(minimize_scalar(cost, bounds=(best - step, best + step), method="bounded").x)

@@ -1,4 +1,4 @@
-"""Torque of a position servo from what it was commanded and what it did."""
+"""Torque of a position servo from its command and positions, and samples that determine its law."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording, find_advancing_rows
+from asbuilt.experiment.signal.samples import Samples
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -24,9 +25,12 @@ DROOP = 1.0 / 24.0
 
 
 def hold_command(
-    recording: Recording, delay: float = 0.0, curve: CommandCurve | None = None
+    recording: Recording,
+    delay: float = 0.0,
+    curve: CommandCurve | None = None,
+    derivative: int = 0,
 ) -> Array:
-    """Return the command that acts at the times of the samples, shape (N, n).
+    """Return the command that acts at the times of the samples, or its derivative, shape (N, n).
 
     A command is held until the next. Below half the sampling rate that is a delay of half a period
     T and the response `sinc(f T)`; `delay` [s] comes in addition. If the recording has a servo that
@@ -41,67 +45,45 @@ def hold_command(
     >>> round(float(t[50] - late[50, 0]), 6)
     0.025
     """
-    return _lead_goal(recording, delay, 0, curve)
-
-
-def command_rate(
-    recording: Recording, delay: float = 0.0, curve: CommandCurve | None = None
-) -> Array:
-    """Return the time derivative of `hold_command`, shape (N, n)."""
-    return _lead_goal(recording, delay, 1, curve)
+    servo = recording.servo
+    goal = _sample_goal(recording, delay, derivative, curve)
+    if servo is None or not np.any(servo.leads):
+        return goal
+    # A step of the command is a pulse of `TICK` in the rate, whose torque the limit cuts, so larger
+    # steps count no more than one that reaches the limit. A limited goal has no steps.
+    if not servo.limits_goal:
+        recording, curve = replace(recording, command=_with_small_steps(recording, servo)), None
+    return goal + servo.leads * _sample_goal(recording, delay, derivative + 1, curve)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommandCurve:
     """Hold the command of a recording as a curve, for any delay.
 
-    `rows` (N,) are the samples that count, `t` their times and `spline` the curve through them,
-    None if they are too few.
+    `rows` (N,) are the samples that count, `t` their times and `spline` the curve through them.
     """
 
     rows: Mask
     t: Array
-    spline: CubicSpline | None
+    spline: CubicSpline
 
     @classmethod
-    def of(cls, recording: Recording) -> CommandCurve:
-        """Return the curve of the command of a recording."""
+    def of(cls, recording: Recording) -> CommandCurve | None:
+        """Return the curve of the command of a recording; None if it has too few samples."""
         rows = _select_samples(recording)
         t, x = recording.t[rows], _require_command(recording)[rows]
-        if t.size < FEWEST:
-            return cls(rows, t, None)
-        padded = np.concatenate([x[:1], x, x[-1:]])
-        return cls(
-            rows, t, _fit_spline(t, DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x)
+        return (
+            cls(rows, t, _fit_spline(t, _weigh_neighbours(x, DROOP))) if t.size >= FEWEST else None
         )
 
     def held(self, delay: float, derivative: int) -> Array:
         """Return what is held for a period, or its derivative, shape (N, n)."""
-        t, spline = self.t, self.spline
-        if spline is None:
-            raise ValueError(f"a command of {t.size} samples has no curve")
+        t = self.t
         at = t - 0.5 * float(np.median(np.diff(t))) - delay
-        values = np.asarray(spline(np.clip(at, t[0], t[-1]), derivative))
+        values = np.asarray(self.spline(np.clip(at, t[0], t[-1]), derivative))
         if derivative:
             values[(at < t[0]) | (at > t[-1])] = 0.0
         return values
-
-
-def _lead_goal(
-    recording: Recording, delay: float, derivative: int, curve: CommandCurve | None
-) -> Array:
-    """Return a derivative of the goal and of its rate times the lead, shape (N, n).
-
-    A step of the command is a pulse of `TICK` in the rate, whose torque the limit cuts, so larger
-    steps count no more than one that reaches the limit. A limited goal has no steps.
-    """
-    servo = recording.servo
-    if servo is None or not np.any(servo.leads):
-        return _sample_goal(recording, delay, derivative, curve)
-    goal = _sample_goal(recording, delay, derivative, curve)
-    if not servo.limits_goal:
-        recording, curve = replace(recording, command=_with_small_steps(recording, servo)), None
-    return goal + servo.leads * _sample_goal(recording, delay, derivative + 1, curve)
 
 
 def _with_small_steps(recording: Recording, servo: PositionServo) -> Array:
@@ -130,7 +112,7 @@ def _sample_goal(
             out[rows] = _filter_goal(*goal, t, delay, derivative)
         return out
     curve = curve or CommandCurve.of(recording)
-    if curve.spline is not None:
+    if curve is not None:
         out[curve.rows] = curve.held(delay, derivative)
     return out
 
@@ -147,6 +129,12 @@ def _select_samples(recording: Recording) -> Mask:
     return find_advancing_rows(
         t, np.isfinite(t) & np.all(np.isfinite(_require_command(recording)), axis=1)
     )
+
+
+def _weigh_neighbours(x: Array, weight: float) -> Array:
+    """Return x (N, n) after the filter `[w, 1 - 2 w, w]`; the ends are repeated."""
+    padded = np.concatenate([x[:1], x, x[-1:]])
+    return np.asarray(weight * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * weight) * x)
 
 
 def _fit_spline(t: Array, x: Array) -> CubicSpline:
@@ -172,9 +160,7 @@ def _filter_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: i
         np.stack([np.interp(at + half, edges, x) for x in sums.T], axis=1)
         for half in (0.5 * period, -0.5 * period)
     )
-    values = (after - before) / period
-    padded = np.concatenate([values[:1], values, values[-1:]])
-    values = (1.0 + 2.0 * DROOP) * values - DROOP * (padded[:-2] + padded[2:])
+    values = _weigh_neighbours((after - before) / period, -DROOP)
     if derivative:
         values = np.asarray(_fit_spline(t, values)(t, derivative))
         values[(late < t[0]) | (late > t[-1])] = 0.0
@@ -218,3 +204,53 @@ def differentiate_logged_positions(recording: Recording) -> Array:
         found = np.asarray(np.gradient(recording.q, recording.t, axis=0))
         found[1:-1] -= np.where(np.asarray(damping) > 0.0, np.diff(found, 2, axis=0) / 6.0, 0.0)
     return found
+
+
+def find_saturated(recording: Recording) -> Mask:
+    """Return where a joint's servo is at its torque limit, shape (N, n)."""
+    if recording.servo is None:
+        return np.zeros(recording.q.shape, dtype=np.bool_)
+    limit = np.asarray(recording.servo.torque_limit)
+    # Share of the torque limit from which the servo counts as saturated.
+    slack = np.where(np.isfinite(limit), (1.0 - 0.999) * limit, 0.0)
+    low, high = recording.servo.bounds(differentiate_logged_positions(recording))
+    return np.asarray((recording.tau >= high - slack) | (recording.tau <= low + slack))
+
+
+def drop_saturated(samples: Samples, recording: Recording) -> Samples:
+    """Return the samples at which no servo is at its torque limit."""
+    limited = np.any(find_saturated(recording), axis=1)
+    if not np.any(limited):
+        return samples
+    half = 0.5 / samples.rate + 0.5 / recording.rate
+    at = np.sort(recording.t[limited])
+    near = np.searchsorted(at, samples.t - half)
+    distance = at[np.minimum(near, at.size - 1)] - samples.t
+    return samples.select(~(np.abs(distance) <= half))
+
+
+def estimate_direction_speeds(recording: Recording, cutoff: float) -> tuple[float, ...]:
+    """Return the speed of each joint below which its direction is unknown [rad/s or m/s].
+
+    An encoder with steps s has errors up to s / 2; low-passed at f they are velocities up to
+    `pi f s`. A position servo that stands still there holds any torque up to dry friction.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 2.0, 0.01)
+    >>> q = np.round(np.sin(t) / 0.001)[:, None] * 0.001
+    >>> round(estimate_direction_speeds(Recording(t=t, q=q, tau=q), cutoff=10.0)[0], 4)
+    0.0314
+    """
+    changes = np.abs(np.diff(recording.q, axis=0))
+    steps = []
+    for change in changes.T:
+        moved = change[np.isfinite(change) & (change > 1e-12 * np.nanmax(np.abs(recording.q)))]
+        # Percentile of the changes of position that is taken as one step of an encoder.
+        steps.append(float(np.percentile(moved, 1.0)) if moved.size else 0.0)
+    return tuple(np.pi * cutoff * step for step in steps)
+
+
+def drop_slow_rows(samples: Samples, recording: Recording, cutoff: float) -> Samples:
+    """Return samples whose rows count only where the direction of a joint is known."""
+    return replace(samples, slowest=estimate_direction_speeds(recording, cutoff))

@@ -23,8 +23,8 @@ from asbuilt.experiment.quality.motion_checks import (
 )
 from asbuilt.experiment.quality.passes import (
     FirstPass,
-    as_modelled,
     blank_incredible,
+    order_as_modelled,
     run_first_pass,
     run_second_pass,
 )
@@ -36,15 +36,14 @@ from asbuilt.experiment.quality.position_checks import (
     check_encoders,
     check_positions,
 )
-from asbuilt.experiment.quality.reductions import UniformSegments, smooth_motion
-from asbuilt.experiment.quality.torque.signal_checks import (
+from asbuilt.experiment.quality.signal_checks import (
     check_channels,
+    check_noise_floor,
     check_saturation,
     check_signs,
     check_spikes,
-    filter_findings,
 )
-from asbuilt.experiment.quality.torque.torque_checks import check_torques
+from asbuilt.experiment.quality.torque_checks import check_torques
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
 from asbuilt.tables import preformat, wrap_text
@@ -67,8 +66,6 @@ OF_MODEL_TORQUES = (
     *("rank_deficient", "weak_excitation"),
 )
 """Codes of findings about a robot that is held: on legs contacts push it, and excite it."""
-_HEADLINE = 160
-"""Characters of the first finding in the headline."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,7 +134,7 @@ class RecordingCheck:
         size = f"{self.duration:.4g} s of {self.n_joints} joints at {self.rate:.4g} Hz"
         if not (self.errors or self.warnings):
             return f"READY: {name} has no errors and no warnings in {size}."
-        first = (*self.errors, *self.warnings)[0].brief(_HEADLINE).rstrip(".")
+        first = (*self.errors, *self.warnings)[0].brief(160).rstrip(".")
         state = "NOT READY" if self.errors else "READY WITH CARE"
         return f"{state}: {first} ({self.verdict} in {name}, {size})."
 
@@ -160,8 +157,10 @@ class RecordingCheck:
         return "\n".join([*head, *([""] if found else []), *found])
 
     def __repr__(self) -> str:
-        found = ", ".join(self.codes) or "nothing"
-        return f"RecordingCheck({self.source!r} on {self.robot}: {self.verdict}; found {found})"
+        return (
+            f"RecordingCheck({self.source!r} on {self.robot}: {self.verdict}; found"
+            f" {', '.join(self.codes) or 'nothing'})"
+        )
 
     def __str__(self) -> str:
         return self.as_text()
@@ -231,23 +230,21 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     known = run_first_pass(model, chunks)
     findings = list(check_clock(known))
     noise = None
-    if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
-        beginning = as_modelled(model, blank_incredible(take_first_samples(recording, MEASURED)))
+    if not _has_clock_error(findings):
+        beginning = order_as_modelled(
+            model, blank_incredible(take_first_samples(recording, MEASURED))
+        )
         beginning = beginning.with_torque_of(known.first.has_torque)
-        of_commands = list(check_commands(model, beginning))
         of_loops = list(check_closure(model, beginning))
-        findings += of_loops
+        of_commands = list(check_commands(model, beginning))
+        findings += [*of_loops, *of_commands]
         follows = not any(f.severity == "error" for f in of_loops)
-        of_torques = (
-            [
+        if follows:
+            of_torques = [
                 *_check_in_time(model, chunks, known),
                 *check_signs(model, known.torque_range, beginning),
             ]
-            if follows
-            else []
-        )
-        findings += of_commands
-        findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
+            findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
@@ -273,13 +270,12 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
     Checks that compare torques with the model's are left out, since contacts push the robot.
     """
     held = check_recording(model.standing, drop_base_joints(model, recording))
-    clock = any(f.severity == "error" and f.code.startswith("clock_") for f in held.findings)
     kept = (
         replace(f, cure=f.cure and undesigned(f.cure))
         for f in held.findings
         if f.code not in OF_MODEL_TORQUES
     )
-    further = () if clock else check_free_base(model, recording)
+    further = () if _has_clock_error(held.findings) else check_free_base(model, recording)
     return replace(
         held,
         n_joints=model.n_joints,
@@ -287,6 +283,10 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
         position_step=(),
         position_noise=(),
     )
+
+
+def _has_clock_error(findings: Iterable[Finding]) -> bool:
+    return any(f.severity == "error" and f.code.startswith("clock_") for f in findings)
 
 
 def _report_note(note: str) -> Finding:
@@ -305,18 +305,16 @@ def _check_in_time(
     model: RobotModel, chunks: Iterable[Recording], known: FirstPass
 ) -> Iterator[Finding]:
     """Find problems of motion, torque and excitation, which need a correct clock."""
-    segments = UniformSegments.of(known.t, known.valid)
-    closer = run_second_pass(model, chunks, known, () if segments is None else segments.rows)
-    motion = None if segments is None else smooth_motion(segments, closer.segments)
+    closer = run_second_pass(model, chunks, known)
+    motion = closer.motion
     excess = find_impossible_motion(model, known, motion)
-    revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from check_recorded_motion(model, known, motion, excess)
     yield from check_channels(model, known)
     yield from check_saturation(model, known, closer)
     yield from check_spikes(model, known)
-    yield from filter_findings(closer.torques, known.rate)
+    yield from check_noise_floor(closer.torques, known.rate)
     if motion is not None and (excess is None or excess.unit == "deg"):
-        scale = np.where(revolute & (excess is not None), DEGREE, 1.0)
-        yield from check_torques(model, known, motion, scale)
+        scale = [DEGREE if excess and joint.is_revolute else 1.0 for joint in model.joints]
+        yield from check_torques(model, known, motion, np.array(scale))
     if excess is None:
         yield from check_excitation(model, known, motion)

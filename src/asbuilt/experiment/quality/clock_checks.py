@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,26 +10,6 @@ from asbuilt.experiment.quality.passes import FirstPass, Missing
 from asbuilt.experiment.quality.reductions import GAP_STEPS
 from asbuilt.findings import Cure, Finding, join_names
 
-
-@dataclass(frozen=True, slots=True)
-class ClockThresholds:
-    """Thresholds of the clock checks; controllers on the market have such rates."""
-
-    irregular: float = 0.05
-    """Standard deviation of the steps, in steps, from which a clock is uneven."""
-    rest: int = 20
-    """Repeats of a sample from which the robot is at rest and the log is not to blame."""
-    stale: float = 0.2
-    """Share of repeated samples from which they are reported."""
-    slowest: float = 5.0
-    """Lowest logging rate of a controller [Hz]."""
-    fastest: float = 1e5
-    """Highest logging rate of a controller [Hz]."""
-    repeated: float = 0.01
-    """Share of repeated time stamps from which they are an error."""
-
-
-THRESHOLDS = ClockThresholds()
 _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -55,7 +34,7 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
         k = int(repeated[0])
         yield Finding(
             "clock_repeated",
-            "error" if repeated.size > THRESHOLDS.repeated * t.size else "warning",
+            "error" if repeated.size > 0.01 * t.size else "warning",
             f"{repeated.size} of {t.size} samples have the time stamp of the sample before, first"
             f" {t[k]:.6g} s at sample {k + 2}",
             Cure("remove the duplicates, or log time with more digits"),
@@ -78,7 +57,8 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
             time=float(t[gaps[0]]),
         )
     usual = forward[forward <= GAP_STEPS * step]
-    if float(np.std(usual / step)) > THRESHOLDS.irregular:
+    # Standard deviation of the steps, in steps, from which a clock is uneven.
+    if float(np.std(usual / step)) > 0.05:
         low, high = np.percentile(usual, [0.5, 99.5])
         yield Finding(
             "clock_irregular",
@@ -132,7 +112,8 @@ def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
 def _find_wrong_unit(step: float) -> Iterator[Finding]:
     """Find a clock with a rate that no controller has."""
     rate = 1.0 / step
-    if rate > THRESHOLDS.fastest:
+    # Controllers on the market log at 5 Hz to 100 kHz.
+    if rate > 1e5:
         yield Finding(
             "clock_unit",
             "error",
@@ -149,7 +130,7 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
             Cure("write true times, or a column of them, and their unit in a recording sheet"),
         )
     unit = next((u for u, factor in _CLOCK_UNITS.items() if 20.0 <= rate / factor <= 20e3), None)
-    if rate < THRESHOLDS.slowest and unit is not None:
+    if rate < 5.0 and unit is not None:
         yield Finding(
             "clock_unit",
             "error",
@@ -164,13 +145,13 @@ def _find_stale(recording: FirstPass) -> Iterator[Finding]:
     if changed.size < 3:
         return
     lengths = np.diff(np.append(changed, recording.n_samples))
-    brief = lengths[lengths <= THRESHOLDS.rest]
+    # A sample repeated more often is a robot at rest, for which the log is not to blame.
+    brief = lengths[lengths <= 20]
     if not brief.size or brief.sum() < 20:
         return
-    repeats = 1.0 - brief.size / brief.sum()
-    if repeats > THRESHOLDS.stale:
-        times = brief.sum() / brief.size
-        rate = recording.rate / times
+    times = brief.sum() / brief.size
+    repeats, rate = 1.0 - brief.size / brief.sum(), recording.rate / times
+    if repeats > 0.2:
         yield Finding(
             "stale_samples",
             "warning",

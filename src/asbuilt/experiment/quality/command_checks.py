@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.quality.reductions import normalise_columns
 from asbuilt.experiment.recording import Recording, find_advancing_rows
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -24,52 +25,12 @@ UNITS: Mapping[str, float] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class CommandThresholds:
-    """Hold when positions do not follow their commands: own choices.
-
-    Parameters
-    ----------
-    angle, length
-        Range of positions [rad, m] from which a joint is tested.
-    held
-        Range of positions [rad], times `angle`, beyond which a constant command is none:
-        a soft servo gives way by less.
-    constant
-        Range of a command, as a share of the range of the positions, up to which it is constant.
-    followed, lost
-        Correlations from which a position follows a command, and up to which it does not.
-    ahead, shifted
-        Shares of what a usual lag leaves unexplained that one before the command, or a longer one,
-        must leave at most: friction delays slow motion, too, but leaves a tenth.
-    factor
-        Times that a command varies more, or less, than the position, beyond what a servo explains.
-    near
-        Relative difference from a known unit.
-    longest
-        Longest lag [s] of a servo; slow ones, with a limited goal, take longer.
-    searched
-        Longest lag [s] that is searched, either way.
-    rate
-        Rate [Hz] at which signals are compared.
-    """
-
-    angle: float = 0.05
-    length: float = 0.005
-    held: float = 10.0
-    constant: float = 0.01
-    followed: float = 0.9
-    lost: float = 0.6
-    ahead: float = 0.5
-    shifted: float = 0.02
-    factor: float = 4.0
-    near: float = 0.2
-    longest: float = 0.3
-    searched: float = 1.0
-    rate: float = 50.0
-
-
-THRESHOLDS = CommandThresholds()
+FOLLOWED, LOST = 0.9, 0.6
+"""Correlations from which a position follows a command, and up to which it does not."""
+LONGEST, SEARCHED = 0.3, 1.0
+"""Longest lag [s] of a servo, and the longest that is searched, either way; slow servos, with a
+limited goal, take longer than the first."""
+EVERY_LAG = -SEARCHED, SEARCHED
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,12 +75,14 @@ def check_commands(model: RobotModel, recording: Recording) -> Iterator[Finding]
             Cure("log what was sent to the servos"),
         )
         return
-    found = [*_find_constant(motion)]
     swapped = _find_swapped(motion)
-    if swapped:
-        found.append(_report_swapped(motion, swapped))
     rest = [j for j in motion.moving if j not in swapped]
-    found += [*_find_wrong_units(motion, rest), *_find_flipped(motion, rest)]
+    found = [
+        *_find_constant(motion),
+        *_report_swapped(motion, swapped),
+        *_find_wrong_units(motion, rest),
+        *_find_flipped(motion, rest),
+    ]
     found = found or [*_find_wrong_clock(motion)] or [*_find_lost(motion)]
     yield from found or _find_offset(model, recording.servo, motion)
 
@@ -132,40 +95,30 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     t, q, u = t[rows], q[rows], u[rows]
     if t.size < 4:
         return None
-    step = max(1 / THRESHOLDS.rate, float(np.median(np.diff(t))))
+    # Signals are compared at 50 Hz, or at the rate of the log.
+    step = max(1 / 50.0, float(np.median(np.diff(t))))
     at = np.arange(t[0], t[-1], step)
     last = np.searchsorted(t, at, side="right") - 1
     # Steps without a sample beyond which the log has a gap, which is left out.
     logged = at - t[last] <= 5.0 * step
     at, last = at[logged], last[logged]
-    if at.size * step < 4 * THRESHOLDS.searched:
+    if at.size * step < 4 * SEARCHED:
         return None
-    q, u = (
-        np.column_stack([np.interp(at, t, q[:, k]) for k in range(q.shape[1])]),
-        u[last],
-    )
-    smallest = np.array(
-        [THRESHOLDS.angle if joint.is_revolute else THRESHOLDS.length for joint in model.joints]
-    )
+    q, u = np.column_stack([np.interp(at, t, x) for x in q.T]), u[last]
+    # Range of positions [rad, m] from which a joint is tested.
+    smallest = np.array([0.05 if joint.is_revolute else 0.005 for joint in model.joints])
     extent = np.ptp(q, axis=0)
-    constant = np.ptp(u, axis=0) <= THRESHOLDS.constant * extent
+    constant = np.ptp(u, axis=0) <= 0.01 * extent
     moving = np.flatnonzero((extent > smallest) & ~constant).tolist()
-    held = np.flatnonzero(constant & (extent > THRESHOLDS.held * smallest)).tolist()
-    reach = int(THRESHOLDS.searched / step)
+    # A soft servo gives way by less than ten times that range.
+    held = np.flatnonzero(constant & (extent > 10.0 * smallest)).tolist()
+    reach = int(SEARCHED / step)
     lags = np.arange(-reach, reach + 1)
-    positions = _normalise(q[reach : q.shape[0] - reach])
+    positions = normalise_columns(q[reach : len(q) - reach])
     r = np.array(
-        [positions.T @ _normalise(u[reach - lag : q.shape[0] - reach - lag]) for lag in lags]
+        [positions.T @ normalise_columns(u[reach - lag : len(q) - reach - lag]) for lag in lags]
     )
-    names = recording.joint_names
-    return _Motion(names, step, q, u, np.asarray(lags * step, dtype=np.float64), r, moving, held)
-
-
-def _normalise(x: Array) -> Array:
-    """Return columns without their means, of unit length; zero where they are constant."""
-    x = x - x.mean(axis=0)
-    length = np.linalg.norm(x, axis=0)
-    return np.asarray(x / np.where(length > 0.0, length, np.inf))
+    return _Motion(recording.joint_names, step, q, u, np.asarray(lags * step), r, moving, held)
 
 
 def _is_position(recording: Recording, moving: list[int]) -> bool:
@@ -185,26 +138,25 @@ def _is_position(recording: Recording, moving: list[int]) -> bool:
 
 def _find_constant(motion: _Motion) -> Iterator[Finding]:
     names = [motion.names[j] for j in motion.constant]
-    if not names:
-        return
     plural = len(names) > 1
-    yield Finding(
-        "command_constant",
-        "error",
-        f"the command{'s' * plural} of {join_names(names)} {'are' if plural else 'is'} constant,"
-        " though"
-        f" the joint{'s move' if plural else ' moves'} by up to"
-        f" {np.ptp(motion.q[:, motion.constant], axis=0).max():.3g}",
-        Cure("check which columns are commands, or lock what was moved by hand"),
-        joint=None if plural else names[0],
-    )
+    if names:
+        yield Finding(
+            "command_constant",
+            "error",
+            f"the command{'s' * plural} of {join_names(names)} {'are' if plural else 'is'}"
+            f" constant, though the joint{'s move' if plural else ' moves'} by up to"
+            f" {np.ptp(motion.q[:, motion.constant], axis=0).max():.3g}",
+            Cure("check which columns are commands, or lock what was moved by hand"),
+            joint=None if plural else names[0],
+        )
 
 
 def _find_wrong_units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands that vary many times as much, or as little, as positions that follow them."""
-    tested = [j for j in tested if abs(motion.r[:, j, j]).max() > THRESHOLDS.followed]
+    tested = [j for j in tested if abs(motion.r[:, j, j]).max() > FOLLOWED]
     ratios = np.ptp(motion.u, axis=0) / np.maximum(np.ptp(motion.q, axis=0), 1e-12)
-    wrong = [j for j in tested if not 1 / THRESHOLDS.factor < ratios[j] < THRESHOLDS.factor]
+    # Times that a command varies more, or less, than the position, beyond what a servo explains.
+    wrong = [j for j in tested if not 1 / 4.0 < ratios[j] < 4.0]
     if not wrong:
         return
     ratio = float(np.median(ratios[wrong]))
@@ -212,7 +164,7 @@ def _find_wrong_units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
         (unit, of)
         for unit, per_radian in UNITS.items()
         for of, expected in (("command", per_radian), ("position", 1 / per_radian))
-        if abs(math.log(ratio / expected)) < THRESHOLDS.near
+        if abs(math.log(ratio / expected)) < 0.2
     ]
     unit, quantity = near[0] if near else ("", "command")
     looks = f", as if {quantity}s were in {unit}" if near else ""
@@ -237,38 +189,39 @@ def _find_swapped(motion: _Motion) -> dict[int, int]:
     """
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
 
-    within, moving = (-THRESHOLDS.searched, THRESHOLDS.searched), motion.moving
+    moving = motion.moving
     if len(moving) < 2:
         return {}
-    best = np.array([[motion.best(i, j, within)[0] for j in moving] for i in moving])
+    best = np.array([[motion.best(i, j, EVERY_LAG)[0] for j in moving] for i in moving])
     pairs = {
         moving[i]: moving[j]
         for i, j in zip(*linear_sum_assignment(-best), strict=True)
-        if best[i, j] > THRESHOLDS.followed and best[i, i] < THRESHOLDS.lost
+        if best[i, j] > FOLLOWED and best[i, i] < LOST
     }
     return pairs if set(pairs) == set(pairs.values()) else {}
 
 
-def _report_swapped(motion: _Motion, pairs: Mapping[int, int]) -> Finding:
+def _report_swapped(motion: _Motion, pairs: Mapping[int, int]) -> Iterator[Finding]:
     names = motion.names
-    listed = join_names([f"{names[i]} the command of {names[j]}" for i, j in pairs.items()])
-    return Finding(
-        "command_swapped",
-        "error",
-        f"positions follow commands of other joints: {listed}",
-        Cure(
-            "list the columns in the order of the joints in a recording sheet: [columns] command ="
-            " [...], or command_joints for a bag"
-        ),
-    )
+    if pairs:
+        listed = join_names([f"{names[i]} the command of {names[j]}" for i, j in pairs.items()])
+        yield Finding(
+            "command_swapped",
+            "error",
+            f"positions follow commands of other joints: {listed}",
+            Cure(
+                "list the columns in the order of the joints in a recording sheet: [columns]"
+                " command = [...], or command_joints for a bag"
+            ),
+        )
 
 
 def _find_flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands whose positions go the other way."""
-    inside = (motion.lags >= 0.0) & (motion.lags <= THRESHOLDS.longest)
+    inside = (motion.lags >= 0.0) & (motion.lags <= LONGEST)
     for j in tested:
         own = motion.r[inside, j, j]
-        if own.max() < THRESHOLDS.lost and own.min() < -THRESHOLDS.followed:
+        if own.max() < LOST and own.min() < -FOLLOWED:
             name = motion.names[j]
             yield Finding(
                 "command_flipped",
@@ -298,14 +251,14 @@ def _find_offset(model: RobotModel, servo: PositionServo, motion: _Motion) -> It
 
 def _find_wrong_clock(motion: _Motion) -> Iterator[Finding]:
     """Find commands that come after the motion, or long before it, at most joints."""
-    within, longest = (-THRESHOLDS.searched, THRESHOLDS.searched), THRESHOLDS.longest
     lags = []
     for j in motion.moving:
-        r, lag = motion.best(j, j, within)
-        usual, _ = motion.best(j, j, (-2 * motion.step, longest))
-        share = THRESHOLDS.ahead if lag < 0.0 else THRESHOLDS.shifted
-        shifted = 1.0 - r < share * (1.0 - usual) or usual < THRESHOLDS.lost
-        if r > THRESHOLDS.followed and shifted:
+        r, lag = motion.best(j, j, EVERY_LAG)
+        usual, _ = motion.best(j, j, (-2 * motion.step, LONGEST))
+        # Share of what a usual lag leaves unexplained that this one must leave at most: friction
+        # delays slow motion, too, but leaves a tenth.
+        share = 0.5 if lag < 0.0 else 0.02
+        if r > FOLLOWED and (1.0 - r < share * (1.0 - usual) or usual < LOST):
             lags.append(lag)
     if 2 * len(lags) <= len(motion.moving):
         return
@@ -315,7 +268,7 @@ def _find_wrong_clock(motion: _Motion) -> Iterator[Finding]:
     else:
         problem = (
             f"positions follow their commands {lag:.3g} s later; servos take less than"
-            f" {longest:g} s"
+            f" {LONGEST:g} s"
         )
     yield Finding(
         "command_clock",
@@ -328,8 +281,8 @@ def _find_wrong_clock(motion: _Motion) -> Iterator[Finding]:
 def _find_lost(motion: _Motion) -> Iterator[Finding]:
     """Find joints that do not go where they are commanded."""
     for j in motion.moving:
-        r, _ = motion.best(j, j, (-2 * motion.step, THRESHOLDS.searched))
-        if r < THRESHOLDS.lost:
+        r, _ = motion.best(j, j, (-2 * motion.step, SEARCHED))
+        if r < LOST:
             name = motion.names[j]
             yield Finding(
                 "command_not_followed",

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.arrays import Mask
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -16,36 +15,14 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.reductions import IN_STEP, SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
-
-@dataclass(frozen=True, slots=True)
-class DegreeThresholds:
-    """Decide whether positions are degrees: as radians they are far outside limits, as degrees not.
-
-    `position` and `some` are multiples of the position limits that one joint and a third of the
-    joints exceed, `speed` and `median_speed` multiples of the velocity limits.
-    """
-
-    position: float = 2.0
-    some: float = 1.2
-    as_degrees: float = 1.1
-    speed: float = 3.0
-    median_speed: float = 1.5
-    speed_as_degrees: float = 1.5
-    too_fast: float = 1.2
-    """Multiple of its limit of velocity at the median joint from which the rate is doubted."""
-    assumed_speed: float = 10.0
-    """Velocity limit of a joint without one [rad/s]."""
-
-
-DEGREES = DegreeThresholds()
+FAR, KEPT = 2.0, 1.1
+"""Multiples of its limit from which a position is far outside, and up to which it is inside."""
 USUAL_PEAK = 99.5
 """Percentile of the speeds that counts as the largest: single samples may be noise."""
-_STILL_ANGLE, _STILL_LENGTH = 0.05, 0.005
-"""Position range below which a joint hardly moves [rad], and a prismatic one [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +89,13 @@ def find_impossible_motion(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
 ) -> Excess | None:
     """Return why the motion in radians is impossible, None if it is not."""
-    revolute = np.array([joint.is_revolute for joint in model.joints])
-    if not revolute.any():
+    turning = [k for k, joint in enumerate(model.joints) if joint.is_revolute]
+    if not turning:
         return None
-    evidence, largest = _find_far_position(model, recording, revolute)
+    evidence, largest = _find_far_position(model, recording, turning)
     rate = None
     if not evidence and motion is not None:
-        evidence, ratio = _find_fast_joint(model, motion, revolute)
+        evidence, ratio = _find_fast_joint(model, motion, turning)
         rate = recording.rate / ratio
     if not evidence:
         return None
@@ -129,54 +106,44 @@ def find_impossible_motion(
 
 
 def _find_far_position(
-    model: RobotModel, recording: FirstPass, revolute: Mask
+    model: RobotModel, recording: FirstPass, turning: list[int]
 ) -> tuple[str, float]:
     """Return which position is far outside its limits, empty if none is, and the largest one."""
-    extremes = recording.position_range
+    extremes, joints = recording.position_range, [model.joints[k] for k in turning]
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
-    largest = np.where(extremes.count > 0, largest, np.nan)[revolute]
-    limits = [joint.limits for joint in model.joints if joint.is_revolute]
-    bounds = np.array([max(abs(limit.lower), abs(limit.upper)) for limit in limits])
+    largest = np.where(extremes.count > 0, largest, np.nan)[turning]
+    bounds = np.array([max(abs(each.limits.lower), abs(each.limits.upper)) for each in joints])
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
     over = largest / bounds
+    # One joint is far outside as radians, a third of them are outside, and as degrees none is.
     if not (
-        np.max(over) > DEGREES.position
-        and np.sum(over > DEGREES.some) >= max(1, revolute.sum() // 3)
-        and np.all(over * DEGREE < DEGREES.as_degrees)
+        np.max(over) > FAR
+        and np.sum(over > 1.2) >= max(1, len(joints) // 3)
+        and np.all(over * DEGREE < KEPT)
     ):
         return "", float(np.nanmax(largest, initial=0.0))
     k = int(np.argmax(over))
     return (
-        f"{_list_names(model, revolute)[k]} reaches {largest[k]:.4g}, {over[k]:.3g} times its"
-        " limit of"
+        f"{joints[k].name} reaches {largest[k]:.4g}, {over[k]:.3g} times its limit of"
         f" {bounds[k]:.4g} rad"
     ), float(np.max(largest))
 
 
 def _find_fast_joint(
-    model: RobotModel, motion: SmoothedMotion, revolute: Mask
+    model: RobotModel, motion: SmoothedMotion, turning: list[int]
 ) -> tuple[str, float]:
     """Return which joint is far too fast, empty if none is, and how many times its limit."""
-    speed = np.percentile(np.abs(motion.qd[:, revolute]), USUAL_PEAK, axis=0)
-    limits = [joint.limits for joint in model.joints if joint.is_revolute]
-    fastest = np.array([limit.velocity for limit in limits])
-    ratio = speed / np.where(np.isfinite(fastest) & (fastest > 0), fastest, DEGREES.assumed_speed)
+    speed = np.percentile(np.abs(motion.qd[:, turning]), USUAL_PEAK, axis=0)
+    fastest = np.array([model.joints[k].limits.velocity for k in turning])
+    # A joint without a limit of velocity is taken to turn at 10 rad/s.
+    ratio = speed / np.where(np.isfinite(fastest) & (fastest > 0), fastest, 10.0)
     k = int(np.argmax(ratio))
-    if not (
-        ratio[k] > DEGREES.speed
-        and np.median(ratio) > DEGREES.median_speed
-        and np.all(ratio * DEGREE < DEGREES.speed_as_degrees)
-    ):
+    if not (ratio[k] > 3.0 and np.median(ratio) > 1.5 and np.all(ratio * DEGREE < 1.5)):
         return "", 1.0
     return (
-        f"{_list_names(model, revolute)[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g}"
-        " times its"
-        f" limit of {speed[k] / ratio[k]:.4g} rad/s"
+        f"{model.joint_names[turning[k]]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times"
+        f" its limit of {speed[k] / ratio[k]:.4g} rad/s"
     ), float(ratio[k])
-
-
-def _list_names(model: RobotModel, chosen: Mask) -> list[str]:
-    return [name for name, each in zip(model.joint_names, chosen, strict=True) if each]
 
 
 def check_recorded_motion(
@@ -204,11 +171,10 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
     for k, joint in enumerate(model.joints):
         bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
         bound = bound if np.isfinite(bound) else stretched_length(model)
-        low, high = recording.position_range.low[k], recording.position_range.high[k]
-        furthest = float(max(abs(low), abs(high)))
-        # A millimetre in metres.
-        within = furthest * 1e-3 < DEGREES.as_degrees * bound
-        if joint.is_revolute or not (furthest > DEGREES.position * bound and within):
+        extremes = recording.position_range
+        furthest = float(max(abs(extremes.low[k]), abs(extremes.high[k])))
+        # 1e-3: a millimetre in metres.
+        if joint.is_revolute or not FAR < furthest / bound < 1e3 * KEPT:
             continue
         yield Finding(
             "millimetres",
@@ -223,20 +189,18 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
 
 def _check_limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     outside = recording.outside_limits
-    for k, joint in enumerate(model.joints):
-        count, value, worst = int(outside.count[k]), float(outside.value[k]), int(outside.row[k])
-        if not count:
-            continue
+    for k in np.flatnonzero(outside.count).tolist():
+        joint, value, time = model.joints[k], outside.value[k], float(recording.t[outside.row[k]])
         unit = "rad" if joint.is_revolute else "m"
         yield Finding(
             "position_limit",
             "warning",
             f"{joint.name} is outside its limits [{joint.limits.lower:.4g},"
-            f" {joint.limits.upper:.4g}] {unit} in {count} of {recording.n_samples} samples,"
-            f" furthest {value:.4g} {unit} at {recording.t[worst]:.4g} s",
+            f" {joint.limits.upper:.4g}] {unit} in {outside.count[k]} of {recording.n_samples}"
+            f" samples, furthest {value:.4g} {unit} at {time:.4g} s",
             Cure("compare units and zero position of the joint in the log with the model"),
             joint=joint.name,
-            time=float(recording.t[worst]),
+            time=time,
         )
 
 
@@ -247,7 +211,8 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     if not known.size:
         return
     ratio = np.percentile(np.abs(motion.qd[:, known]), USUAL_PEAK, axis=0) / limits[known]
-    if np.median(ratio) <= DEGREES.too_fast:
+    # Multiple of its limit at the median joint from which the rate is doubted.
+    if np.median(ratio) <= 1.2:
         return
     k = int(np.argmax(ratio))
     yield Finding(
@@ -264,11 +229,12 @@ def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterat
     still: list[tuple[str, float, str]] = []
     extremes = recording.position_range
     for k, joint in enumerate(model.joints):
-        factor = scale if joint.is_revolute else 1.0
+        # Position range below which a joint hardly moves [rad or m].
+        factor, least, unit = (scale, 0.05, "rad") if joint.is_revolute else (1.0, 0.005, "m")
         span = float(extremes.high[k] * factor - extremes.low[k] * factor)
         span = span if extremes.count[k] else 0.0
-        if span < (_STILL_ANGLE if joint.is_revolute else _STILL_LENGTH):
-            still.append((joint.name, span, "rad" if joint.is_revolute else "m"))
+        if span < least:
+            still.append((joint.name, span, unit))
     if len(still) == model.n_joints:
         name, span, unit = max(still, key=lambda joint: joint[1])
         yield Finding(
@@ -295,10 +261,9 @@ def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterat
 
 def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
     moving = recording.moments.moving
-    if len(moving) < 3:
-        return
     correlation = np.abs(recording.moments.correlations(moving))
-    group = max((np.flatnonzero(row > IN_STEP) for row in correlation), key=len)
+    # Correlation of positions from which joints move in step.
+    group = max((np.flatnonzero(row > 0.995) for row in correlation), key=len, default=())
     if len(group) < 3:
         return
     names = [recording.first.joint_names[moving[k]] for k in group]
@@ -308,14 +273,11 @@ def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
         "joints_correlated",
         "warning" if everyone else "info",
         f"{'all' if everyone else len(group)} joints move in step: {join_names(names)}"
-        " (correlation of"
-        f" positions at least {least:.4f}), so their inertias are hard to separate",
+        f" (correlation of positions at least {least:.4f}), so their inertias are hard to separate",
         Cure("record a motion in which every joint moves independently", call="design_motion"),
     )
 
 
-_WEAK_CONDITION = 100.0
-"""Scaled condition number from which a motion excites poorly; designed motions have 10 to 50."""
 _RANK_TOLERANCE = 1e-7
 """Singular value or column norm, relative to the largest, below which it counts as zero."""
 
@@ -352,8 +314,8 @@ def check_excitation(
     states = (motion.q[rows], motion.qd[rows], motion.qdd[rows])
     observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
     lengths = np.linalg.norm(observed, axis=0)
-    zero = lengths <= _RANK_TOLERANCE * np.max(lengths)
-    triangle = np.linalg.qr(observed / np.where(zero, 1.0, lengths), mode="r")
+    lengths[lengths <= _RANK_TOLERANCE * np.max(lengths)] = 1.0
+    triangle = np.linalg.qr(observed / lengths, mode="r")
     _, values, directions = np.linalg.svd(triangle, full_matrices=False)
     rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
     worst = join_names([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
@@ -369,7 +331,7 @@ def check_excitation(
                 call="design_motion",
             ),
         )
-    elif values[0] / values[-1] > _WEAK_CONDITION:
+    elif values[0] / values[-1] > 100.0:  # designed motions have 10 to 50
         yield Finding(
             "weak_excitation",
             "warning",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,9 +10,22 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
-from asbuilt.experiment.recording import Recording, median_rate, time_span
-from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
+from asbuilt.experiment.quality.reductions import (
+    Exceedance,
+    Extremes,
+    PositionMoments,
+    SmoothedMotion,
+    choose_segments,
+    smooth_motion,
+)
+from asbuilt.experiment.recording import (
+    Recording,
+    find_changed_rows,
+    join_recordings,
+    median_rate,
+    time_span,
+)
+from asbuilt.experiment.signal.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
 CREDIBLE = {
@@ -107,21 +120,21 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     RecordingError
         If there is no chunk, or the joints are not the model's.
     """
-    n = model.n_joints
     lower, upper = position_limits(model)
     # Share of its limit from which a torque counts as saturated.
     full = 0.99 * np.array([joint.limits.torque for joint in model.joints])
-    positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
-    outside, saturated = Exceedance.none(n), Exceedance.none(n)
-    times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
+    positions, torques, moments = Extremes(), Extremes(), PositionMoments()
+    outside, saturated = Exceedance(), Exceedance()
+    times, flags, spikes = [], [], list[Spikes]()
+    missing: dict[tuple[int, int], Missing] = {}
     first = last = None
     begin = 0
     for logged in chunks:
-        chunk = as_modelled(model, logged)
+        chunk = order_as_modelled(model, logged)
         first = first or chunk
         chunk = chunk.with_torque_of(first.has_torque)
         not_repeated = _mark_not_repeated(chunk, last)
-        missing += _find_missing(chunk, begin)
+        _add_missing(missing, chunk, begin)
         last, chunk = chunk, blank_incredible(chunk)
         q, tau = chunk.q, chunk.tau
         valid_torque = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(tau))
@@ -132,8 +145,9 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         flags.append(np.stack([not_repeated, valid_torque, valid]))
         rows = np.arange(begin, begin + chunk.n_samples)
         if chunk.torque_source != "command":
-            found = find_spikes(tau, not_repeated)
-            spikes += [replace(each, rows=begin + each.rows) for each in found]
+            spikes += [
+                replace(each, rows=begin + each.rows) for each in find_spikes(tau, not_repeated)
+            ]
         excess = np.maximum(lower - q, q - upper)
         size = np.abs(tau[not_repeated])
         positions, moments = positions.with_more(q), moments.with_more(q)
@@ -152,7 +166,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         not_repeated=not_repeated,
         valid_torque=valid_torque,
         valid=valid,
-        missing=_merge(missing),
+        missing=tuple(missing[key] for key in sorted(missing)),
         position_range=positions,
         moments=moments,
         outside_limits=outside,
@@ -162,7 +176,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     )
 
 
-def as_modelled(model: RobotModel, recording: Recording) -> Recording:
+def order_as_modelled(model: RobotModel, recording: Recording) -> Recording:
     """Return the recording with its joints in the order of the model.
 
     Raises
@@ -211,7 +225,7 @@ def blank_incredible(recording: Recording) -> Recording:
 
 
 def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
-    """Yield what was logged; torques of a servo are computed from its command."""
+    """Yield what was logged by its name; torques of a servo are computed from its command."""
     yield "position", recording.q
     if recording.servo is not None and recording.command is not None:
         yield "command", recording.command
@@ -221,51 +235,39 @@ def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
         yield "velocity", recording.qd
     if recording.qdd is not None:
         yield "acceleration", recording.qdd
+    if recording.second_encoder is not None:
+        positions = recording.second_encoder[1]
+        # Joints may be without a second encoder.
+        yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
 
 
 def position_limits(model: RobotModel) -> tuple[Array, Array]:
     """Return the lower and upper limits of the positions [rad or m], each (n,)."""
     endless = [joint.kind == "continuous" for joint in model.joints]
-    lower = np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints])
-    return lower, np.where(endless, np.inf, [joint.limits.upper for joint in model.joints])
+    return (
+        np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints]),
+        np.where(endless, np.inf, [joint.limits.upper for joint in model.joints]),
+    )
 
 
 def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
-    changed = find_true_rows(np.diff(chunk.q, axis=0) != 0) | find_true_rows(
-        np.diff(chunk.tau, axis=0) != 0
+    if before is None:
+        return find_changed_rows(chunk.q, chunk.tau)
+    q, tau = (
+        np.concatenate([x[-1:], y]) for x, y in ((before.q, chunk.q), (before.tau, chunk.tau))
     )
-    first = before is None or bool(
-        np.any(chunk.q[0] != before.q[-1]) or np.any(chunk.tau[0] != before.tau[-1])
-    )
-    return np.concatenate([[first], changed])
+    return find_changed_rows(q, tau)[1:]
 
 
-def _find_missing(chunk: Recording, begin: int) -> Iterator[Missing]:
-    for what, values in _with_second_encoder(chunk):
+def _add_missing(missing: dict[tuple[int, int], Missing], chunk: Recording, begin: int) -> None:
+    """Add the rows of a chunk, which begins at row `begin`, by quantity and joint."""
+    for what, values in _list_quantities(chunk):
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
-            rows = np.flatnonzero(bad[:, k])
-            yield Missing(what, k, begin + rows, float(values[rows[0], k]))
-
-
-def _with_second_encoder(chunk: Recording) -> Iterator[tuple[str, Array]]:
-    """Yield what was logged, and a second encoder, which joints may be without."""
-    yield from _list_quantities(chunk)
-    if chunk.second_encoder is not None:
-        positions = chunk.second_encoder[1]
-        yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
-
-
-def _merge(missing: list[Missing]) -> tuple[Missing, ...]:
-    """Return one entry per column, quantity by quantity."""
-    found: dict[tuple[int, int], list[Missing]] = {}
-    for each in missing:
-        found.setdefault((list(CREDIBLE).index(each.quantity), each.joint), []).append(each)
-    return tuple(
-        replace(parts[0], rows=np.concatenate([part.rows for part in parts]))
-        for _, parts in sorted(found.items(), key=lambda item: item[0])
-    )
+            rows, key = np.flatnonzero(bad[:, k]), (list(CREDIBLE).index(what), k)
+            known = missing.get(key) or Missing(what, k, rows[:0], float(values[rows[0], k]))
+            missing[key] = replace(known, rows=np.append(known.rows, begin + rows))
 
 
 _NEAR = 0.05
@@ -289,10 +291,9 @@ class Plateau:
     def with_more(self, values: Array, begin: int) -> Plateau:
         """Include further torques (N,), the first of which has the index `begin`."""
         near = values[np.abs(values - self.extreme) < self.width]
-        places = begin + np.flatnonzero(values == self.extreme)
         return replace(
             self,
-            places=np.append(self.places, places),
+            places=np.append(self.places, begin + np.flatnonzero(values == self.extreme)),
             n_near=self.n_near + near.size,
             near=np.union1d(self.near, near) if near.size else self.near,
         )
@@ -300,29 +301,31 @@ class Plateau:
 
 @dataclass(frozen=True, eq=False)
 class SecondPass:
-    """Hold the samples of chosen segments, the torques for spectra, and the plateaus of each joint.
+    """Hold the motion in chosen segments, the torques for spectra, and the plateaus of each joint.
 
-    A joint whose torque hardly varies has no plateaus, others one at each extreme.
+    There is no motion where no segment is long enough. A joint whose torque hardly varies has no
+    plateaus, others one at each extreme.
     """
 
-    segments: tuple[Recording, ...]
+    motion: SmoothedMotion | None
     torques: tuple[Array, ...]
     plateaus: tuple[tuple[Plateau, ...], ...]
 
 
-def run_second_pass(
-    model: RobotModel, chunks: Iterable[Recording], known: FirstPass, rows: Sequence[Indices]
-) -> SecondPass:
-    """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
+def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: FirstPass) -> SecondPass:
+    """Read the chunks again for segments of consecutive rows and for torques at their extremes.
 
     The torques for spectra are all torques of one chunk, else the torques of the segments.
     """
+    rows, step, window = choose_segments(known.t, known.valid)
     plateaus = [_find_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]
     torques: list[Array] = []
     begin = place = 0
     for logged in chunks:
-        chunk = blank_incredible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
+        chunk = blank_incredible(
+            order_as_modelled(model, logged).with_torque_of(known.first.has_torque)
+        )
         stop = begin + chunk.n_samples
         changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [
@@ -332,13 +335,14 @@ def run_second_pass(
         for wanted, part in zip(rows, parts, strict=True):
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
-                part.append(_copy_rows(chunk, here - begin))
+                part.append(chunk.taken(here - begin))
         if known.n_chunks == 1:
             torques.append(chunk.tau[known.valid_torque])
         begin, place = stop, place + len(changed)
-    segments = tuple(_join(part) for part in parts)
+    segments = list(map(join_recordings, parts))
+    motion = smooth_motion(segments, step, window) if segments else None
     return SecondPass(
-        segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
+        motion, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
     )
 
 
@@ -348,23 +352,3 @@ def _find_plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
     if known.torque_range.count[joint] < 20 or high == low:
         return ()
     return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
-
-
-def _copy_rows(chunk: Recording, rows: Indices) -> Recording:
-    return Recording(
-        t=chunk.t[rows],
-        q=chunk.q[rows],
-        tau=chunk.tau[rows],
-        qd=None if chunk.qd is None else chunk.qd[rows],
-        joint_names=chunk.joint_names,
-        source=chunk.source,
-    )
-
-
-def _join(parts: Sequence[Recording]) -> Recording:
-    t, q, tau = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau")
-    )
-    logged = [part.qd for part in parts if part.qd is not None]
-    qd = np.concatenate(logged) if len(logged) == len(parts) else None
-    return replace(parts[0], t=t, q=q, tau=tau, qd=qd)

@@ -10,10 +10,10 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.band_choice import POSITION_BANDWIDTHS, Band, choose_band
-from asbuilt.experiment.signal.noise.position_step import find_position_steps
-from asbuilt.experiment.signal.resampling import resample_segments
+from asbuilt.experiment.recording import Recording, find_changed_rows
+from asbuilt.experiment.signal.band_choice import POSITION_BANDWIDTHS, Band, choose_band
+from asbuilt.experiment.signal.position_step import find_position_steps
+from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.findings import Cure, Finding, join_names
 
 MEASURED = 20_000
@@ -22,7 +22,6 @@ COARSE = 2.0 * np.pi / 2**16
 """Step [rad or m] beyond which positions are called coarse: 16 bits per turn."""
 LIMITED = 0.8
 """Share of the cutoff wanted below which noise of the positions limits the band."""
-CURE = Cure("log positions with the encoder's full resolution, or velocities, or move faster")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +47,19 @@ class PositionNoise:
     def of(cls, recording: Recording) -> PositionNoise | None:
         """Measure a recording; None if no segment can be used, or no position changes."""
         try:
-            segments, rate, _ = resample_segments(recording)
+            grid = plan_uniform_grid(recording)
         except RecordingError:
             return None
         finite = recording.q[np.all(np.isfinite(recording.q), axis=1)]
-        changed = np.any(np.diff(finite, axis=0) != 0.0, axis=1)
-        if rate < 1.0 or not changed.any():
+        changed = find_changed_rows(finite)
+        if grid.rate < 1.0 or not changed[1:].any():
             return None
-        band = choose_band(segments, rate, commanded=recording.torque_source == "command")
-        step = find_position_steps([finite[np.concatenate([[True], changed])]])
+        band = choose_band(
+            grid.uniform(), grid.rate, commanded=recording.torque_source == "command"
+        )
+        step = find_position_steps([finite[changed]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
-        return cls(step, np.maximum(density, step**2 / (6.0 * rate)), band)
+        return cls(step, np.maximum(density, step**2 / (6.0 * grid.rate)), band)
 
 
 def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[Finding]:
@@ -77,7 +78,7 @@ def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[
             f"Noise of the positions, not the motion, limits the low-pass to {band.cutoff:.2g} Hz,"
             f" most of all the noise of {model.joint_names[worst]}{by_steps}; faster parts of the"
             " motion determine nothing",
-            CURE,
+            Cure("log positions with the encoder's full resolution, or velocities, or move faster"),
         )
     for k, text in enumerate(steps):
         if text and noise.step[k] > COARSE:
@@ -97,29 +98,6 @@ def _describe_step(model: RobotModel, joint: int, step: float) -> str:
     return f"steps of {1e3 * step:.3g} mrad ({2.0 * np.pi / step:.0f} per turn)"
 
 
-@dataclass(frozen=True, slots=True)
-class CouplingThresholds:
-    """Hold when a logged follower is away from where its coupling puts it: own choices.
-
-    Parameters
-    ----------
-    angle, length
-        Root mean square [rad, m] that the play of a gripper explains.
-    share
-        Share of the follower's range in the log that it must exceed besides.
-    singular
-        Ratio of singular values of loops below which a posture is near a singular one.
-    """
-
-    angle: float = 0.02
-    length: float = 0.001
-    share: float = 0.05
-    singular: float = 0.02
-
-
-THRESHOLDS = CouplingThresholds()
-SAMPLED = 2000
-"""Samples of a log at which loops are looked at."""
 BLOCKS = 10
 """Time blocks from whose scatter the error of a lag follows."""
 
@@ -130,62 +108,71 @@ def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     if closure is None:
         return
     known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
-    rows = known[:: max(1, known.size // SAMPLED)]
+    # Loops are looked at in 2000 samples of a log.
+    rows = known[:: max(1, known.size // 2000)]
     at = closure.postures(recording.q[rows])
+    names = model.joint_names
     moving = [k for k in range(model.n_joints) if closure.moves_loops(k)]
+
+    def describe(k: int) -> tuple[str, float]:
+        """Return the posture of sample k as text, and its time."""
+        where = [f"{names[j]} at {recording.q[rows[k], j]:.4g}" for j in moving]
+        time = float(recording.t[rows[k]])
+        return f"at {time:.3f} s, with {join_names(where, len(where))}", time
+
     failed = np.flatnonzero(~at.closed)
     if failed.size:
-        k, first = moving[0], int(failed[0])
-        where = [f"{model.joint_names[j]} at {recording.q[rows[first], j]:.4g}" for j in moving]
+        where, time = describe(int(failed[0]))
         yield Finding(
             "loops_open",
             "error",
-            f"the encoders contradict the loops of the description: they do not close at"
-            f" {recording.t[rows[first]]:.3f} s, with {join_names(where, len(where))}"
+            f"the encoders contradict the loops of the description: they do not close {where}"
             f" ({100.0 * failed.size / rows.size:.3g} % of the samples)",
             Cure("correct zero positions, signs and units of the log, or the lengths of the links"),
-            joint=model.joint_names[k],
-            time=float(recording.t[rows[first]]),
+            joint=names[moving[0]],
+            time=time,
         )
     if not at.closed.any():
         return
     nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
-    near = at.distance[nearest] < THRESHOLDS.singular
-    where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
+    where, time = describe(nearest)
     text = (
-        f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
-        f" {join_names(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of"
-        " the"
-        " largest"
+        f"the loops are nearest to a singular posture {where}: smallest singular value"
+        f" {at.distance[nearest]:.2g} of the largest"
     )
-    joint, time = model.joint_names[moving[0]], float(recording.t[rows[nearest]])
-    if not near:
-        yield Finding("distance_to_singularity", "info", text, joint=joint, time=time)
+    # Ratio of singular values of loops from which a posture is far from a singular one.
+    if at.distance[nearest] >= 0.02:
+        yield Finding("distance_to_singularity", "info", text, joint=names[moving[0]], time=time)
         return
     yield Finding(
         "near_singular_posture",
         "warning",
         f"{text}; there small errors of positions make large ones of passive joints and torques",
         Cure("keep away from it, or cut these samples out"),
-        joint=joint,
+        joint=names[moving[0]],
         time=time,
     )
 
 
 def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
-    placed, shares = _place_joints(model, recording.q), model.link_shares
+    # Positions of the joints of all links; NaN at samples that have NaN.
+    known = np.isfinite(recording.q).all(axis=1)
+    placed = np.full((known.size, model.n_links), np.nan)
+    placed[known] = model.link_positions(recording.q[known])
     for k, joint in enumerate(model.followers, start=model.n_joints):
         master = " and ".join(
-            name for name, share in zip(model.joint_names, shares[k], strict=True) if share
+            name
+            for name, share in zip(model.joint_names, model.link_shares[k], strict=True)
+            if share
         )
         logged = recording.extra.get(f"q_{joint.name}")
         if logged is not None:
             q = np.asarray(logged).reshape(-1)
             away = float(np.sqrt(np.nanmean((q - placed[:, k]) ** 2)))
-            play = THRESHOLDS.angle if joint.is_revolute else THRESHOLDS.length
-            if away > max(play, THRESHOLDS.share * float(np.nanmax(q) - np.nanmin(q))):
-                unit = "rad" if joint.is_revolute else "m"
+            # Play of a gripper [rad or m], and the share of the follower's range that exceeds it.
+            play, unit = (0.02, "rad") if joint.is_revolute else (0.001, "m")
+            if away > max(play, 0.05 * float(np.nanmax(q) - np.nanmin(q))):
                 yield Finding(
                     "coupling_disagrees",
                     "warning",
@@ -209,14 +196,6 @@ def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding
                 Cure("if it has a drive of its own, remove the mimic from the description"),
                 joint=joint.name,
             )
-
-
-def _place_joints(model: RobotModel, q: Array) -> Array:
-    """Return the positions of the joints of all links, NaN at samples that have NaN."""
-    known = np.isfinite(q).all(axis=1)
-    placed = np.full((len(q), model.n_links), np.nan)
-    placed[known] = model.link_positions(q[known])
-    return placed
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,13 +252,13 @@ def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]
         return
     sign = 1.0 if second[0] == "link" else -1.0
     found = [
-        estimate_encoder_lag(recording.t, own, other)
-        for own, other in zip(recording.q.T, second[1].T, strict=True)
+        (joint, estimate_encoder_lag(recording.t, own, other))
+        for joint, own, other in zip(model.joints, recording.q.T, second[1].T, strict=True)
     ]
     # Standard errors beyond which a lag is one.
     lagging = [
         (joint, each)
-        for joint, each in zip(model.joints, found, strict=True)
+        for joint, each in found
         if each is not None and abs(each.value) > 3.0 * each.std_error
     ]
     if not lagging:
@@ -295,7 +274,7 @@ def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]
         else f"{1e6 * each.rest:.1f} um"
         for joint, each in lagging
     ]
-    without = [joint.name for joint, each in zip(model.joints, found, strict=True) if each is None]
+    without = [joint.name for joint, each in found if each is None]
     also = f"; {join_names(without)} have one encoder that moves" if without else ""
     yield Finding(
         "encoder_lag",

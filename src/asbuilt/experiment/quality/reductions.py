@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from math import factorial
 
 import numpy as np
@@ -13,22 +14,19 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import filter_rows
 
-IN_STEP = 0.995
-"""Correlation of positions from which joints move in step."""
+ZERO, UNKNOWN, HIGHEST, LOWEST = (
+    partial(np.array, value) for value in (0, np.nan, np.inf, -np.inf)
+)
+"""Values before any sample, the same for all columns."""
 
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
     """Hold count, lowest and highest finite value of each column, all (n,); infinite if none."""
 
-    count: Indices
-    low: Array
-    high: Array
-
-    @classmethod
-    def none(cls, n: int) -> Extremes:
-        """Return the statistics of no sample."""
-        return cls(np.zeros(n, dtype=np.int64), np.full(n, np.inf), np.full(n, -np.inf))
+    count: Indices = field(default_factory=ZERO)
+    low: Array = field(default_factory=HIGHEST)
+    high: Array = field(default_factory=LOWEST)
 
     def with_more(self, values: Array) -> Extremes:
         """Include further values (N, n); those that are not finite do not count."""
@@ -47,16 +45,10 @@ class Exceedance:
     All are (n,).
     """
 
-    count: Indices
-    amount: Array
-    value: Array
-    row: Indices
-
-    @classmethod
-    def none(cls, n: int) -> Exceedance:
-        """Return the statistics of no sample."""
-        zeros = np.zeros(n, dtype=np.int64)
-        return cls(zeros, np.full(n, -np.inf), np.full(n, np.nan), zeros)
+    count: Indices = field(default_factory=ZERO)
+    amount: Array = field(default_factory=LOWEST)
+    value: Array = field(default_factory=UNKNOWN)
+    row: Indices = field(default_factory=ZERO)
 
     def with_more(self, amount: Array, exceeds: Mask, value: Array, rows: Indices) -> Exceedance:
         """Include amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
@@ -81,22 +73,15 @@ class PositionMoments:
     `about` and `total` are (n,), `products` (n, n).
     """
 
-    n_samples: int
-    about: Array
-    total: Array
-    products: Array
-
-    @classmethod
-    def none(cls, n: int) -> PositionMoments:
-        """Return the moments of no sample."""
-        return cls(0, np.zeros(n), np.zeros(n), np.zeros((n, n)))
+    n_samples: int = 0
+    about: Array = field(default_factory=ZERO)
+    total: Array = field(default_factory=ZERO)
+    products: Array = field(default_factory=ZERO)
 
     def with_more(self, q: Array) -> PositionMoments:
         """Include further positions (N, n); rows with a value that is not finite do not count."""
         complete = q[np.all(np.isfinite(q), axis=1)]
-        if not len(complete):
-            return self
-        about = self.about if self.n_samples else complete[0]
+        about = self.about if self.n_samples or not len(complete) else complete[0]
         apart = complete - about
         return PositionMoments(
             self.n_samples + len(complete),
@@ -148,50 +133,38 @@ class SmoothedMotion:
         return np.arange(0, self.n_samples, max(1, self.n_samples // most), dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class UniformSegments:
-    """Hold the rows of each segment to smooth, the clock's step [s], and the window length."""
+def choose_segments(t: Array, valid: Mask) -> tuple[list[Indices], float, int]:
+    """Return rows of a dozen segments at most between gaps, the clock's step, and the window.
 
-    rows: tuple[Indices, ...]
-    step: float
-    window: int
-
-    @classmethod
-    def of(cls, t: Array, valid: Mask) -> UniformSegments | None:
-        """Choose a dozen segments at most between gaps; None if none is long enough."""
-        rows = np.flatnonzero(valid)
-        t = t[rows]
-        if not np.all(np.diff(t) > 0):
-            t, first = np.unique(t, return_index=True)
-            rows = rows[first]
-        if t.size < 20:
-            return None
-        steps = np.diff(t)
-        step = float(np.median(steps))
-        # 0.15: width of the smoothing [s].
-        window = max(5, int(0.15 / step) | 1)
-        breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
-        bounds = [
-            (a, min(a + _SEGMENT_SAMPLES, stop))
-            for start, stop in zip([0, *breaks], [*breaks, t.size], strict=True)
-            if stop - start > 2 * window
-            for a in range(start, stop, _SEGMENT_SAMPLES)
-        ]
-        bounds = [(a, b) for a, b in bounds if b - a > 2 * window]
-        if len(bounds) > _MOST_SEGMENTS:
-            bounds = [
-                bounds[k] for k in np.linspace(0, len(bounds) - 1, _MOST_SEGMENTS).astype(int)
-            ]
-        return cls(tuple(rows[a:b] for a, b in bounds), step, window) if bounds else None
+    There is no segment where none is long enough for the window, by which it is smoothed.
+    """
+    rows = np.flatnonzero(valid)
+    t, first = np.unique(t[rows], return_index=True)
+    rows = rows[first]
+    if t.size < 20:
+        return [], np.nan, 0
+    steps = np.diff(t)
+    step = float(np.median(steps))
+    # 0.15: width of the smoothing [s].
+    window = max(5, int(0.15 / step) | 1)
+    breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
+    bounds = [
+        (a, b)
+        for start, stop in zip([0, *breaks], [*breaks, t.size], strict=True)
+        for a in range(start, stop, _SEGMENT_SAMPLES)
+        for b in [min(a + _SEGMENT_SAMPLES, stop)]
+        if b - a > 2 * window
+    ]
+    chosen = np.linspace(0, len(bounds) - 1, min(len(bounds), _MOST_SEGMENTS)).astype(int)
+    return [rows[slice(*bounds[k])] for k in chosen], step, window
 
 
-def smooth_motion(segments: UniformSegments, logged: Sequence[Recording]) -> SmoothedMotion:
+def smooth_motion(logged: Sequence[Recording], step: float, window: int) -> SmoothedMotion:
     """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964).
 
     `logged` are the samples of each segment. Derivatives are summed by parts, over steps in place
     of values, so that a joint at rest has a velocity of exactly 0.
     """
-    window, step = segments.window, segments.step
     value, *slopes = _derive_cubic_taps(window, step)
     of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
     smooth: list[list[Array]] = []
@@ -220,3 +193,13 @@ def _derive_cubic_taps(window: int, step: float) -> list[Array]:
 def _resample(even: Array, t: Array, values: Array) -> Array:
     """Return the columns of values (L, n) at the times `even` (N,) as rows (n, N)."""
     return np.array([np.interp(even, t, column) for column in np.ascontiguousarray(values.T)])
+
+
+def normalise_columns(x: Array) -> Array:
+    """Return columns without their means, of unit length; zero where they are constant.
+
+    Products of such columns are their correlations.
+    """
+    x = x - x.mean(axis=0)
+    length = np.linalg.norm(x, axis=0)
+    return np.asarray(x / np.where(length > 0.0, length, np.inf))

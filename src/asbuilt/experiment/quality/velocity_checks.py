@@ -3,45 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion, normalise_columns
 from asbuilt.findings import Cure, Finding, join_names
 
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
 
 
-@dataclass(frozen=True, slots=True)
-class VelocityThresholds:
-    """Thresholds of the velocity checks, all correlations and ratios dimensionless."""
-
-    swapped: float = 0.9
-    """Least correlation with another joint's derivative of a swapped column."""
-    own: float = 0.8
-    """Largest correlation of a swapped column with its own; negated, of a flipped sign."""
-    unit: float = 0.2
-    """Relative deviation of the gain from the gain of a unit."""
-    gain: tuple[float, float] = (0.7, 1.4)
-    """Range of the gain of a usable velocity; the lower end also bounds its correlation."""
-    same: tuple[float, float, float] = (0.15, 0.05, 0.95)
-    """Of a wrong rate: least deviation of the common gain from 1, largest of the gains from it,
-    and least correlation of each joint."""
-    lag: float = 0.3
-    """Lag from which it is reported [sampling periods]."""
-    rest: float = 5e-3
-    """Range of positions up to which a joint is at rest, its velocity noise [rad or m]."""
-    end: float = 0.4
-    """Duration of the ends that a filter may have disturbed [s]."""
-    transient: tuple[float, float] = (8.0, 0.2)
-    """Error of a disturbed end, in errors elsewhere and in standard deviations of the velocity."""
-
-
-THRESHOLDS = VelocityThresholds()
+SWAPPED, OWN = 0.9, 0.8
+"""Least correlation of a swapped column with another joint's derivative, and largest with its own;
+a flipped sign has the negative of the second."""
 _OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
 """Revolutions per minute and per second, and thousandths."""
 
@@ -53,7 +29,8 @@ def check_velocities(
     names = recording.first.joint_names
     slope = motion.qd
     energy = np.sum(slope**2, axis=0)
-    moves = np.ptp(motion.q, axis=0) > THRESHOLDS.rest
+    # Range of positions [rad or m] up to which a joint is at rest, its velocity noise.
+    moves = np.ptp(motion.q, axis=0) > 5e-3
     moving = np.flatnonzero(moves & (energy > 0) & (np.std(logged, axis=0) > 0))
     if not moving.size:
         if np.all(logged == 0) and np.any(moves & (energy > 0)):
@@ -65,11 +42,11 @@ def check_velocities(
                 Cure("leave the velocity columns out"),
             )
         return
-    correlation = _correlate_columns(logged[:, moving], slope[:, moving])
+    correlation = normalise_columns(logged[:, moving]).T @ normalise_columns(slope[:, moving])
     swapped = [
         (int(moving[a]), int(moving[b]))
         for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
-        if a != b and correlation[a, b] > THRESHOLDS.swapped and correlation[a, a] < THRESHOLDS.own
+        if a != b and correlation[a, b] > SWAPPED and correlation[a, a] < OWN
     ]
     if swapped:
         pairs = join_names(
@@ -89,7 +66,7 @@ def check_velocities(
         180 / np.pi: "degrees per second",
         np.pi / 180: "radians per second while positions are degrees",
     }
-    unit = next((u for f, u in units.items() if abs(middle / f - 1) < THRESHOLDS.unit), None)
+    unit = next((u for f, u in units.items() if abs(middle / f - 1) < 0.2), None)
     if unit is not None:
         yield Finding(
             "velocity_units",
@@ -114,10 +91,9 @@ def check_velocities(
             ),
         )
         return
-    low, high = THRESHOLDS.gain
-    for k, factor in zip(moving, gain, strict=True):
-        match = float(np.corrcoef(logged[:, k], slope[:, k])[0, 1])
-        if match < -THRESHOLDS.own:
+    low, high = 0.7, 1.4  # gains of a usable velocity; the lower also bounds its correlation
+    for k, factor, match in zip(moving, gain, np.diag(correlation), strict=True):
+        if match < -OWN:
             message = (
                 f"the logged velocity of {names[k]} has the opposite sign of the derivative of its"
                 f" position (correlation {match:.3f})"
@@ -139,25 +115,26 @@ def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> f
 
     Units of velocity other than the units of the positions are no reason to doubt the rate.
     """
-    off, apart, least = THRESHOLDS.same
-    common = float(np.median(gain))
-    alike = gain.size > 1 and np.all(np.abs(gain / common - 1.0) < apart)
-    if not alike or np.any(correlation < least) or not abs(common - 1.0) > off or common <= 0.0:
-        return None
-    if any(abs(common / unit - 1.0) < apart for unit in _OTHER_UNITS):
-        return None
-    return float(f"{common * recording.rate:.3g}")
+    common, apart = float(np.median(gain)), 0.05
+    wrong = (
+        gain.size > 1
+        and common > 0.0
+        and abs(common - 1.0) > 0.15
+        and np.all(np.abs(gain / common - 1.0) < apart)
+        and np.all(correlation >= 0.95)
+        and not any(abs(common / unit - 1.0) < apart for unit in _OTHER_UNITS)
+    )
+    return float(f"{common * recording.rate:.3g}") if wrong else None
 
 
 def _find_lag(
     recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
     lags = np.array([_find_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
-    if not np.all(np.isfinite(lags)):
-        return
     step = 1.0 / (recording.rate * float(np.mean(recording.not_repeated)))
     middle = float(np.median(lags))
-    if abs(middle) > THRESHOLDS.lag * step:
+    # Lag from which it is reported, in sampling periods; none is found if one of them is not known.
+    if abs(middle) > 0.3 * step:
         low, high = (f"{1e3 * each:.2g}" for each in np.sort(np.abs(lags))[[0, -1]])
         worst = moving[int(np.argmax(np.abs(lags)))]
         yield Finding(
@@ -185,7 +162,7 @@ def _find_best_shift(late: Array, early: Array) -> float:
         [np.corrcoef(late[inner], early[most - d : early.size - most - d])[0, 1] for d in shifts]
     )
     k = int(np.argmax(correlation))
-    if not 0 < k < correlation.size - 1 or correlation[k] < THRESHOLDS.swapped:
+    if not 0 < k < correlation.size - 1 or correlation[k] < SWAPPED:
         return float("nan")
     before, at, after = correlation[k - 1 : k + 2]
     return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
@@ -195,17 +172,16 @@ def _check_ends(
     recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
     """Find ends at which velocities and positions differ, as after the transient of a filter."""
-    end = THRESHOLDS.end
+    end = 0.4  # duration of the ends that a filter may have disturbed [s]
     width = int(end * motion.rate)
     if width < 1 or motion.n_samples < 10 * width:
         return
     error = np.abs(logged - motion.qd)
     inner = np.sqrt(np.mean(error[width:-width] ** 2, axis=0))
     spread = np.std(motion.qd, axis=0)
-    of_error, of_spread = THRESHOLDS.transient
     for name, part in (("first", slice(0, width)), ("last", slice(-width, None))):
         worst = np.max(error[part], axis=0)
-        bad = [k for k in moving if worst[k] > max(of_error * inner[k], of_spread * spread[k])]
+        bad = [k for k in moving if worst[k] > max(8.0 * inner[k], 0.2 * spread[k])]
         if len(bad) * 2 > len(moving):
             k = max(bad, key=lambda k: worst[k] / spread[k])
             window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"
@@ -219,9 +195,3 @@ def _check_ends(
                 joint=recording.first.joint_names[k],
                 time=float(recording.t[0] if name == "first" else recording.t[-1] - end),
             )
-
-
-def _correlate_columns(a: Array, b: Array) -> Array:
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    norms = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None, :]
-    return np.asarray((a.T @ b) / np.where(norms > 0, norms, 1.0))

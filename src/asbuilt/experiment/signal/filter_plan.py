@@ -16,20 +16,22 @@ from asbuilt.experiment.signal.differentiation import (
     smoothing_spline,
 )
 from asbuilt.experiment.signal.lowpass import (
+    HALF_WIDTH,
     butterworth,
     decimate_chebyshev,
     gaussian,
     kernel_samples,
     settling_samples,
+    shift_in_time,
 )
-from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.parallel_filter import (
     STOP_BAND_EDGE,
     ParallelFilter,
     design_parallel_filter,
 )
-from asbuilt.experiment.signal.resampling import HALF_WIDTH, UniformSegment
+from asbuilt.experiment.signal.resampling import UniformSegment
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.spectrum import power_density
 from asbuilt.experiment.signal.standstill import PAUSE, find_moving_ranges, find_rests
 from asbuilt.findings import Cure
 
@@ -39,35 +41,10 @@ FilteredMotion = tuple[Array, Array, Array]
 """q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
 
 
-@dataclass(frozen=True, slots=True)
-class FilterRates:
-    """Hold the rates of filters and logs, most of them in cutoffs."""
-
-    lowest_rate: float = 100.0
-    """Lowest rate [Hz] to which logs are thinned."""
-    rate_in_cutoffs: float = 12.0
-    """Lowest rate to which logs are thinned, in position cutoffs."""
-    parallel_in_cutoffs: float = 0.5
-    """Default cutoff of the parallel filter, in position cutoffs.
-
-    There the low-pass of the positions, which the torque does not pass, is within 0.2 % of 1; at
-    its own cutoff it takes 30 % of the accelerations, and inertias would grow by as much to make
-    up.
-    """
-    lowest_parallel: float = 3.0
-    """Default cutoff of the parallel filter [Hz] below which friction and rests of the
-    motion go."""
-    output_rate_in_cutoffs: float = 4.0
-    """Default rate after the parallel filter, in its cutoffs."""
-    differences: int = 2
-    """Samples to either side that an acceleration takes by central differences of velocities."""
-    spectrum: int = 256
-    """Samples of the spectra whose upper quarter shows the noise of a pose."""
-    exact: float = 1e-12
-    """Share of its peak below which the impulse response of the low-pass counts as zero."""
-
-
-RATES = FilterRates()
+DIFFERENCES = 2
+"""Samples to either side that an acceleration takes by central differences of velocities."""
+SPECTRUM = 256
+"""Samples of the spectra whose upper quarter shows the noise of a pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,53 +82,46 @@ class FilterPlan:
         if chain.derivative == "savitzky-golay":
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
         elif chain.derivative == "gaussian":
-            margin = exact = kernel_samples(cutoff, rate) + RATES.differences
+            margin = exact = kernel_samples(cutoff, rate) + DIFFERENCES
         else:
+            # Of the response of the low-pass, 1e-12 of its peak counts as zero.
             margin, exact = (
                 settling_samples(
                     cutoff, rate, order=chain.order, corrected=chain.corrected, tolerance=tolerance
                 )
-                for tolerance in (0.01, RATES.exact)
+                for tolerance in (0.01, 1e-12)
             )
         margin = margin if chain.trimmed else 0
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
+        # At half its cutoff the low-pass of the positions, which the torque does not pass, is
+        # within 0.2 % of 1; at its own cutoff it takes 30 % of the accelerations, and inertias
+        # would grow by as much to make up. Below 3 Hz friction and rests of the motion go.
         low = chain.parallel_cutoff or min(
-            max(RATES.parallel_in_cutoffs * cutoff, min(RATES.lowest_parallel, cutoff)),
-            0.5 * rate / STOP_BAND_EDGE,
+            max(0.5 * cutoff, min(3.0, cutoff)), 0.5 * rate / STOP_BAND_EDGE
         )
-        thinning = max(1, int(rate / max(RATES.lowest_rate, RATES.rate_in_cutoffs * cutoff) + 1e-9))
+        # Logs are thinned to 100 Hz at least, and to 12 cutoffs of the positions.
+        thinning = max(1, int(rate / max(100.0, 12.0 * cutoff) + 1e-9))
         if total is not None:
             thinning = max(factor for factor in range(1, thinning + 1) if total % factor == 0)
             factor = total // thinning
             if chain.parallel_cutoff is None:
                 low = min(low, 0.5 * rate / total / STOP_BAND_EDGE)
         else:
-            factor = max(1, int(rate / thinning / (RATES.output_rate_in_cutoffs * low)))
+            factor = max(1, int(rate / thinning / (4.0 * low)))
         anti_alias = (
             design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
         )
-        return cls(
-            chain,
-            rate,
-            thinning,
-            anti_alias,
-            design_parallel_filter(low, rate / thinning, factor),
-            margin,
-            exact,
-        )
+        parallel = design_parallel_filter(low, rate / thinning, factor)
+        return cls(chain, rate, thinning, anti_alias, parallel, margin, exact)
 
     @property
     def support(self) -> int:
         """Number of logged samples on either side that a prepared sample depends on."""
         smear = self.anti_alias.margin if self.anti_alias else 0
+        shift = max(self.late) + HALF_WIDTH if self.chain.delays else 0
         rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
-        return max(self.exact, smear + self.shift) + rest + 2
-
-    @property
-    def shift(self) -> int:
-        """Number of logged samples on either side that the torque takes at another time."""
-        return max(self.late) + HALF_WIDTH if self.chain.delays else 0
+        return max(self.exact, smear + shift) + rest + 2
 
     @property
     def late(self) -> tuple[int, int]:
@@ -163,11 +133,6 @@ class FilterPlan:
     def shoulder(self) -> int:
         """Number of logged samples on either side that an output of the parallel filter takes."""
         return self.parallel.margin * self.thinning if self.parallel else 0
-
-    @property
-    def step(self) -> int:
-        """Number of logged samples between outputs of the parallel filter."""
-        return self.parallel.decimation * self.thinning if self.parallel else self.thinning
 
     def motion(self, segment: UniformSegment) -> FilteredMotion:
         """Return q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
@@ -191,7 +156,7 @@ class FilterPlan:
         chain, cutoff = self.chain, self.chain.cutoff or 0.0
         if chain.derivative == "gaussian":
             # With the differences that follow the response ends at half a period.
-            differences = 0 if chain.velocity == "measured" else RATES.differences
+            differences = 0 if chain.velocity == "measured" else DIFFERENCES
             return gaussian(x, cutoff=cutoff, rate=self.rate, shorter=differences)
         return butterworth(
             x, cutoff=cutoff, rate=self.rate, order=chain.order, corrected=chain.corrected
@@ -203,16 +168,16 @@ class FilterPlan:
         Empty where rates are logged, whose noise is another.
         """
         q = q[np.isfinite(q).all(axis=1)]
-        if self.chain.velocity == "measured" or self.parallel is None or len(q) < RATES.spectrum:
+        if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
             return ()
-        reach, n = self.exact + RATES.differences + 1, self.thinning
+        reach, n = self.exact + DIFFERENCES + 1, self.thinning
         impulse = np.zeros(2 * reach + 1)
         impulse[reach] = 1.0
         twice = central_differences(central_differences(self.smooth(impulse), self.rate), self.rate)
         taps = np.zeros(n * (self.parallel.taps.size - 1) + 1)
         taps[::n] = self.parallel.taps
-        power = power_density(q, 2.0, RATES.spectrum)
-        noise = np.median(power[-RATES.spectrum // 8 :], axis=0)  # the upper quarter of the band
+        power = power_density(q, 2.0, SPECTRUM)
+        noise = np.median(power[-SPECTRUM // 8 :], axis=0)  # the upper quarter of the band
         return tuple((noise * np.sum(np.convolve(twice, taps) ** 2)).tolist())
 
     def fits(self, segment: UniformSegment) -> bool:
@@ -223,7 +188,7 @@ class FilterPlan:
             else max(2 * self.margin + 1, 5)
         )
 
-    def arrays(
+    def cut(
         self, segment: UniformSegment, motion: FilteredMotion, low: int, stop: int
     ) -> tuple[list[SegmentArrays], int]:
         """Return what is left of a segment between logged samples, and where a longer one goes on.
@@ -231,8 +196,13 @@ class FilterPlan:
         `motion` belongs to the segment, whose torque is shifted back by the delay. The samples are
         those from `low` to before `stop` whose torque was logged. Continued from the index
         returned, the filtered samples of the whole segment appear once each.
+
+        Raises
+        ------
+        UsageError
+            If delays are of another number of joints.
         """
-        (q, qd, qdd), tau = motion, segment.tau
+        (q, qd, qdd), tau = motion, self._advance(segment.tau)
         if self.chain.derivative == "gaussian":  # not flat in the band, so for both sides alike
             tau = self.smooth(tau)
         n, speeds = self.thinning, self.chain.standstill
@@ -261,11 +231,24 @@ class FilterPlan:
                 smooth = self.anti_alias.apply(tau[a - m : b + m], axis=0)
             parts.append((segment.t[kept], q[kept], qd[kept], qdd[kept], smooth, tau[kept]))
             if end >= stop:
-                outputs = self.parallel.n_outputs(len(smooth)) if self.parallel else len(smooth)
-                after = a + outputs * self.step
+                outputs, step = (
+                    (self.parallel.n_outputs(len(smooth)), self.parallel.decimation)
+                    if self.parallel
+                    else (len(smooth), 1)
+                )
+                after = a + outputs * step * self.thinning
         return parts, after
 
-    def description(self) -> Iterator[str]:
+    def _advance(self, tau: Array) -> Array:
+        """Return torques (L, n) shifted back by the known delay of the chain."""
+        delays, n = self.chain.delays, tau.shape[1]
+        if len(delays) not in (0, 1, n):
+            raise UsageError(
+                f"a delay is one number for all joints or one for each of {n}, got {len(delays)}"
+            )
+        return shift_in_time(tau, np.broadcast_to(delays, n), self.rate) if delays else tau
+
+    def describe(self) -> Iterator[str]:
         """Yield sentences about what the plan does."""
         chain, cutoff = self.chain, self.chain.cutoff
         if chain.derivative == "central":

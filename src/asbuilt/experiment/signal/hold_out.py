@@ -10,8 +10,6 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 
-USUAL_BLOCK = 5.0
-"""Usual length of a block [s]."""
 SHORTEST_DIVIDED = 6.0
 """Length of a recording [s] below which nothing is held out by default."""
 FORMS = "blocks:5s:3 (every third 5 s block) or last:0.3 (the last 30 %)"
@@ -77,7 +75,7 @@ def choose_usual_rule(seconds: float) -> str | None:
     """
     if seconds < SHORTEST_DIVIDED:
         return None
-    return f"blocks:{min(USUAL_BLOCK, np.floor(10.0 * seconds / 6.0) / 10.0):g}s:3"
+    return f"blocks:{min(5.0, np.floor(10.0 * seconds / 6.0) / 10.0):g}s:3"
 
 
 def hold_out(samples: Samples, rule: str, *, shared: bool = False) -> tuple[Samples, Samples]:

@@ -14,6 +14,8 @@ from asbuilt.experiment.signal.parallel_filter import filter_rows
 
 SPREAD = 0.5
 """Half the width of a Gaussian kernel, in periods of its cutoff: 3.8 standard deviations."""
+HALF_WIDTH = 16
+"""Samples on either side that a shift by a fraction of a sample takes."""
 AT_ONCE = 4
 """Columns that are filtered together."""
 
@@ -108,27 +110,20 @@ def settling_samples(
     rows = np.zeros((AT_ONCE, 2 * length))
     rows[0, 0] = 1.0
     _filter_in_place(rows, sections, np.zeros((len(sections), 2)))
-    double = rows[0]
-    above = np.flatnonzero(np.abs(double) > tolerance * np.abs(double).max())
-    return int(above[-1]) + 1
+    double = np.abs(rows[0])
+    return int(np.flatnonzero(double > tolerance * double.max())[-1]) + 1
 
 
-def decimate_chebyshev(x: ArrayLike, factor: int, *, order: int = 8) -> Array:
+def decimate_chebyshev(x: Array, factor: int) -> Array:
     """Keep every `factor`-th row of x (N,) or (N, m) after a zero-phase Chebyshev type I filter.
 
-    The filter has 0.05 dB of ripple in each pass and its edge at 0.8 of the new Nyquist frequency
-    (IEEE, Programs for Digital Signal Processing, 1979, chapter 8), as `scipy.signal.decimate` has.
+    The filter of order 8 has 0.05 dB of ripple in each pass and its edge at 0.8 of the new Nyquist
+    frequency (IEEE, Programs for Digital Signal Processing, 1979, chapter 8), as
+    `scipy.signal.decimate` has.
     """
-    values = np.asarray(x, dtype=np.float64)
-    if factor < 1:
-        raise UsageError(f"the decimation factor must be 1 or more, got {factor}")
-    if factor == 1:
-        return values
     from scipy.signal import decimate  # noqa: PLC0415 - light start
 
-    return np.ascontiguousarray(
-        decimate(values, factor, n=order, ftype="iir", axis=0, zero_phase=True)
-    )
+    return np.ascontiguousarray(decimate(x, factor, n=8, ftype="iir", axis=0, zero_phase=True))
 
 
 def _filter_both_ways(x: Array, sections: Array, padding: int) -> Array:
@@ -208,8 +203,9 @@ def _design_sections(cutoff: float, rate: float, order: int, corrected: bool) ->
             f"a low-pass at {cutoff:g} Hz is impossible at {rate:g} Hz: the cutoff must lie between"
             f" 0 and {0.5 * rate:g} Hz"
         )
-    single = single_pass_cutoff(cutoff, rate, order) if corrected else cutoff
-    return butterworth_sections(order, single, rate)
+    return butterworth_sections(
+        order, single_pass_cutoff(cutoff, rate, order) if corrected else cutoff, rate
+    )
 
 
 def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
@@ -229,3 +225,31 @@ def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
         sections[0] = 1.0, 1.0, 0.0, 1.0, -z[0].real, 0.0
     sections[0, :3] *= w**order * (1.0 / np.prod(4.0 - s)).real
     return sections
+
+
+def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
+    """Return x (L, n), whose value at time t is the one at `t + delay`, (n,) [s].
+
+    Fractions of a sample by a Kaiser-windowed sinc (Laakso et al., Splitting the unit delay, IEEE
+    Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
+    logged, x is continued by its odd reflection.
+    """
+    steps = (delay * rate).tolist()
+    return np.stack([_shift(each, late) for each, late in zip(x.T, steps, strict=True)], axis=1)
+
+
+def _shift(x: Array, steps: float) -> Array:
+    """Return x (L,) at every index plus `steps`, a real number."""
+    whole = round(steps)
+    part = steps - whole
+    padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
+    begin = whole + abs(whole)
+    if abs(part) < 1e-9:
+        return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
+    offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
+    # Shape of its window: side lobes of -80 dB.
+    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
+    taps = np.sinc(offsets - part) * window
+    return np.convolve(
+        padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"
+    )

@@ -12,7 +12,7 @@ from scipy import optimize
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
-from asbuilt.errors import UsageError
+from asbuilt.errors import UsageError, refuse
 from asbuilt.findings import Cure
 
 STOP_BAND = 60.0
@@ -46,16 +46,17 @@ class ParallelFilter:
 
     def __post_init__(self) -> None:
         taps = np.array(self.taps, dtype=np.float64)
-        if (
-            taps.ndim != 1
-            or taps.size % 2 == 0
-            or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14)
-        ):
-            raise UsageError(
-                f"a zero-phase filter needs an odd number of symmetric taps, got shape {taps.shape}"
-            )
-        if self.decimation < 1:
-            raise UsageError(f"the decimation must be 1 or more, got {self.decimation}")
+        refuse(
+            UsageError,
+            (
+                taps.ndim != 1
+                or taps.size % 2 == 0
+                or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14),
+                "a zero-phase filter needs an odd number of symmetric taps, got shape"
+                f" {taps.shape}",
+            ),
+            (self.decimation < 1, f"the decimation must be 1 or more, got {self.decimation}"),
+        )
         taps.setflags(write=False)
         object.__setattr__(self, "taps", taps)
 
@@ -154,7 +155,11 @@ def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = 
     count = max(0, (length - taps.size) // decimation + 1)
     if out is None:
         out = np.empty((rows, count))
-    if rows and count:
+    if rows and 0 < count < LANES:
+        # Zeros behind make as many outputs as are summed at once; theirs are dropped.
+        behind = np.zeros((rows, (LANES - count) * decimation))
+        out[:] = filter_rows(np.concatenate([x, behind], axis=1), taps, decimation)[:, :count]
+    elif rows and count:
         weights = np.zeros((taps.size + (LANES - 1) * decimation, LANES))
         for lane in range(LANES):
             weights[lane * decimation : lane * decimation + taps.size, lane] = taps
@@ -191,32 +196,16 @@ def _filter_rows(
 
     `weights` holds the taps of eight neighbouring outputs for each of the inputs that they span,
     0 where an output does not take it: eight outputs of eight rows are summed at once, every one
-    over its inputs in order. The last outputs are summed with some before them again; fewer than
-    eight come from a copy with zeros behind.
+    over its inputs in order. The last outputs are summed with some before them again.
     """
-    span, few = weights.size // LANES, count < LANES
-    padded = np.zeros(EIGHT * span if few else 0)
-    found = np.empty(EIGHT * LANES)
+    span = weights.size // LANES
     for first in range(0, rows, EIGHT):
-        if few:
-            for r in range(min(EIGHT, rows - first)):
-                begin = (first + r) * stride
-                taken = span - (LANES - count) * decimation
-                for j in range(taken):
-                    padded[r * span + j] = memory[begin + j]
         below = min(rows - 1 - first, EIGHT - 1)
-        source, apart = (padded, span) if few else (memory, stride)
-        target, target_apart = (found, np.int64(LANES)) if few else (out, out_stride)
         # one call, which is inlined and compiled once
         for k in range(0, count, LANES):
             at = min(k, count - LANES)
-            begin = 0 if few else first * stride + at * decimation
-            to = 0 if few else first * out_stride + at
-            _sum_eight_rows(source, begin, apart, below, weights, span, target, to, target_apart)
-        if few:
-            for r in range(min(EIGHT, rows - first)):
-                for k in range(count):
-                    out[(first + r) * out_stride + k] = found[r * LANES + k]
+            begin, to = first * stride + at * decimation, first * out_stride + at
+            _sum_eight_rows(memory, begin, stride, below, weights, span, out, to, out_stride)
 
 
 @part
@@ -235,21 +224,14 @@ def _sum_eight_rows(
 
     Rows are slices, whose indices need no check for negative ones.
     """
-    r0 = memory[at : at + span]
-    b1 = at + min(1, below) * stride
-    r1 = memory[b1 : b1 + span]
-    b2 = at + min(2, below) * stride
-    r2 = memory[b2 : b2 + span]
-    b3 = at + min(3, below) * stride
-    r3 = memory[b3 : b3 + span]
-    b4 = at + min(4, below) * stride
-    r4 = memory[b4 : b4 + span]
-    b5 = at + min(5, below) * stride
-    r5 = memory[b5 : b5 + span]
-    b6 = at + min(6, below) * stride
-    r6 = memory[b6 : b6 + span]
-    b7 = at + min(7, below) * stride
-    r7 = memory[b7 : b7 + span]
+    r0 = memory[at:][:span]
+    r1 = memory[at + min(1, below) * stride :][:span]
+    r2 = memory[at + min(2, below) * stride :][:span]
+    r3 = memory[at + min(3, below) * stride :][:span]
+    r4 = memory[at + min(4, below) * stride :][:span]
+    r5 = memory[at + min(5, below) * stride :][:span]
+    r6 = memory[at + min(6, below) * stride :][:span]
+    r7 = memory[at + min(7, below) * stride :][:span]
     y0 = y1 = y2 = y3 = y4 = y5 = y6 = y7 = splat(0.0)
     for j in range(span):
         w = load(weights, j * LANES)

@@ -9,13 +9,11 @@ import numpy as np
 
 from asbuilt.arrays import Mask
 from asbuilt.errors import UsageError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, join_recordings
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.prepared_motion import (
     MotionFilters,
-    advance_torque,
     assemble_samples,
-    fit_contacts,
     plan_grid,
     settle_chain,
 )
@@ -41,12 +39,11 @@ def resolve_chain(
     if chain.cutoff is not None and (chain.rests or chain.standstill is not None):
         return chain
     filters = filters or MotionFilters()
-    chains = []
-    for recording in recordings:
-        grid = plan_grid(recording, chain)
-        commanded = recording.torque_source == "command"
-        asked = fit_contacts(chain, recording)
-        chains.append(settle_chain(asked, grid.uniform(), grid.rate, filters, commanded)[0])
+    grids = [(recording, plan_grid(recording, chain)) for recording in recordings]
+    chains = [
+        settle_chain(chain, recording, grid.uniform(), grid.rate, filters)[0]
+        for recording, grid in grids
+    ]
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
 
 
@@ -105,18 +102,19 @@ def stream_samples(
     has_torque: Mask | None = None
     low = -np.inf
     origin, clock_bound = np.nan, np.inf
-    for chunk, more in _with_more(recordings):
-        joined = chunk if held is None else _join(held, chunk)
-        held = joined
+    chunks = iter(recordings)
+    following = next(chunks, None)
+    while following is not None:
+        chunk, following = following, next(chunks, None)
+        more = following is not None
+        held = joined = chunk if held is None else join_recordings([held, chunk])
         if joined.n_samples < SHORTEST and more:
             continue
         has_torque = joined.has_torque if has_torque is None else has_torque
         grid = plan_grid(joined, chain, plan.rate if plan else None, has_torque)
         segments, rate, notes = grid.uniform(), grid.rate, grid.notes
         if plan is None:
-            commanded = joined.torque_source == "command"
-            chain = fit_contacts(chain, joined)
-            chain, chosen, clock_bound = settle_chain(chain, segments, rate, filters, commanded)
+            chain, chosen, clock_bound = settle_chain(chain, joined, segments, rate, filters)
             plan = FilterPlan.of(chain, rate)
             if plan.parallel is None and plan.thinning > 1:
                 raise UsageError(
@@ -130,15 +128,13 @@ def stream_samples(
             goes_on = more and k == len(segments) - 1
             begin = (
                 max(round((low - segment.t[0]) * rate), 0)
-                if np.isfinite(low) and low > segment.t[0] - 0.5 / rate
+                if low > segment.t[0] - 0.5 / rate
                 else plan.margin
             )
             stop = segment.t.size - (plan.support if goes_on else plan.margin)
             after = begin
             if plan.fits(segment) and stop > begin:
-                found, after = plan.arrays(
-                    advance_torque(segment, plan), plan.motion(segment), begin, stop
-                )
+                found, after = plan.cut(segment, plan.motion(segment), begin, stop)
                 parts.extend(found)
             if goes_on:
                 low = (
@@ -148,28 +144,9 @@ def stream_samples(
                 )
                 held = joined.between(segment.t[0] + (after - plan.support - 0.5) / rate, np.inf)
         if parts:
-            provenance = (*joined.notes, *notes, *plan.description())
+            provenance = (*joined.notes, *notes, *plan.describe())
             samples = assemble_samples(
                 joined, plan, parts, origin, has_torque, clock_bound, provenance
             )
             if samples.n_filtered:
                 yield samples
-
-
-def _join(first: Recording, second: Recording) -> Recording:
-    qd = None if first.qd is None or second.qd is None else np.concatenate([first.qd, second.qd])
-    t, q, tau = (
-        np.concatenate(pair)
-        for pair in ((first.t, second.t), (first.q, second.q), (first.tau, second.tau))
-    )
-    return replace(second, t=t, q=q, tau=tau, qd=qd, qdd=None, extra={})
-
-
-def _with_more(recordings: Iterable[Recording]) -> Iterator[tuple[Recording, bool]]:
-    iterator = iter(recordings)
-    for current in iterator:
-        chunk = current
-        for following in iterator:
-            yield chunk, True
-            chunk = following
-        yield chunk, False

@@ -12,27 +12,21 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.differentiation import central_differences
+from asbuilt.experiment.signal.band_choice import choose_band
+from asbuilt.experiment.signal.differentiation import validate_velocities
 from asbuilt.experiment.signal.filter_plan import FilteredMotion, FilterPlan, SegmentArrays
-from asbuilt.experiment.signal.lowpass import SPREAD, butterworth, settling_samples
-from asbuilt.experiment.signal.noise.band_choice import choose_band
-from asbuilt.experiment.signal.noise.spikes import without_spikes
-from asbuilt.experiment.signal.noise.velocity_choice import VelocityVerdict, compare_velocities
+from asbuilt.experiment.signal.lowpass import SPREAD
 from asbuilt.experiment.signal.resampling import (
     Grid,
     UniformSegment,
     plan_uniform_grid,
-    shift_in_time,
 )
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
+from asbuilt.experiment.signal.spikes import replace_spikes
 from asbuilt.experiment.signal.standstill import PAUSE, estimate_standstill_speeds
 from asbuilt.findings import Cure
 
-UNRESOLVED = 0.25
-"""Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
-quarter.
-"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
 
@@ -43,7 +37,7 @@ class MotionFilters:
     """Filter every motion once, whatever torque is to go with it; one serves a whole study."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple[object, tuple[Array | None, ...], object]] = []
+        self._kept: list[tuple[object, list[Array], object]] = []
 
     def prepare(self, recording: Recording, chain: SignalChain | None = None) -> PreparedMotion:
         """Return the filtered motion of a recording; what the chain leaves open is chosen for it.
@@ -53,10 +47,10 @@ class MotionFilters:
         UsageError
             If a cutoff or rate is impossible for this recording.
         """
-        asked = replace(fit_contacts(chain or SignalChain(), recording), delay=None)
+        asked = replace(chain or SignalChain(), delay=None)
         grid = plan_grid(recording, asked)
-        segments, commanded = grid.uniform(), recording.torque_source == "command"
-        settled, notes, bound = settle_chain(asked, segments, grid.rate, self, commanded)
+        segments = grid.uniform()
+        settled, notes, bound = settle_chain(asked, recording, segments, grid.rate, self)
         if asked.cutoff is None:
             grid = plan_grid(recording, settled)
             segments = grid.uniform()
@@ -74,9 +68,10 @@ class MotionFilters:
         self, what: object, segments: Sequence[UniformSegment], make: Callable[[], Found]
     ) -> Found:
         """Return what is made of the motion of segments, as it was made before if it was."""
-        arrays = tuple(x for segment in segments for x in (segment.q, segment.qd))
+        arrays = [x for segment in segments for x in (segment.q, segment.qd) if x is not None]
         for known, before, found in self._kept:
-            if known == what and len(before) == len(arrays) and all(map(_is_same, before, arrays)):
+            same = known == what and len(before) == len(arrays)
+            if same and all(map(np.array_equal, before, arrays)):
                 return found  # type: ignore[return-value]
         made = make()
         self._kept.append((what, arrays, made))
@@ -115,7 +110,9 @@ class PreparedMotion:
         """Return the motion with another signal (N, n), finite where the torque is, for torque."""
         recording = replace(self.recording, tau=tau)
         channel = self.grid.channel(recording.with_torque_of(recording.has_torque).tau)
-        segments = tuple(map(_with_torque, self.segments, channel))
+        segments = tuple(
+            replace(each, tau=tau) for each, tau in zip(self.segments, channel, strict=True)
+        )
         return replace(self, recording=recording, segments=segments)
 
     def samples(self, delay: Delay = None) -> Samples:
@@ -134,7 +131,7 @@ class PreparedMotion:
         for segment, motion in zip(self.segments, self.motions, strict=True):
             if motion is not None:
                 stop = segment.t.size - plan.margin
-                parts += plan.arrays(advance_torque(segment, plan), motion, plan.margin, stop)[0]
+                parts += plan.cut(segment, motion, plan.margin, stop)[0]
                 seconds += (stop - plan.margin) / rate
         if not parts:
             longest = max(segment.t.size for segment in self.segments)
@@ -154,7 +151,7 @@ class PreparedMotion:
             float(self.segments[0].t[0]),
             recording.has_torque,
             self.clock_bound,
-            (*recording.notes, *self.grid.notes, *self.notes, *plan.description()),
+            (*recording.notes, *self.grid.notes, *self.notes, *plan.describe()),
         )
         samples = self._with_second_encoder(samples)
         if samples.parallel is not None and samples.n_filtered == 0:
@@ -187,7 +184,7 @@ class PreparedMotion:
         return replace(samples, encoder=moved[:, at], encoder_at=side)
 
 
-def fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
+def _fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
     """Return the chain for a recording whose contacts open and close, if it is one.
 
     A touch-down is an acceleration without bound for the log. Wherever a low-pass spreads it, its
@@ -210,22 +207,24 @@ def plan_grid(
 
     Single torques that stand out have the mean of their neighbours; joints without torque have 0.
     """
-    resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    # In a quarter of a period a sine at the cutoff turns by as much.
+    resolved = 0.0 if chain.cutoff is None else 0.25 / chain.cutoff
     recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
-    return plan_uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
+    return plan_uniform_grid(replace_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 
 
 def settle_chain(
     chain: SignalChain,
+    recording: Recording,
     segments: Sequence[UniformSegment],
     rate: float,
     filters: MotionFilters,
-    commanded: bool,
 ) -> tuple[SignalChain, tuple[str, ...], float]:
     """Return the chain with its choices made, sentences about them, and a bound of the clock.
 
     The bound is `Samples.clock_bound`.
     """
+    chain, commanded = _fit_contacts(chain, recording), recording.torque_source == "command"
     notes, clock_bound = list[str](), np.inf
     if rate < SLOWEST_RATE:
         raise RecordingError(
@@ -252,7 +251,7 @@ def settle_chain(
         verdict = filters.once(
             ("velocity", rate, chain.cutoff, chain.order),
             segments,
-            lambda: _validate_velocity(chain, segments, rate),
+            lambda: validate_velocities(segments, rate, chain.cutoff or 0.0, chain.order),
         )
         chain = replace(
             chain, velocity="measured" if verdict is not None and verdict.helps else "derived"
@@ -273,55 +272,12 @@ def settle_chain(
         notes.insert(0, str(band))
     if chain.standstill is None and not chain.rests:
         plan = FilterPlan.of(chain, rate)
-        fitting = [segment for segment in segments if plan.fits(segment)]
-        if fitting:
-            motions = [filters.motion(plan, segment)[:2] for segment in fitting]
+        motions = [filters.motion(plan, each)[:2] for each in segments if plan.fits(each)]
+        if motions:
             chain = replace(
                 chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
             )
     return chain, tuple(notes), clock_bound
-
-
-def advance_torque(segment: UniformSegment, plan: FilterPlan) -> UniformSegment:
-    """Return a segment with the torque shifted back by the known delay of the chain."""
-    delays, n = plan.chain.delays, segment.q.shape[1]
-    if not delays:
-        return segment
-    if len(delays) not in (1, n):
-        raise UsageError(
-            f"a delay is one number for all joints or one for each of {n}, got {len(delays)}"
-        )
-    return _with_torque(
-        segment, shift_in_time(segment.tau, np.broadcast_to(delays, (n,)), plan.rate)
-    )
-
-
-def _with_torque(segment: UniformSegment, tau: Array) -> UniformSegment:
-    return replace(segment, tau=tau)
-
-
-def _is_same(one: Array | None, other: Array | None) -> bool:
-    """Return whether two arrays hold the same numbers, or neither is there."""
-    if one is None or other is None:
-        return one is other
-    return one is other or (one.shape == other.shape and bool(np.all(one == other)))
-
-
-def _validate_velocity(
-    chain: SignalChain, segments: Sequence[UniformSegment], rate: float
-) -> VelocityVerdict | None:
-    cutoff, order = chain.cutoff or 0.0, chain.order
-    pairs = []
-    for segment in segments:
-        if segment.qd is None:
-            return None
-        if segment.t.size > 2 * settling_samples(cutoff, rate, order=order):
-            derived = central_differences(segment.q, rate)
-            smooth, logged = (
-                butterworth(x, cutoff=cutoff, rate=rate, order=order) for x in (derived, segment.qd)
-            )
-            pairs.append((smooth, logged, derived, segment.qd))
-    return compare_velocities(pairs, rate) if pairs else None
 
 
 def assemble_samples(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array, Indices, Mask
-from asbuilt.compilation import kernel
+from asbuilt.arrays import Array, Indices, find_true_rows
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording, find_advancing_rows
-from asbuilt.experiment.signal.bridging import bridge_pauses
+from asbuilt.experiment.recording import Recording, find_advancing_rows, find_changed_rows
 from asbuilt.findings import Cure
 
 GAP = 4.5
@@ -21,8 +20,6 @@ JITTER = 0.01
 """Largest deviation of a step of a uniform clock, in sampling periods."""
 SHORTEST = 8
 """Number of samples below which a segment is dropped."""
-HALF_WIDTH = 16
-"""Samples on either side that a shift by a fraction of a sample takes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +36,52 @@ class UniformSegment:
     qdd: Array | None = None
 
 
+class Pause(NamedTuple):
+    """Hold a pause before usable row `row`: times to fill in, samples `near` it, their times."""
+
+    row: int
+    times: Array
+    near: slice
+    near_times: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bridges:
+    """Hold how the shorter pauses of a clock are filled, every channel alike.
+
+    Parameters
+    ----------
+    usable
+        Usable rows of the recording.
+    pauses
+        The pauses between them that are filled; if there is none, channels stay as they are.
+    t, rows
+        Times of the channels once they are filled, and their usable rows.
+
+    Notes
+    -----
+    Every channel is fitted by a polynomial of degree 5 in least squares, over as many samples on
+    either side as are missing, and at least 8: an interpolating spline would continue the slope of
+    the noise.
+    """
+
+    usable: Indices
+    pauses: tuple[Pause, ...]
+    t: Array
+    rows: Indices
+
+    def fill(self, x: Array) -> Array:
+        """Return a channel of the recording (N, n) with its pauses filled."""
+        if not self.pauses:
+            return x
+        x = x[self.usable]
+        return _insert(
+            x,
+            self.pauses,
+            [_interpolate_locally(p.near_times, x[p.near], p.times) for p in self.pauses],
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Hold how rows of a recording become segments on a uniform clock, every channel alike.
@@ -47,10 +90,8 @@ class Grid:
     ----------
     recording
         The recording.
-    rows
-        Its usable rows.
-    gap, pause
-        Steps of the clock [s] that end a segment, and from which a pause is bridged.
+    bridges
+        How its pauses are filled.
     segments
         Rows of each segment once pauses are bridged.
     clocks
@@ -62,9 +103,7 @@ class Grid:
     """
 
     recording: Recording
-    rows: Indices
-    gap: float
-    pause: float
+    bridges: Bridges
     segments: tuple[Indices, ...]
     clocks: tuple[Array, ...] | None
     rate: float
@@ -72,40 +111,38 @@ class Grid:
 
     def uniform(self) -> list[UniformSegment]:
         """Return the segments."""
-        recording = self._bridged(self.recording)
-        return [
-            UniformSegment(
-                self._times(recording.t, k),
-                self._on_clock(recording.q, k),
-                self._on_clock(recording.tau, k),
-                self._if_logged(recording.qd, k),
-                self._if_logged(recording.qdd if recording.undriven else None, k),
-            )
-            for k in range(len(self.segments))
-        ]
-
-    def _if_logged(self, x: Array | None, k: int) -> Array | None:
-        """Return a channel in a segment, None if it was not logged, or not for every sample."""
-        if x is None or not np.all(np.isfinite(x[_simplify_indices(self.segments[k])])):
-            return None
-        return self._on_clock(x, k)
+        recording = self.recording
+        q, tau = self.channel(recording.q), self.channel(recording.tau)
+        qd = self._logged_channel(recording.qd)
+        qdd = self._logged_channel(recording.qdd if recording.undriven else None)
+        times = map(self._times, range(len(self.segments)))
+        return list(map(UniformSegment, times, q, tau, qd, qdd))
 
     def channel(self, x: Array) -> list[Array]:
         """Return a channel of the recording (N, n) in each segment, (L, n)."""
-        bare = replace(self.recording, tau=x, qd=None, qdd=None, command=None, extra={})
-        bridged_x = self._bridged(bare).tau
-        return [self._on_clock(bridged_x, k) for k in range(len(self.segments))]
+        filled = self.bridges.fill(x)
+        return [self._on_clock(filled, k) for k in range(len(self.segments))]
 
-    def _bridged(self, recording: Recording) -> Recording:
-        return bridge_pauses(recording, self.rows, self.gap, self.pause)[0]
+    def _logged_channel(self, x: Array | None) -> list[Array | None]:
+        """Return a channel in each segment, None if it was not logged, or not for every sample."""
+        if x is None:
+            return [None] * len(self.segments)
+        filled = self.bridges.fill(x)
+        return [
+            self._on_clock(filled, k)
+            if np.isfinite(filled[_simplify_indices(rows)]).all()
+            else None
+            for k, rows in enumerate(self.segments)
+        ]
 
-    def _times(self, t: Array, k: int) -> Array:
-        rows = self.segments[k]
+    def _times(self, k: int) -> Array:
+        """Return the times of a segment on the uniform clock."""
         if self.clocks is not None:
             clock = self.clocks[k]
             count = int(np.floor((clock[-1] - clock[0]) * self.rate + 1e-6)) + 1
             return np.asarray(clock[0] + np.arange(count) / self.rate)
-        part, even = t[_simplify_indices(rows)], t[rows[0]] + np.arange(rows.size) / self.rate
+        part = self.bridges.t[_simplify_indices(self.segments[k])]
+        even = part[0] + np.arange(part.size) / self.rate
         return np.asarray(even if np.max(np.abs(even - part)) < 0.5 / self.rate else part)
 
     def _on_clock(self, x: Array, k: int) -> Array:
@@ -113,22 +150,8 @@ class Grid:
         if self.clocks is None:
             return x[_simplify_indices(rows)]
         clock = self.clocks[k]
-        inside = np.minimum(self._times(clock, k), clock[-1])
+        inside = np.minimum(self._times(k), clock[-1])
         return np.ascontiguousarray(CubicSpline(clock, x[rows], axis=0)(inside))
-
-
-def resample_segments(
-    recording: Recording,
-    rate: float | None = None,
-    max_gap: float | None = None,
-    resolved: float = 0.0,
-) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
-    """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
-
-    They come from `plan_uniform_grid`, with the same parameters.
-    """
-    grid = plan_uniform_grid(recording, rate, max_gap, resolved)
-    return grid.uniform(), grid.rate, grid.notes
 
 
 def plan_uniform_grid(
@@ -154,7 +177,7 @@ def plan_uniform_grid(
     n = recording.n_samples
     kept = np.isfinite(recording.t)
     for values in (recording.q, recording.tau):
-        _keep_finite(values, kept)
+        kept &= ~find_true_rows(~np.isfinite(values))
     notes: list[str] = []
     if not kept.all():
         notes.append(
@@ -172,18 +195,17 @@ def plan_uniform_grid(
             f"{index.size - kept_rows.size} samples that repeat the one before (the log was polled"
             " faster than the controller writes) were dropped"
         )
-    t = recording.t[kept_rows]
-    if t.size < SHORTEST:
+    if kept_rows.size < SHORTEST:
         raise RecordingError(
-            f"{recording.source}: {t.size} of {n} samples are usable; at least {SHORTEST} are"
-            " required",
+            f"{recording.source}: {kept_rows.size} of {n} samples are usable; at least {SHORTEST}"
+            " are required",
             file=recording.source,
-            value=t.size,
+            value=kept_rows.size,
             lower=SHORTEST,
         )
-    steps = np.diff(t)
+    steps = np.diff(recording.t[kept_rows])
     period = float(np.median(steps))
-    logged_rate = _estimate_logged_rate(t, period)
+    logged_rate = _round_rate(1.0 / float(np.mean(steps[steps <= GAP * period])))
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
             f"{recording.source}: a rate of {rate:g} Hz is above the rate of the log,"
@@ -194,14 +216,15 @@ def plan_uniform_grid(
             upper=logged_rate,
         )
     gap, pause = max(GAP * period, resolved) if max_gap is None else max_gap, GAP * period
-    logged, usable = recording, kept_rows
-    recording, kept_rows, filled = bridge_pauses(recording, kept_rows, gap, pause)
-    if filled:
+    bridges = plan_bridges(recording.t, kept_rows, gap, pause)
+    if bridges.pauses:
+        longest = steps[[each.row - 1 for each in bridges.pauses]].max()
         notes.append(
-            f"{len(filled)} pauses of up to {max(filled):.3g} s, shorter than the filter resolves,"
-            " were bridged by local polynomials"
+            f"{len(bridges.pauses)} pauses of up to {longest:.3g} s, shorter than the filter"
+            " resolves, were bridged by local polynomials"
         )
-        steps = np.diff(recording.t[kept_rows])
+    stamps, kept_rows = bridges.t, bridges.rows
+    steps = np.diff(stamps[kept_rows])
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
         notes.append(
@@ -219,15 +242,16 @@ def plan_uniform_grid(
     target = logged_rate if rate is None else rate
     inside = np.delete(steps, breaks - 1)
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
-        return Grid(logged, usable, gap, pause, segments, None, target, tuple(notes))
-    clocks = [_choose_clock(recording.t[rows], recording.q[rows]) for rows in segments]
+        return Grid(recording, bridges, segments, None, target, tuple(notes))
+    q = bridges.fill(recording.q)
+    clocks = [_choose_clock(stamps[rows], q[rows]) for rows in segments]
     ticks = sum(even for _, even in clocks)
     if rate is None and ticks == len(segments):
         target = _round_rate(
             1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
         )
     late = max(
-        float(np.max(np.abs(clock - recording.t[rows])))
+        float(np.max(np.abs(clock - stamps[rows])))
         for rows, (clock, _) in zip(segments, clocks, strict=True)
     )
     if ticks and late > JITTER / target:
@@ -240,67 +264,38 @@ def plan_uniform_grid(
             f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was"
             f" resampled to {target:g} Hz by cubic splines"
         )
-    stamps = tuple(clock for clock, _ in clocks)
-    return Grid(logged, usable, gap, pause, segments, stamps, target, tuple(notes))
+    times = tuple(clock for clock, _ in clocks)
+    return Grid(recording, bridges, segments, times, target, tuple(notes))
 
 
-def _drop_repeats(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
+def _drop_repeats(recording: Recording, index: Indices) -> Indices:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay.
 
     A second torque channel that changes makes a sample new. Under a command nothing is dropped: its
     torque is computed, and must not decide which samples there are.
     """
-    commanded = recording.torque_source == "command" and recording.command is not None
-    if not index.size or commanded:
+    if not index.size or (recording.torque_source == "command" and recording.command is not None):
         return index
     part = _simplify_indices(index)
-    rows = [recording.q[part], recording.tau[part]] + (
-        [recording.qd[part]] if recording.qd is not None else []
-    )
-    rows += [each[part] for key, each in recording.extra.items() if key.startswith("tau")]
-    changed = np.zeros(index.size, dtype=np.bool_)
-    changed[0] = True
-    for row in rows:
-        _add_changes(changed, row.reshape(index.size, -1))
-    if changed.all():
-        return index
+    further = [each for key, each in recording.extra.items() if key.startswith("tau")]
+    velocities = [] if recording.qd is None else [recording.qd]
+    channels = (recording.q, recording.tau, *velocities, *further)
+    changed = find_changed_rows(*(each[part] for each in channels))
     starts = np.flatnonzero(changed)
     lengths = np.diff(np.append(starts, index.size))
     rest = np.repeat(lengths > GAP * np.median(lengths), lengths)
-    kept_rows: NDArray[np.intp] = index[changed | rest]
-    return kept_rows
+    return np.asarray(index[changed | rest])
 
 
-def _simplify_indices(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+def _simplify_indices(rows: Indices) -> Indices | slice:
     """Return increasing indices as a slice, which copies nothing, if none is left out."""
     if rows.size and rows[-1] - rows[0] + 1 == rows.size:
         return slice(int(rows[0]), int(rows[-1]) + 1)
     return rows
 
 
-@kernel("a2 B1")
-def _keep_finite(values: Array, finite: Mask) -> None:
-    """Unmark rows of (N, m) that are not finite."""
-    for k in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            finite[k] &= np.isfinite(values[k, j])
-
-
-@kernel("B1 a2")
-def _add_changes(changed: Mask, values: Array) -> None:
-    """Mark rows of (N, m) that differ from the row before."""
-    for k in range(1, values.shape[0]):
-        for j in range(values.shape[1]):
-            changed[k] |= values[k, j] != values[k - 1, j]
-
-
-def _estimate_logged_rate(t: Array, period: float) -> float:
-    """Return the inverse of the mean step outside gaps, rounded to a whole number within 0.1 %."""
-    steps = np.diff(t)
-    return _round_rate(1.0 / float(np.mean(steps[steps <= GAP * period])))
-
-
 def _round_rate(rate: float) -> float:
+    """Return a rate rounded to a whole number within 0.1 %."""
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 20 else rate
 
 
@@ -351,29 +346,44 @@ def _assign_ticks(t: Array, period: float) -> Array | None:
     return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
-def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
-    """Return x (L, n), whose value at time t is the one at `t + delay`, (n,) [s].
+def plan_bridges(t: Array, usable: Indices, longest: float, pause: float) -> Bridges:
+    """Return bridges of the pauses from `pause` to `longest` [s] between usable rows of times t."""
+    logged = t[usable]
+    steps = np.diff(logged)
+    period = float(np.median(steps))
+    pauses = []
+    for place in np.flatnonzero((steps > pause) & (steps <= longest)).tolist():
+        count = round(float(steps[place]) / period) - 1
+        times = logged[place] + np.arange(1, count + 1) * (steps[place] / (count + 1))
+        near = _select_around(logged, place, count, pause)
+        pauses.append(Pause(place + 1, times, near, logged[near]))
+    if not pauses:
+        return Bridges(usable, (), t, usable)
+    filled = _insert(logged, pauses, [each.times for each in pauses])
+    return Bridges(usable, tuple(pauses), filled, np.arange(filled.size))
 
-    Fractions of a sample by a Kaiser-windowed sinc (Laakso et al., Splitting the unit delay, IEEE
-    Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
-    logged, x is continued by its odd reflection.
-    """
-    columns = (_shift(each, float(steps)) for each, steps in zip(x.T, delay * rate, strict=True))
-    return np.stack(list(columns), axis=1)
+
+def _insert(x: Array, pauses: Sequence[Pause], filled: Sequence[Array]) -> Array:
+    """Return usable rows (L, ...) with what fills each pause between them."""
+    rows = np.repeat([each.row for each in pauses], [len(each) for each in filled])
+    return np.insert(x, rows, np.concatenate(filled), axis=0)
 
 
-def _shift(x: Array, steps: float) -> Array:
-    """Return x (L,) at every index plus `steps`, a real number."""
-    whole = round(steps)
-    part = steps - whole
-    padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
-    begin = whole + abs(whole)
-    if abs(part) < 1e-9:
-        return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
-    offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
-    # Shape of its window: side lobes of -80 dB.
-    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
-    taps = np.sinc(offsets - part) * window
-    return np.convolve(
-        padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"
-    )
+def _select_around(t: Array, place: int, count: int, pause: float) -> slice:
+    """Return the samples on either side of a pause, up to the next pause."""
+    # Fewest samples on either side of a pause that the polynomial is fitted to.
+    width = max(8, count)
+    first, last = max(place + 1 - width, 0), min(place + 1 + width, t.size)
+    earlier = np.flatnonzero(np.diff(t[first : place + 1]) > pause)
+    later = np.flatnonzero(np.diff(t[place + 1 : last]) > pause)
+    begin = first + int(earlier[-1]) + 1 if earlier.size else first
+    return slice(begin, place + 2 + int(later[0]) if later.size else last)
+
+
+def _interpolate_locally(t: Array, values: Array, times: Array) -> Array:
+    """Return a polynomial through values (L, n) at other times (m, n)."""
+    centre, half = float(times.mean()), max(float(np.ptp(t)) / 2.0, 1e-12)
+    # Degree of the polynomial; a sine at the cutoff makes less than one turn in its window.
+    degree = min(5, t.size - 1)
+    fit = np.linalg.lstsq(np.vander((t - centre) / half, degree + 1), values, rcond=None)[0]
+    return np.asarray(np.vander((times - centre) / half, degree + 1) @ fit)

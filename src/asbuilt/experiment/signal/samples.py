@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array, Mask
-from asbuilt.errors import RecordingError, UsageError
+from asbuilt.arrays import Array, Mask, find_true_ranges
+from asbuilt.errors import RecordingError, UsageError, refuse
 from asbuilt.experiment.recording import EncoderSide, TorqueSource
 from asbuilt.findings import join_names
 
@@ -113,49 +113,44 @@ class Samples:
     encoder_at: EncoderSide = "link"
 
     def __post_init__(self) -> None:
-        t = _read_only(self.t)
-        if t.ndim != 1 or t.size == 0:
-            raise RecordingError(
-                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}"
-            )
-        object.__setattr__(self, "t", t)
-        if np.isnan(self.origin):
-            object.__setattr__(self, "origin", float(t[0]))
-        shape = (t.size, len(self.joint_names))
-        if self.tau_raw.size == 0:
-            object.__setattr__(self, "tau_raw", self.tau)
-        for name in ("q", "qd", "qdd", "tau", "tau_raw"):
-            array = _read_only(getattr(self, name))
-            if array.shape != shape:
-                raise RecordingError(
-                    f"{self.source}: {name} must have shape {shape} for {shape[1]} joints, got"
-                    f" {array.shape}"
-                )
-            object.__setattr__(self, name, array)
-        if self.contact is not None:
-            contact = _read_only(self.contact)
-            if contact.ndim != 2 or len(contact) != t.size:
-                raise RecordingError(
-                    f"{self.source}: contact must have a row for each of {t.size} samples, got"
-                    f" {contact.shape}"
-                )
-            object.__setattr__(self, "contact", contact)
-        if self.encoder is not None:
-            encoder = _read_only(self.encoder)
-            if encoder.shape != (3, *shape):
-                raise RecordingError(
-                    f"{self.source}: a second encoder must have shape {(3, *shape)}, got"
-                    f" {encoder.shape}"
-                )
-            object.__setattr__(self, "encoder", encoder)
+        t = _freeze(self.t)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
-        object.__setattr__(self, "segments", segments)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
-        if any(later < earlier for earlier, later in pairwise(ends)):
-            raise RecordingError(
+        shape = (t.size, len(self.joint_names))
+        expected: dict[str, tuple[Array | None, tuple[int, ...]]] = {
+            "q": (self.q, shape),
+            "qd": (self.qd, shape),
+            "qdd": (self.qdd, shape),
+            "tau": (self.tau, shape),
+            "tau_raw": (self.tau_raw if self.tau_raw.size else self.tau, shape),
+            "contact": (self.contact, (t.size, *np.shape(cast(Any, self.contact))[-1:])),
+            "encoder": (self.encoder, (3, *shape)),
+        }
+        arrays = {name: _freeze(x) for name, (x, _) in expected.items() if x is not None}
+        refuse(
+            RecordingError,
+            (
+                t.ndim != 1 or t.size == 0,
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
+            ),
+            *(
+                (
+                    array.shape != expected[name][1],
+                    f"{self.source}: {name} must have shape {expected[name][1]} for {t.size}"
+                    f" samples of {shape[1]} joints, got {array.shape}",
+                )
+                for name, array in arrays.items()
+            ),
+            (
+                any(later < earlier for earlier, later in pairwise(ends)),
                 f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
-                f" {list(segments)}"
-            )
+                f" {list(segments)}",
+            ),
+        )
+        origin = float(t[0]) if np.isnan(self.origin) else self.origin
+        settled = {"t": t, "segments": segments, "origin": origin, **arrays}
+        for name, value in settled.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         return (
@@ -223,7 +218,8 @@ class Samples:
         """Return x (N, ...) at the samples of segments alone."""
         if sum(b - a for a, b in self.segments) == len(x):
             return x
-        return np.concatenate([x[a:b] for a, b in self.segments])
+        parts = [x[a:b] for a, b in self.segments]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def spans(self) -> Iterator[slice]:
         """Yield spans of contiguous samples that together are all of segments, some at a time."""
@@ -232,64 +228,40 @@ class Samples:
                 yield slice(first, min(first + AT_ONCE, b))
 
     def within(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return the same arrays with those segments of them where `keep` (N,) is true."""
-        return replace(self, segments=tuple(self._ranges(keep)))
-
-    def compact(self) -> Samples:
-        """Return the samples of segments alone."""
-        if sum(b - a for a, b in self.segments) == self.n_samples:
-            return self
-        return self._taken(list(self.segments))
-
-    def select(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
-        return self._taken(self._ranges(keep))
-
-    def _ranges(self, keep: NDArray[np.bool_]) -> list[tuple[int, int]]:
-        """Return the contiguous samples of segments where `keep` is true."""
+        """Return the same arrays with those parts of segments where `keep` (N,) is true."""
         mask = np.asarray(keep)
         if mask.dtype != np.bool_ or mask.shape != self.t.shape:
             raise UsageError(
                 f"a selection is one truth value for each of {self.n_samples} samples, got"
                 f" {mask.dtype} of shape {mask.shape}"
             )
-        ranges: list[tuple[int, int]] = []
-        for a, b in self.segments:
-            edges = (
-                np.flatnonzero(np.diff(np.concatenate([[0], mask[a:b].astype(np.int8), [0]]))) + a
-            )
-            ranges.extend(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        ranges = tuple(
+            (a + first, a + last)
+            for a, b in self.segments
+            for first, last in find_true_ranges(mask[a:b])
+        )
         if not ranges:
             raise RecordingError(
                 f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and"
                 f" {self.t[-1]:g} s"
             )
-        return ranges
+        return replace(self, segments=ranges)
 
-    def _taken(self, ranges: list[tuple[int, int]]) -> Samples:
-        """Return the samples of these ranges, each a segment."""
-        stops = np.cumsum([b - a for a, b in ranges]).tolist()
-        segments = tuple(zip([0, *stops[:-1]], stops, strict=True))
+    def select(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
+        return self.within(keep).compact()
 
-        def take(x: Array) -> Array:
-            return (
-                x[slice(*ranges[0])]
-                if len(ranges) == 1
-                else np.concatenate([x[a:b] for a, b in ranges])
-            )
-
-        return replace(
-            self,
-            t=take(self.t),
-            q=take(self.q),
-            qd=take(self.qd),
-            qdd=take(self.qdd),
-            tau=take(self.tau),
-            tau_raw=take(self.tau_raw),
-            contact=None if self.contact is None else take(self.contact),
-            encoder=None if self.encoder is None else np.stack([take(x) for x in self.encoder]),
-            segments=segments,
-        )
+    def compact(self) -> Samples:
+        """Return the samples of segments alone."""
+        if sum(b - a for a, b in self.segments) == self.n_samples:
+            return self
+        names = ("t", "q", "qd", "qdd", "tau", "tau_raw", "contact")
+        arrays = {name: getattr(self, name) for name in names}
+        kept = {k: None if x is None else self.in_segments(x) for k, x in arrays.items()}
+        if self.encoder is not None:
+            kept["encoder"] = np.stack([self.in_segments(x) for x in self.encoder])
+        bounds = [0, *np.cumsum([b - a for a, b in self.segments]).tolist()]
+        return replace(self, **cast(Any, kept), segments=tuple(pairwise(bounds)))
 
     def between(self, start: float, stop: float) -> Samples:
         """Return the samples with `start <= t < stop` [s]."""
@@ -306,7 +278,7 @@ class Samples:
         return self.parallel.n_outputs(n_inputs) if self.parallel else n_inputs
 
 
-def _read_only(value: ArrayLike) -> Array:
+def _freeze(value: ArrayLike) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.flags.writeable:
         array = array.view()

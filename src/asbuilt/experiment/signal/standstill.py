@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, find_true_ranges
 from asbuilt.compilation import kernel
 
 SLOWEST = 0.0015
@@ -52,10 +52,10 @@ def find_moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[in
     rest = np.array(still.all(axis=1))
     _keep_lasting(rest, PAUSE * rate)
     keep = ~rest
-    for a, b in _find_segments(rest):
+    for a, b in find_true_ranges(rest):
         keep[a : a + shoulder if a > 0 else a] = True
         keep[max(b - shoulder, a) if b < rest.size else b : b] = True
-    return _find_segments(keep)
+    return find_true_ranges(keep)
 
 
 @kernel("B1 f")
@@ -70,8 +70,3 @@ def _keep_lasting(mask: Mask, samples: float) -> None:
                 for j in range(k - length, k):
                     mask[j] = False
             length = 0
-
-
-def _find_segments(mask: Mask) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.quality.torque.torque_fit import BREAKAWAY
+from asbuilt.experiment.quality.torque_fit import BREAKAWAY
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.tables import format_plus_minus
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.servo_torque import command_rate, hold_command
+from asbuilt.experiment.command.servo_torque import hold_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.block_fits import (
@@ -157,7 +157,7 @@ def _list_visible_limits(
     if not largest > 0.0:
         return
     plain = replace(recording, servo=limit_goal(servo, np.inf))
-    held, rate = hold_command(plain), command_rate(plain)
+    held, rate = hold_command(plain), hold_command(plain, derivative=1)
     count = 1 + round(np.log(RULES.fastest / RULES.slowest) / np.log(RULES.ratio))
     for limit in (RULES.slowest * largest * RULES.ratio ** np.arange(count)[::-1]).tolist():
         if _is_visible(replace(plain, servo=limit_goal(servo, limit)), held, rate, joints):

@@ -18,11 +18,11 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
-    command_rate,
     differentiate_logged_positions,
+    drop_saturated,
+    drop_slow_rows,
     hold_command,
 )
-from asbuilt.experiment.command.usable_samples import drop_saturated, drop_slow_rows
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
@@ -136,7 +136,7 @@ class CommandedMotion:
 
     def rate(self, recording: Recording, delay: float) -> Samples:
         """Return samples whose torques are the rate of what the servo of a recording follows."""
-        return self._filtered(self._gains[0] * command_rate(recording, delay, self._curve))
+        return self._filtered(self._gains[0] * hold_command(recording, delay, self._curve, 1))
 
     def grams(
         self, recording: Recording, delay: float, rate: Samples | None = None
@@ -175,7 +175,7 @@ class CommandedMotion:
         return np.stack([np.nan_to_num(servo.kp, nan=1.0), np.nan_to_num(servo.kd)])
 
     @cached_property
-    def _curve(self) -> CommandCurve:
+    def _curve(self) -> CommandCurve | None:
         return CommandCurve.of(self.recording)
 
     @cached_property

@@ -11,13 +11,11 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.recording import Recording, find_advancing_rows
-from asbuilt.experiment.signal.differentiation import central_differences
+from asbuilt.experiment.recording import Recording, find_advancing_rows, join_recordings
+from asbuilt.experiment.signal.differentiation import validate_velocities
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
-from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
-from asbuilt.experiment.signal.noise.velocity_choice import compare_velocities
 from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.resampling import resample_segments
+from asbuilt.experiment.signal.resampling import plan_uniform_grid
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
@@ -81,18 +79,9 @@ def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
     if not np.nanmax(np.ptp(head.q, axis=0)) > 0.0:
         return True
     cutoff = resolve_chain(SignalChain(), head).cutoff or 0.0
-    segments, rate, _ = resample_segments(head)
-    pairs = []
-    for segment in segments:
-        if segment.qd is None:
-            return False
-        if segment.t.size > 2 * settling_samples(cutoff, rate):
-            derived = central_differences(segment.q, rate)
-            smooth, logged = (
-                butterworth(x, cutoff=cutoff, rate=rate) for x in (derived, segment.qd)
-            )
-            pairs.append((smooth, logged, derived, segment.qd))
-    return bool(pairs) and compare_velocities(pairs, rate).helps
+    grid = plan_uniform_grid(head)
+    verdict = validate_velocities(grid.uniform(), grid.rate, cutoff)
+    return verdict is not None and verdict.helps
 
 
 def estimate_doubtful_speed(
@@ -119,7 +108,7 @@ def observe_parts(
     seen = 0
     end, tail = -np.inf, None
     for chunk in recorded:
-        whole = chunk if tail is None else _join_recordings(tail, chunk)
+        whole = chunk if tail is None else join_recordings([tail, chunk])
         found = _observe_recording(observer, whole, velocities=velocities)
         new = found if tail is None else found.select(found.t > end)
         yield replace(new, left_out=max(found.left_out - seen, 0))
@@ -160,17 +149,3 @@ def _find_valid_rows(recording: Recording, *, velocities: bool) -> Mask:
     if velocities and recording.qd is not None:
         columns.append(recording.qd)
     return find_advancing_rows(recording.t, np.all(np.isfinite(np.hstack(columns)), axis=1))
-
-
-def _join_recordings(first: Recording, second: Recording) -> Recording:
-    """Return two recordings as one, with the columns that the observer needs."""
-    both = first.qd is not None and second.qd is not None
-    return Recording(
-        t=np.concatenate([first.t, second.t]),
-        q=np.concatenate([first.q, second.q]),
-        tau=np.concatenate([first.tau, second.tau]),
-        qd=np.concatenate([first.qd, second.qd]) if both else None,
-        joint_names=first.joint_names,
-        source=first.source,
-        torque_source=first.torque_source,
-    )

@@ -15,7 +15,7 @@ from asbuilt.experiment.gravity_load import (
     DEGREE,
     LARGEST_RADIANS,
     correlations,
-    load_matches,
+    match_load,
 )
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 
@@ -215,7 +215,7 @@ def _assign_roles(
     if model is None:
         return position, command, velocity, others, turned
     matches = [
-        np.stack([load_matches(model, groups[k], groups, scale) for k in rest])
+        np.stack([match_load(model, groups[k], groups, scale) for k in rest])
         for scale in (1.0, DEGREE)
     ]
     for each in matches:

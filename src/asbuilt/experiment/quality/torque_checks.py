@@ -3,54 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.quality.conventions import check_conventions, check_gravity
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
-from asbuilt.experiment.quality.torque.conventions import check_conventions, check_gravity
-from asbuilt.experiment.quality.torque.stand_in import check_scale_without_masses
-from asbuilt.experiment.quality.torque.torque_fit import (
+from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
     find_best_assignment,
     find_swapped_torques,
+    infer_density,
 )
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
-from asbuilt.findings import Cure, Finding, Severity, join_names
+from asbuilt.findings import Cure, Finding, join_names
 
-
-@dataclass(frozen=True, slots=True)
-class TorqueThresholds:
-    """Thresholds of sign, scale and correlation of measured with rigid-body torques.
-
-    The masses of CAD are known to some tens of percent, gravity dominates.
-    """
-
-    clear: float = 0.9
-    """Correlation with the model's torque from which sign and scale of a joint are clear."""
-    certain: float = 0.95
-    """Correlation from which a single joint may be reported to differ from the others."""
-    faint: float = 0.3
-    """Correlation of the largest torque from which noise explains that no joint is clear."""
-    similar: tuple[float, float] = (0.8, 1.25)
-    """Gain of the largest torque for which noise explains that no joint is clear."""
-    plausible: tuple[float, float] = (0.3, 3.0)
-    """Gain that masses unlike CAD explain; beyond, the unit of the torque differs."""
-    odd: tuple[float, float] = (0.2, 5.0)
-    """Gain of one joint, relative to the others, beyond which its unit or gain differs."""
-    doubtful: tuple[float, float] = (0.6, 1.7)
-    """Gain of one joint that the masses of CAD seldom explain, in a scale that is plausible."""
-    gravity: float = 0.8
-    """Least share of gravity in the torque of a joint whose scale is doubted: an armature that CAD
-    lacks changes other torques."""
-    braking: float = 0.5
-    """Correlation against the direction of motion from which a torque is not friction's."""
-
-
-THRESHOLDS = TorqueThresholds()
+CLEAR, CERTAIN = 0.9, 0.95
+"""Correlations with the model's torque from which sign and scale of a joint are clear, and from
+which a single joint may be reported to differ from the others."""
+PLAUSIBLE = 0.3, 3.0
+"""Gain that masses unlike CAD explain; beyond, the unit of the torque differs. The masses of CAD
+are known to some tens of percent, and gravity dominates."""
+BRAKING = 0.5
+"""Correlation against the direction of motion from which a torque is not friction's."""
 
 
 def check_torques(
@@ -62,15 +41,9 @@ def check_torques(
     """
     fit = TorqueFit.of(model, motion, position_scale)
     if not np.any(fit.predicted > 0):
-        signs = fit.friction_correlation
-        yield _without_masses(model, signs)
-        yield from _check_signs_by_friction(model, signs)
-        scale = check_scale_without_masses(fit)
-        if scale is not None:
-            yield scale
+        yield from _check_without_masses(fit)
         return
-    ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
-    if ratio == 0:
+    if fit.ratio == 0:
         yield Finding(
             "no_torque",
             "error",
@@ -82,35 +55,31 @@ def check_torques(
     mounted = check_gravity(fit)
     if mounted is not None:
         yield mounted[0]
-        model = model.with_gravity(mounted[1])
-        fit = TorqueFit.of(model, motion, position_scale)
-        ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
-    low, high = THRESHOLDS.plausible
-    if not low < ratio < high:
-        fit = TorqueFit.of(model, motion, position_scale, 1.0 / ratio)
-    else:
-        ratio = 1.0
+        fit = mounted[1]
+    ratio = 1.0 if PLAUSIBLE[0] < fit.ratio < PLAUSIBLE[1] else fit.ratio
+    fit = replace(fit, tau=fit.tau * (1.0 / ratio))
     best = find_best_assignment(fit)
     other = check_conventions(best)
     if best is not fit:
-        yield _report_swapped(model, fit, best)
+        yield _report_swapped(fit, best)
     if other is not None:
         yield other[0]
         best = other[1]
     elif best is fit:
-        yield from _find_swapped_without_cad(model, fit)
-    yield from _check_sign_and_scale(model, recording, best, ratio)
+        yield from _find_swapped_without_cad(fit)
+    yield from _check_sign_and_scale(recording, best, ratio)
 
 
-def _without_masses(model: RobotModel, friction: Array) -> Finding:
-    """Say what of the torques can be checked without masses, by correlations of friction (n,)."""
-    seen = np.flatnonzero(np.abs(friction) > THRESHOLDS.braking)
+def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
+    """Check signs by friction, and the scale by the length of the arm."""
+    model, friction = fit.model, fit.friction_correlation
+    seen = np.flatnonzero(np.abs(friction) > BRAKING)
     by = (
         f"their signs by friction at {join_names([model.joint_names[k] for k in seen])} alone"
         if seen.size
         else "their signs neither, as no friction shows"
     )
-    return Finding(
+    yield Finding(
         "no_inertia",
         "info",
         f"{model.name} has no inertial parameters, or none that act in this motion; the order of"
@@ -118,13 +87,14 @@ def _without_masses(model: RobotModel, friction: Array) -> Finding:
         " the scale of the torques",
         Cure("use a description with masses to have them checked"),
     )
+    yield from _check_signs_by_friction(model, friction)
+    yield from check_scale_without_masses(fit)
 
 
 def _check_signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
-    seen = np.abs(friction) > THRESHOLDS.braking
-    wrong = np.flatnonzero(seen & (friction < 0.0)).tolist()
-    right = np.flatnonzero(seen & (friction > 0.0)).tolist()
+    wrong = np.flatnonzero(friction < -BRAKING).tolist()
+    right = np.flatnonzero(friction > BRAKING).tolist()
     if len(wrong) > max(len(right), 1):
         listed = join_names([f"{model.joint_names[k]} {friction[k]:.2f}" for k in wrong])
         yield Finding(
@@ -148,19 +118,19 @@ def _report_driven_motion(
     model: RobotModel, k: int, correlation: float, sign: float, wrong: Collection[int]
 ) -> Finding:
     """Return the finding of a joint whose torque grows against the direction of its motion."""
-    return _report_flipped_joint(
-        model,
-        k,
+    return Finding(
+        "joint_torque_flipped",
         "warning",
         f"the torque of {model.joint_names[k]} correlates negatively with its direction of motion"
         f" ({correlation:.2f}), unlike friction; its sign may be flipped",
         _make_signs_cure(model, sign, wrong),
+        joint=model.joint_names[k],
     )
 
 
-def _report_swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Finding:
-    names = model.joint_names
-    moved = [k for k in range(model.n_joints) if best.torque_of[k] != k or best.motion_of[k] != k]
+def _report_swapped(fit: TorqueFit, best: TorqueFit) -> Finding:
+    names = fit.model.joint_names
+    moved = [k for k in range(len(names)) if best.torque_of[k] != k or best.motion_of[k] != k]
     fits = []
     for k in moved:
         torque, motion = names[best.torque_of[k]], names[best.motion_of[k]]
@@ -182,10 +152,10 @@ def _report_swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Findi
     )
 
 
-def _find_swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Finding]:
+def _find_swapped_without_cad(fit: TorqueFit) -> Iterator[Finding]:
     swap = find_swapped_torques(fit)
     if swap is not None:
-        one, other = (model.joint_names[k] for k in swap.joints)
+        one, other = (fit.model.joint_names[k] for k in swap.joints)
         yield Finding(
             "joints_swapped",
             "error",
@@ -197,12 +167,10 @@ def _find_swapped_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Fin
         )
 
 
-def _check_sign_and_scale(
-    model: RobotModel, recording: FirstPass, fit: TorqueFit, ratio: float
-) -> Iterator[Finding]:
-    names = model.joint_names
+def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
+    model, names = fit.model, fit.model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
-    clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > THRESHOLDS.clear))]
+    clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > CLEAR))]
     if not clear:
         yield from _find_uncorrelated(model, correlation, gain, predicted)
         return
@@ -212,14 +180,14 @@ def _check_sign_and_scale(
     )
     flipped = sum(correlation[k] < 0 for k in clear) * 2 > len(clear)
     sign = -1.0 if flipped else 1.0
-    scale = float(np.median([abs(gain[k]) for k in clear]))
+    scale = float(np.median(np.abs(gain[clear])))
     relative = np.abs(gain) / scale
-    odd_low, odd_high = THRESHOLDS.odd
-    usual = (odd_low < relative) & (relative < odd_high)
+    # Beyond these gains relative to the others the unit or gain of a joint differs.
+    usual = (relative > 0.2) & (relative < 5.0)
     alone = [
         k
         for k in np.flatnonzero(fit.decides & usual).tolist()
-        if sign * correlation[k] < -(THRESHOLDS.clear if k in clear else THRESHOLDS.certain)
+        if sign * correlation[k] < -(CLEAR if k in clear else CERTAIN)
     ]
     if flipped:
         yield Finding(
@@ -233,20 +201,19 @@ def _check_sign_and_scale(
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
-    braking = np.flatnonzero(unclear & (friction < -THRESHOLDS.braking))
-    doubtful = [k for k in braking.tolist() if k not in alone]
+    braking = np.flatnonzero(unclear & (friction < -BRAKING)).tolist()
+    braking = [k for k in braking if k not in alone]
     for k in alone:
-        yield _report_flipped_joint(
-            model,
-            k,
+        yield Finding(
+            "joint_torque_flipped",
             "error",
             f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
             f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
             _make_signs_cure(model, sign, alone),
+            joint=names[k],
         )
-    for k in doubtful:
-        yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
-    low, high = THRESHOLDS.plausible
+    for k in braking:
+        yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *braking])
     servo = recording.first.servo
     if servo is not None and np.any(np.isnan(servo.kp)):
         yield Finding(
@@ -257,11 +224,11 @@ def _check_sign_and_scale(
             Cure("give the stiffness if it is known; else it is identified, with its error"),
         )
         return
-    if not low < scale < high:
+    if not PLAUSIBLE[0] < scale < PLAUSIBLE[1]:
         yield _report_scale(model, recording, scale, evidence)
         return
     for k in clear:
-        if abs(correlation[k]) > THRESHOLDS.certain and not usual[k]:
+        if abs(correlation[k]) > CERTAIN and not usual[k]:
             yield Finding(
                 "joint_torque_scale",
                 "warning",
@@ -270,10 +237,11 @@ def _check_sign_and_scale(
                 Cure("correct its gain or unit, as by gains = [...] in a recording sheet"),
                 joint=names[k],
             )
-    few, many = THRESHOLDS.doubtful
-    weight = fit.gravity > THRESHOLDS.gravity * predicted
+    # Masses of CAD seldom explain such gains where gravity is most of the torque; an armature that
+    # CAD lacks changes other torques.
+    doubtful = usual & (fit.gravity > 0.8 * predicted) & ~((abs(gain) > 0.6) & (abs(gain) < 1.7))
     for k in clear:
-        if usual[k] and weight[k] and not few < abs(gain[k]) < many:
+        if doubtful[k]:
             yield Finding(
                 "torque_scale",
                 "warning",
@@ -293,16 +261,14 @@ def _find_uncorrelated(
 ) -> Iterator[Finding]:
     """Find torques unlike the model's, unless noise or friction of the model's size explains it."""
     k = int(np.argmax(predicted))
-    low, high = THRESHOLDS.similar
-    if correlation[k] > THRESHOLDS.faint and low < gain[k] < high:
-        return
-    yield Finding(
-        "torque_uncorrelated",
-        "warning",
-        f"no torque of the log correlates with the model's: {correlation[k]:.2f} for"
-        f" {model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
-        Cure("check robot, columns and units, and gravity if the robot hangs or is on a wall"),
-    )
+    if not (correlation[k] > 0.3 and 0.8 < gain[k] < 1.25):
+        yield Finding(
+            "torque_uncorrelated",
+            "warning",
+            f"no torque of the log correlates with the model's: {correlation[k]:.2f} for"
+            f" {model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
+            Cure("check robot, columns and units, and gravity if the robot hangs or is on a wall"),
+        )
 
 
 def _make_flip_cure(notes: Collection[str]) -> Cure:
@@ -323,12 +289,6 @@ def _make_signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -
     """Return the cure of signs, where the `flipped` joints have the opposite of all others."""
     signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(model.n_joints))
     return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
-
-
-def _report_flipped_joint(
-    model: RobotModel, k: int, severity: Severity, message: str, cure: Cure
-) -> Finding:
-    return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
 
 
 def _report_scale(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
@@ -353,5 +313,41 @@ def _report_scale(model: RobotModel, recording: FirstPass, scale: float, evidenc
         "torque_scale",
         "error",
         f"the torques are {scale:.3g} times the torques of {model.name} ({evidence}): {guess}",
+        cure,
+    )
+
+
+DENSITY = 0.5, 800.0
+"""Densities [kg/m^3] of rods `stretched_length` wide that a robot may have.
+
+Mass of arms grows with the third power of length. These are a quarter of the lightest and nine
+times the heaviest: 2 to 16 for the descriptions of thirteen robots whose torque of gravity varies
+by 0.4 to 65 N m, 50 for the TX40 and 87 for the two-link arm; recordings of six real arms in N m
+give 1.7 to 87.
+"""
+
+
+def check_scale_without_masses(fit: TorqueFit) -> Iterator[Finding]:
+    """Find torques of a size that no robot of this length has."""
+    density, (low, high) = infer_density(fit), DENSITY
+    if density is None or low < density < high:
+        return
+    length = stretched_length(fit.model)
+    bound = (
+        f"more than {low * length**3:.2g}" if density < low else f"less than {high * length**3:.0f}"
+    )
+    cure = Cure(
+        "give the torque per logged unit, one per joint, as gains = [...] in a recording sheet; a"
+        " payload of known mass determines it",
+        call="find_gains",
+    )
+    if density > high:
+        cure = Cure('write units = { torque = "mN m" } in a recording sheet, or the unit it has')
+    yield Finding(
+        "torque_scale",
+        "warning",
+        f"the torques look not to be N m: gravity's share of them fits an arm of about"
+        f" {density * length**3:.2g} kg, and arms of this length ({length:.2g} m stretched) weigh"
+        f" {bound} kg; masses and torques come out in the logged unit",
         cure,
     )

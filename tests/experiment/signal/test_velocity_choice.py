@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.signal.noise.band_choice import motion_bandwidth
-from asbuilt.experiment.signal.noise.velocity_choice import compare_velocities
+from asbuilt.experiment.signal.band_choice import motion_bandwidth
+from asbuilt.experiment.signal.differentiation import compare_velocities
 
 T = np.arange(0, 40, 0.01)
 NOISE = np.random.default_rng(0).normal(size=(T.size, 2))

@@ -3,52 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel
 
-
-@dataclass(frozen=True, slots=True)
-class StepRules:
-    """Hold when differences of positions are multiples of a step."""
-
-    most_differences: int = 20_000
-    """Differences of a joint that are used; of longer recordings every second, third, ..."""
-    fewest: int = 30
-    """Differences other than 0 from which a step is measured."""
-    near: float = 0.1
-    """Distance from a multiple of the step, in steps, that counts as on it."""
-    roughly: float = 0.45
-    """Share of a few of the differences that a step must have to be looked at more closely."""
-    on_multiples: float = 0.6
-    """Share of the differences on multiples of a step; of a continuous signal it is about 0.2.
-
-    Up to 0.4 of them may be off: samples that were interpolated, or a digit that was lost.
-    """
-    one_multiple: float = 0.6
-    """Share of one multiple among the changes, from which they may be a constant speed."""
-    exact: float = 0.01
-    """Spread of the changes, in steps, up to which one multiple is a step all the same."""
-    largest_multiple: float = 60.0
-    """Typical difference in steps beyond which a step is too fine to be measured."""
-
-
-RULES = StepRules()
-# Kernels take numbers, no objects.
-NEAR, LARGEST_MULTIPLE = RULES.near, RULES.largest_multiple
-FEW = 1_000
-"""Differences that this share is taken from; its standard error is 0.015."""
+NEAR = 0.1
+"""Distance from a multiple of the step, in steps, that counts as on it."""
+LARGEST_MULTIPLE = 60.0
+"""Typical difference in steps beyond which a step is too fine to be measured."""
 
 
 def find_position_steps(segments: Sequence[Array]) -> Array:
     """Return the step of the values of each joint (n,), 0 where none is found.
 
     A joint that takes values on a grid changes between samples by multiples of its step, whatever
-    the noise before the quantisation. The step is the largest number of which a share
-    `RULES.on_multiples` of the changes are multiples. `segments` are positions (L, n).
+    the noise before the quantisation. The step is the largest number of which 0.6 of the
+    changes are multiples: of a continuous signal it is about 0.2, and up to 0.4 of them may be off,
+    samples that were interpolated or a digit that was lost. `segments` are positions (L, n).
 
     Examples
     --------
@@ -65,20 +38,22 @@ def find_position_steps(segments: Sequence[Array]) -> Array:
 
 
 def _find_step(differences: Array) -> float:
-    size = np.abs(differences[:: max(1, differences.size // RULES.most_differences)])
+    # Of longer recordings every second, third, ... difference is used.
+    size = np.abs(differences[:: max(1, differences.size // 20_000)])
     size = size[np.isfinite(size)]
-    if not size.size:
-        return 0.0
     n_all = size.size
-    size = size[size > 1e-9 * max(float(size.max()), np.finfo(np.float64).tiny)]
-    if size.size < RULES.fewest:
+    size = size[size > 1e-9 * max(size.max(initial=0.0), np.finfo(np.float64).tiny)]
+    # A step is measured from thirty differences other than 0.
+    if size.size < 30:
         return 0.0
-    few = np.ascontiguousarray(size[:: max(1, size.size // FEW)])
+    # The standard error of a share of 1000 differences is 0.015, so that a candidate which few of
+    # them support is not looked at more closely.
+    few = np.ascontiguousarray(size[:: max(1, size.size // 1_000)])
     for candidate in _list_candidates(size):
-        if _measure_share(few, _refine_step(few, candidate)) < RULES.roughly:
+        if _measure_share(few, _refine_step(few, candidate)) < 0.45:
             continue
         step = _refine_step(size, candidate)
-        if step > 0.0 and _measure_share(size, step) >= RULES.on_multiples:
+        if step > 0.0 and _measure_share(size, step) >= 0.6:
             return 0.0 if _has_constant_speed(size / step, n_all) else step
     return 0.0
 
@@ -90,7 +65,7 @@ def _list_candidates(size: Array) -> Array:
     gaps = np.diff(np.unique(np.round(size / typical, 3))) * typical
     gaps = np.quantile(gaps, np.linspace(0.0, 0.9, 13)) if gaps.size else gaps
     found = np.concatenate([common, common / 2.0, common / 3.0, gaps])
-    found = found[(found > typical / RULES.largest_multiple) & (found <= 1.5 * typical)]
+    found = found[(found > typical / LARGEST_MULTIPLE) & (found <= 1.5 * typical)]
     return np.unique(found)[::-1]
 
 
@@ -129,4 +104,4 @@ def _measure_share(size: Array, step: float) -> float:
 def _has_constant_speed(multiples: Array, n_all: int) -> bool:
     """Return whether the changes are of one size, as at a constant speed, and not exactly so."""
     alike = np.abs(multiples - 1.0) < NEAR
-    return bool(alike.sum() > RULES.one_multiple * n_all and np.std(multiples[alike]) > RULES.exact)
+    return bool(alike.sum() > 0.6 * n_all and np.std(multiples[alike]) > 0.01)

@@ -18,7 +18,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.torque.torque_fit import (
+from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
     find_swapped_torques,
     friction_bases,

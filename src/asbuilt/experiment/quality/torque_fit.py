@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.description.model import RobotModel
+from asbuilt.description.appearance import link_solids, stretched_length
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import spring_columns
@@ -59,32 +61,14 @@ BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class AssignmentThresholds:
-    """Decide from the sum over joints of the logarithm of the misfit."""
-
-    floor: float = 0.02
-    """Misfit below which a better fit does not count."""
-    fall: float = 2.0
-    """Fall of the sum from which a swap is decisive: one misfit falls to an eighth."""
-    correlation: float = 0.9
-    """Correlation that one of the swapped joints must reach."""
-    most_samples: int = 400
-    """Number of samples used; more do not change the decision."""
-    most_joints: int = 10
-    """Number of joints above which swapped motions are not searched, for time."""
-
-
-THRESHOLDS = AssignmentThresholds()
-
-
 @dataclass(frozen=True, eq=False)
 class TorqueFit:
     """Compare torque columns with the model's rigid-body torques.
 
-    `motion_of[k]` and `torque_of[k]` are the columns taken for joint k. Measured y_k and predicted
-    x_k are the residuals of each after a fit of 1, qd_k and tanh(qd_k / 0.02): offset and friction
-    are taken out of both, and so are described springs. `friction` are the `friction_bases`.
+    `motion_of[k]` and `torque_of[k]` are the logged columns taken for joint k; all arrays are in
+    the order of the joints. Measured y_k and predicted x_k are the residuals of each after a fit of
+    1, qd_k and tanh(qd_k / 0.02): offset and friction are taken out of both, and so are described
+    springs. `friction` are the `friction_bases`.
     """
 
     model: RobotModel
@@ -97,35 +81,24 @@ class TorqueFit:
     torque_of: tuple[int, ...]
 
     @classmethod
-    def of(
-        cls, model: RobotModel, motion: SmoothedMotion, scale: Array, torque_scale: float = 1.0
-    ) -> TorqueFit:
+    def of(cls, model: RobotModel, motion: SmoothedMotion, scale: Array) -> TorqueFit:
         """Compare a smoothed motion, positions times `scale` (n,), in the order logged."""
-        rows = motion.thinned(THRESHOLDS.most_samples)
+        # 400 samples: more do not change a decision.
+        rows = motion.thinned(400)
         order = tuple(range(model.n_joints))
-        qd = motion.qd[rows] * scale
-        return cls(
-            model,
-            motion.q[rows] * scale,
-            qd,
-            motion.qdd[rows] * scale,
-            motion.tau[rows] * torque_scale,
-            friction_bases(qd, spring_columns(model, motion.q[rows] * scale)),
-            order,
-            order,
-        )
+        q, qd, qdd = (x[rows] * scale for x in (motion.q, motion.qd, motion.qdd))
+        friction = friction_bases(qd, spring_columns(model, q))
+        return cls(model, q, qd, qdd, motion.tau[rows], friction, order, order)
 
     @cached_property
     def _residuals(self) -> tuple[Array, Array]:
-        pick = list(self.motion_of)
-        qd = self.qd[:, pick]
-        x = inverse_dynamics(self.model, self.q[:, pick], qd, self.qdd[:, pick], threads=1)
-        return self.without_friction(x), self.without_friction(self.tau[:, list(self.torque_of)])
+        x = inverse_dynamics(self.model, self.q, self.qd, self.qdd, threads=1)
+        return self.without_friction(x), self.without_friction(self.tau)
 
     def without_friction(self, torque: Array) -> Array:
         """Return torques (N, n) without what offset and friction of each joint explain."""
-        bases, columns = self.friction[list(self.motion_of)], torque.T[:, :, None]
-        rest = columns - bases @ (bases.swapaxes(1, 2) @ columns)
+        columns = torque.T[:, :, None]
+        rest = columns - self.friction @ (self.friction.swapaxes(1, 2) @ columns)
         return np.ascontiguousarray(rest[:, :, 0].T)
 
     @property
@@ -143,9 +116,8 @@ class TorqueFit:
     @property
     def gravity(self) -> Array:
         """Standard deviation of the torque of gravity of each joint [N m], shape (n,)."""
-        q = self.q[:, list(self.motion_of)]
-        still = np.zeros_like(q)
-        torque = inverse_dynamics(self.model, q, still, still, threads=1)
+        still = np.zeros_like(self.q)
+        torque = inverse_dynamics(self.model, self.q, still, still, threads=1)
         return np.asarray(np.std(self.without_friction(torque), axis=0))
 
     @property
@@ -154,18 +126,22 @@ class TorqueFit:
         return np.asarray(np.std(self._residuals[1], axis=0))
 
     @property
+    def ratio(self) -> float:
+        """Factor from predicted to measured torques by their size."""
+        return float(np.sqrt(np.sum(self.measured**2) / np.sum(self.predicted**2)))
+
+    @property
     def correlation(self) -> Array:
         """Correlation of measured with predicted torque, joint by joint, shape (n,)."""
         x, y = self._residuals
         norms = np.linalg.norm(x, axis=0) * np.linalg.norm(y, axis=0)
-        return np.asarray(np.sum(x * y, axis=0) / np.where(norms > 0, norms, 1.0))
+        return np.asarray(np.sum(x * y, axis=0) / _replace_zeros(norms))
 
     @property
     def gain(self) -> Array:
         """Least-squares factor from predicted to measured torque, joint by joint, shape (n,)."""
         x, y = self._residuals
-        energy = np.sum(x**2, axis=0)
-        return np.asarray(np.sum(x * y, axis=0) / np.where(energy > 0, energy, 1.0))
+        return np.asarray(np.sum(x * y, axis=0) / _replace_zeros(np.sum(x**2, axis=0)))
 
     @property
     def friction_correlation(self) -> Array:
@@ -174,21 +150,19 @@ class TorqueFit:
         The rigid-body torque of any masses is projected out of both, so CAD values do not matter;
         joints whose friction is less than a tenth of their torque get 0.
         """
-        pick = list(self.motion_of)
         base = find_base_parameters(self.model, DriveSet.parse("offset"))
-        q, qd, qdd = (values[:, pick] for values in (self.q, self.qd, self.qdd))
         observed = observation_matrix(
-            self.model, q, qd, qdd, drive=base.drive, columns=base.columns
+            self.model, self.q, self.qd, self.qdd, drive=base.drive, columns=base.columns
         )
-        rows = observed.reshape(*q.shape, base.n_base)
-        correlation = np.zeros(q.shape[1])
-        for k in range(q.shape[1]):
+        rows = observed.reshape(*self.q.shape, base.n_base)
+        correlation = np.zeros(self.model.n_joints)
+        for k in range(self.model.n_joints):
             lengths = np.linalg.norm(rows[:, k], axis=0)
             basis, values, _ = np.linalg.svd(
                 rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False
             )
             basis = basis[:, values > 1e-6 * values[0]]
-            both = np.column_stack([np.tanh(qd[:, k] / BREAKAWAY), self.tau[:, self.torque_of[k]]])
+            both = np.column_stack([np.tanh(self.qd[:, k] / BREAKAWAY), self.tau[:, k]])
             direction, rest = (both - basis @ (basis.T @ both)).T
             norm = float(np.linalg.norm(direction) * np.linalg.norm(rest))
             whole = np.linalg.norm(both[:, 1] - both[:, 1].mean())
@@ -200,22 +174,36 @@ class TorqueFit:
         """Return `|y_k - sign x_k|^2 / (|y_k|^2 + |x_k|^2)` of each joint, shape (n,)."""
         x, y = self._residuals
         scale = np.sum(x**2, axis=0) + np.sum(y**2, axis=0)
-        return np.asarray(np.sum((y - sign * x) ** 2, axis=0) / np.where(scale > 0, scale, 1.0))
+        return np.asarray(np.sum((y - sign * x) ** 2, axis=0) / _replace_zeros(scale))
 
     @property
     def cost(self) -> float:
         """Sum over joints of the logarithm of the misfit, for the better sign of all torques."""
-        return min(float(np.sum(np.log(self.misfit(sign) + THRESHOLDS.floor))) for sign in (1, -1))
+        # 0.02: misfit below which a better fit does not count.
+        return min(float(np.sum(np.log(self.misfit(sign) + 0.02))) for sign in (1, -1))
 
     def changes(self) -> Iterator[TorqueFit]:
         """Yield the fits with two joints swapped: their torques, their motions, or both."""
-        for torque_of, motion_of in zip(
-            list_swaps(self.torque_of), list_swaps(self.motion_of), strict=True
-        ):
-            yield replace(self, torque_of=torque_of)
-            if self.model.n_joints <= THRESHOLDS.most_joints:
-                yield replace(self, torque_of=torque_of, motion_of=motion_of)
-                yield replace(self, motion_of=motion_of)
+        for order in map(list, list_swaps(tuple(range(self.model.n_joints)))):
+            torque: dict[str, Any] = {
+                "tau": self.tau[:, order],
+                "torque_of": tuple(self.torque_of[k] for k in order),
+            }
+            motion: dict[str, Any] = {
+                **{name: getattr(self, name)[:, order] for name in ("q", "qd", "qdd")},
+                "friction": self.friction[order],
+                "motion_of": tuple(self.motion_of[k] for k in order),
+            }
+            yield replace(self, **torque)
+            # More joints would take long.
+            if self.model.n_joints <= 10:
+                yield replace(self, **torque, **motion)
+                yield replace(self, **motion)
+
+
+def _replace_zeros(x: Array) -> Array:
+    """Return sizes (n,) with 1 in place of 0, to divide by."""
+    return np.where(x > 0.0, x, 1.0)
 
 
 def friction_bases(qd: Array, springs: Array) -> Array:
@@ -238,9 +226,8 @@ def find_best_assignment(fit: TorqueFit) -> TorqueFit:
     """Swap pairs of joints as long as the torques fit decisively better, and one joint well."""
     best = fit
     for _ in range(fit.model.n_joints):
-        change = choose_decisive_change(
-            best, best.changes(), lambda each: each.cost, THRESHOLDS.fall
-        )
+        # A sum of logarithms that falls by 2: one misfit falls to an eighth.
+        change = choose_decisive_change(best, best.changes(), lambda each: each.cost, 2.0)
         if change is None:
             break
         moved = [
@@ -248,30 +235,11 @@ def find_best_assignment(fit: TorqueFit) -> TorqueFit:
             for k in range(fit.model.n_joints)
             if (change.torque_of[k], change.motion_of[k]) != (best.torque_of[k], best.motion_of[k])
         ]
-        if max(abs(change.correlation[moved])) < THRESHOLDS.correlation:
+        # Correlation that one of the swapped joints must reach.
+        if max(abs(change.correlation[moved])) < 0.9:
             break
         best = change
     return best
-
-
-@dataclass(frozen=True, slots=True)
-class SwapThresholds:
-    """Decide from the sum over joints of the logarithm of the unexplained variance."""
-
-    fall: float = 4.0
-    """Fall of the sum from which a swap is decisive: both shares fall to an eighth."""
-    floor: float = 1e-3
-    """Unexplained share below which a better fit does not count."""
-    each: float = 0.5
-    """Largest unexplained share of each of the two torques, relative to that as logged: a torque
-    that is constant, or noise alone, is explained no better at another joint."""
-    rows_per_parameter: int = 3
-    """Torques per parameter below which any order is explained."""
-    singular: float = 1e-10
-    """Relative eigenvalue of the scaled normal equations of a direction that is not excited."""
-
-
-SWAP = SwapThresholds()
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,21 +261,21 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     offsets, torques scaled to unit variance. CAD values are not used, so the wrists of an arm,
     where friction exceeds the rigid-body torque, are checked too.
     """
-    n, samples = fit.model.n_joints, len(fit.q)
+    samples, n = fit.q.shape
     base = find_base_parameters(fit.model, DriveSet.parse("viscous,offset"))
     p = base.n_base + n
-    if samples * n < SWAP.rows_per_parameter * p:
+    # 3: torques per parameter below which any order is explained.
+    if samples * n < 3 * p:
         return None
-    pick, torque = list(fit.motion_of), fit.tau[:, list(fit.torque_of)]
-    q, qd, qdd = (values[:, pick] for values in (fit.q, fit.qd, fit.qdd))
     W = np.zeros((samples, n, p))
     W[:, :, : base.n_base] = observation_matrix(
-        fit.model, q, qd, qdd, drive=base.drive, columns=base.columns
+        fit.model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns
     ).reshape(samples, n, -1)
-    W[:, range(n), range(base.n_base, p)] = np.tanh(qd / BREAKAWAY)
-    y = torque - torque.mean(axis=0)
-    spread = y.std(axis=0)
-    spread = np.where(spread > 0.0, spread, 1.0)
+    W[:, range(n), range(base.n_base, p)] = np.tanh(fit.qd / BREAKAWAY)
+    # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
+    y = np.asfortranarray(fit.tau)
+    y = y - y.mean(axis=0)
+    spread = _replace_zeros(y.std(axis=0))
     y = y / spread
     normal = _NormalEquations(
         W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
@@ -317,12 +285,8 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
         samples,
     )
     logged = tuple(range(n))
-    found = choose_decisive_change(
-        logged,
-        list_swaps(logged),
-        normal.cost,
-        SWAP.fall,
-    )
+    # A sum of logarithms that falls by 4: both unexplained shares fall to an eighth.
+    found = choose_decisive_change(logged, list_swaps(logged), normal.cost, 4.0)
     if found is None:
         return None
     i, j = (k for k in range(n) if found[k] != k)
@@ -346,11 +310,13 @@ class _NormalEquations:
 
     def cost(self, torque_of: tuple[int, ...]) -> float:
         """Return the sum of logarithms of the unexplained shares, if each torque moved gains."""
-        logged = self.unexplained(tuple(range(len(torque_of)))) + SWAP.floor
-        shares = self.unexplained(torque_of) + SWAP.floor
-        moved = [(k, j) for k, j in enumerate(torque_of) if k != j]
-        if any(self.power[j] == 0.0 or shares[k] > SWAP.each * logged[j] for k, j in moved):
-            return np.inf
+        # 1e-3: unexplained share below which a better fit does not count.
+        logged = self.unexplained(tuple(range(len(torque_of)))) + 1e-3
+        shares = self.unexplained(torque_of) + 1e-3
+        for k, j in enumerate(torque_of):
+            # A torque that is constant, or noise alone, is explained no better at another joint.
+            if k != j and (self.power[j] == 0.0 or shares[k] > 0.5 * logged[j]):
+                return np.inf
         return float(np.sum(np.log(shares)))
 
     def unexplained(self, torque_of: tuple[int, ...]) -> Array:
@@ -359,12 +325,45 @@ class _NormalEquations:
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         gram = np.tensordot(scale**2, self.grams, axes=1)
-        size = np.sqrt(np.diag(gram))
-        size = np.where(size > 0.0, size, 1.0)
+        size = _replace_zeros(np.sqrt(np.diag(gram)))
         eigenvalues, axes = np.linalg.eigh(gram / np.outer(size, size))
-        excited = eigenvalues > SWAP.singular * eigenvalues[-1]
+        # Relative eigenvalue of the scaled equations of a direction that is not excited.
+        excited = eigenvalues > 1e-10 * eigenvalues[-1]
         axes = axes[:, excited] / size[:, None]
         beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited])
         explained = scale**2 * (self.grams @ beta @ beta)
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))
+
+
+def replace_links_by_rods(model: RobotModel) -> RobotModel:
+    """Return the robot with thin rods for links.
+
+    Mass [kg] is `length * stretched_length(model)**2`, that is 1 kg/m^3.
+    """
+    bodies = [LinkInertia.zero() for _ in range(model.n_links)]
+    for solid in link_solids(model):
+        if solid.link == ROOT or solid.kind != "rod":
+            continue
+        span = solid.stop - solid.start
+        mass = solid.length * stretched_length(model) ** 2
+        inertia = mass / 12.0 * (span @ span * np.eye(3) - np.outer(span, span))
+        rod = LinkInertia.from_com(mass, 0.5 * (solid.start + solid.stop), inertia)
+        bodies[solid.link] = bodies[solid.link] + rod
+    return model.with_parameters(np.concatenate([body.parameters for body in bodies]))
+
+
+def infer_density(fit: TorqueFit) -> float | None:
+    """Return the density of rods [kg/m^3] whose torques are as large as the measured ones.
+
+    None where the torques are not mostly gravity's, or unlike the torques of rods.
+    """
+    rods = replace(fit, model=replace_links_by_rods(fit.model))
+    predicted = rods.predicted
+    k = int(np.argmax(predicted))
+    # Least share of gravity in the largest torque, and its least correlation with the rods' torque.
+    if not predicted[k] > 0 or rods.gravity[k] < 0.8 * predicted[k]:
+        return None
+    if abs(rods.correlation[k]) < 0.7:
+        return None
+    return float(np.linalg.norm(rods.measured) / np.linalg.norm(predicted))

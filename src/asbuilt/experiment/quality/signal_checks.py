@@ -17,7 +17,7 @@ from asbuilt.experiment.command.magnitude import (
 from asbuilt.experiment.quality.passes import FirstPass, SecondPass
 from asbuilt.experiment.quality.reductions import Extremes
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.spectrum import power_density
+from asbuilt.experiment.signal.spectrum import power_density
 from asbuilt.findings import Cure, Finding, join_names
 
 
@@ -26,14 +26,13 @@ def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
     if not recording.first.has_torque.any():
         return
     for k in np.flatnonzero(~recording.first.has_torque).tolist():
-        joint, value = model.joints[k], float(recording.first.tau[0, k])
-        moved = float(recording.position_range.high[k] - recording.position_range.low[k])
+        joint, value, ranges = model.joints[k], recording.first.tau[0, k], recording.position_range
         torque, angle = ("N m", "rad") if joint.is_revolute else ("N", "m")
         what = (
             f"is not logged in any of {recording.n_samples} samples"
             if np.isnan(value)
             else f"is {value:.4g} {torque} in all {recording.n_samples} samples, while the joint"
-            f" moves by {moved:.3g} {angle}"
+            f" moves by {ranges.high[k] - ranges.low[k]:.3g} {angle}"
         )
         yield Finding(
             "joint_without_torque",
@@ -74,14 +73,8 @@ def check_saturation(
                     time=float(recording.t[changed[start]]),
                 )
         limit, over = joint.limits.torque, int(recording.saturated.count[k])
-        if (
-            not closer.plateaus[k]
-            or recording.first.torque_source == "current"
-            or not np.isfinite(limit)
-            or limit <= 0
-        ):
-            continue
-        if 3 <= over < 0.5 * changed.size:
+        stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
+        if closer.plateaus[k] and stated and 3 <= over < 0.5 * changed.size:
             yield Finding(
                 "torque_limit",
                 "warning",
@@ -99,33 +92,33 @@ def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
         own = [each for each in recording.spikes if each.joint == joint]
         rows = np.concatenate([each.rows for each in own])
         sizes = np.concatenate([each.sizes for each in own])
-        worst, robot = int(np.argmax(sizes)), model.joints[joint]
-        unit = "N m" if robot.is_revolute else "N"
+        worst, name = int(np.argmax(sizes)), model.joint_names[joint]
+        unit = "N m" if model.joints[joint].is_revolute else "N"
         yield Finding(
             "torque_spikes",
             "warning",
-            f"{rows.size} of {recording.n_samples} torques of {robot.name} stand out from the"
+            f"{rows.size} of {recording.n_samples} torques of {name} stand out from the"
             f" samples next to them, by up to {sizes[worst]:.4g} {unit} at"
             f" t = {recording.t[rows[worst]]:.6g} s; fits use the mean of these neighbours instead",
             Cure("find out where single values come from: a hard stop, the bus or the sensor"),
-            joint=robot.name,
+            joint=name,
             time=float(recording.t[rows[0]]),
         )
 
 
-def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
+def check_noise_floor(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     """Find torques (N, n) without the noise floor of a sensor, by the mean of their spectra."""
     # Number of samples that a spectrum needs.
     long_enough = [tau for tau in torques if len(tau) >= 256]
     if not long_enough or not np.isfinite(rate):
         return
-    length = min(1024, *(len(tau) for tau in long_enough))
+    length = min(1024, *map(len, long_enough))
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
     power = np.mean([power_density(_detrend(tau), rate, length) for tau in long_enough], axis=0)
-    peak = power.max(axis=0)
-    if not np.any(peak > 0):
+    power = power[:, power.max(axis=0) > 0]
+    if not power.size:
         return
-    relative = power[:, peak > 0] / peak[peak > 0]
+    relative = power / power.max(axis=0)
     floor = float(np.median(np.median(relative[frequency > 0.35 * rate], axis=0)))
     # Power at high frequency, relative to the peak, that no torque sensor falls below.
     if floor > 1e-9:
@@ -172,15 +165,14 @@ def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> 
     if np.count_nonzero(used) < 2 or np.any(measured.low < 0.0) or not _reverses(beginning):
         return
     laws = fit_magnitude_laws(beginning)
-    if laws and all(law is not None and law.holds and law.kind == "motor" for law in laws):
+    cure = Cure(
+        "use the commanded positions if the log has them, with torque_source = command",
+        settings={"torque_source": "command"},
+    )
+    if all(law is not None and law.holds and law.kind == "motor" for law in laws):
         cure = Cure(
             'write sign = "command" in a recording sheet: the torque then has the sign of the'
             " control error"
-        )
-    else:
-        cure = Cure(
-            "use the commanded positions if the log has them, with torque_source = command",
-            settings={"torque_source": "command"},
         )
     yield Finding(
         "torque_unsigned",

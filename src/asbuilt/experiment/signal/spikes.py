@@ -6,40 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask, find_true_rows
-from asbuilt.experiment.recording import Recording
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.experiment.recording import Recording, find_changed_rows
 
-
-@dataclass(frozen=True, slots=True)
-class SpikeRules:
-    """Say which sample is an outlier; own choices, tested on 25 real logs.
-
-    Parameters
-    ----------
-    usual
-        Quantile of the prominence of all samples that noise reaches.
-    times
-        How many times that a spike exceeds it.
-    share
-        Share of the range of the torque that a spike has at least.
-    alike
-        Difference of its two neighbours, in prominences, at most.
-    calm
-        How many times that it exceeds the largest of the three steps before and after it, so that
-        ringing is none.
-    most
-        Share of the samples beyond which they are no outliers.
-    """
-
-    usual: float = 0.9
-    times: float = 15.0
-    share: float = 0.1
-    alike: float = 0.5
-    calm: float = 3.0
-    most: float = 0.05
-
-
-RULES = SpikeRules()
 NEIGHBOURS = np.array([-3, -2, -1, 2, 3, 4])
 """Steps next to the two of a spike, from the first of them."""
 FEWEST = 20
@@ -78,31 +47,30 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
         prominence = np.minimum(sizes[1:], sizes[:-1])
         prominence *= steps[1:] * steps[:-1] < 0.0
         low, high = np.quantile(x[some], [0.005, 0.995])
-        usual = np.quantile(prominence[some], RULES.usual)
-        least = max(RULES.times * usual, RULES.share * (high - low))
-        rows = np.flatnonzero(prominence > least)
+        # Own choices, tested on 25 real logs: a spike has 15 times the prominence that noise
+        # reaches, and a tenth of the range of the torque;
+        usual = np.quantile(prominence[some], 0.9)
+        rows = np.flatnonzero(prominence > max(15.0 * usual, 0.1 * (high - low)))
         above = prominence[rows]
-        lone = np.abs(steps[rows + 1] + steps[rows]) < RULES.alike * above
+        # its neighbours are alike, and the three steps before and after it smaller, as in ringing
+        # they are not.
+        lone = np.abs(steps[rows + 1] + steps[rows]) < 0.5 * above
         nearby = np.clip(rows[:, None] + NEIGHBOURS, 0, len(steps) - 1)
-        lone &= above > RULES.calm * np.max(sizes[nearby], axis=1)
-        if 0 < np.count_nonzero(lone) <= RULES.most * len(prominence):
+        lone &= above > 3.0 * np.max(sizes[nearby], axis=1)
+        # More than a twentieth of the samples are no outliers.
+        if 0 < np.count_nonzero(lone) <= 0.05 * len(prominence):
             found.append(Spikes(k, places[rows[lone] + 1], above[lone]))
     return found
 
 
-def without_spikes(recording: Recording) -> Recording:
+def replace_spikes(recording: Recording) -> Recording:
     """Return the recording with the mean of their neighbours in place of torques that stand out."""
     if recording.torque_source == "command" or recording.n_samples < FEWEST:
         return recording
     tau = np.array(recording.tau)
-    changed = find_true_rows(tau[1:] != tau[:-1]) | find_true_rows(
-        recording.q[1:] != recording.q[:-1]
-    )
-    found = find_spikes(tau, np.concatenate([[True], changed]))
-    if not found:
-        return recording
+    found = find_spikes(tau, find_changed_rows(tau, recording.q))
     for each in found:
         x = tau[:, each.joint]
         usual = np.setdiff1d(np.arange(len(x)), each.rows)
         x[each.rows] = np.interp(each.rows, usual, x[usual])
-    return replace(recording, tau=tau)
+    return replace(recording, tau=tau) if found else recording

@@ -9,7 +9,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.noise_limit import estimate_noise_limit
+from asbuilt.experiment.signal.band_choice import estimate_noise_limit
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise

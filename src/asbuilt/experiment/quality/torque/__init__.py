@@ -1,1 +1,0 @@
-"""Checks of the torque columns: signal, sign, scale and order."""

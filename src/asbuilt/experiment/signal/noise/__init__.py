@@ -1,1 +1,0 @@
-"""Noise of logged positions: step of the values, and what it leaves of the band."""
