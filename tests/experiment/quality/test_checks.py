@@ -218,6 +218,9 @@ def test_velocities(iiwa: RobotModel, clean: Recording) -> None:
         "velocity of A3 belongs to A6"
         in finding(iiwa, replace(clean, qd=swapped(clean.qd, 2, 5)), "velocity_swapped").message
     )
+    # Positions of one joint with velocities of another say nothing of the order of the torques.
+    mixed = check_recording(iiwa, replace(clean, q=swapped(clean.q, 3, 4)))
+    assert [item.code for item in mixed.errors] == ["velocity_swapped"]
     late = finding(iiwa, replace(clean, qd=np.roll(clean.qd, 4, axis=0)), "velocity_lag")
     assert "lag behind the derivative of the positions by 20 ms" in late.message
     sign = np.array([1, 1, -1, 1, 1, 1, 1])

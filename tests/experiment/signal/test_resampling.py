@@ -89,7 +89,7 @@ def test_nothing_is_interpolated_across_a_gap():
             True,
             True,
         ]
-        assert any("1 gaps longer than 0.045" in note for note in notes)
+        assert any("1 gap longer than 0.045" in note for note in notes)
 
 
 def test_bad_rows_are_dropped_and_counted():

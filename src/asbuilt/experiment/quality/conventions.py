@@ -108,14 +108,13 @@ def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
     if after <= CLEAR:
         return None
-    others = " or ".join(map(str, near))
+    others = f"; {len(near)} more fit about as well, such as: {near[0]}" if near else ""
     return (
         Finding(
             "joint_convention",
             "error",
             f"the log follows another convention than the description: {best}"
-            f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
-            + (f"; as likely: {others}" if others else ""),
+            f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f}){others}",
             _make_cure(best),
             joint=fit.model.joint_names[min(best.changed)],
         ),
@@ -149,7 +148,8 @@ def _make_cure(best: Conventions) -> Cure:
         if any(value != usual for value in values)
     ]
     return Cure(
-        "compare zero and direction of these joints with the robot's; if so, write"
+        "compare zero and direction of these joints with the robot's, and that the log is of this"
+        " robot; if so, write"
         f" {', '.join(written)} in a recording sheet"
     )
 
