@@ -51,8 +51,8 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
         yield Finding(
             "clock_gap",
             "warning",
-            f"the clock has {gaps.size} gap{'s' * (gaps.size > 1)}, the longest {steps[longest]:.4g} s after"
-            f" {t[longest]:.6g} s; the usual step is {step:.4g} s",
+            f"the clock has {gaps.size} gap{'s' * (gaps.size > 1)}, the longest"
+            f" {steps[longest]:.4g} s after {t[longest]:.6g} s; the usual step is {step:.4g} s",
             Cure("find out why samples are lost if there are many; the recording is split there"),
             time=float(t[gaps[0]]),
         )

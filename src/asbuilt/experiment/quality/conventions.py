@@ -114,7 +114,8 @@ def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
             "joint_convention",
             "error",
             f"the log follows another convention than the description: {best}"
-            f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f}){others}",
+            f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
+            f"{others}",
             _make_cure(best),
             joint=fit.model.joint_names[min(best.changed)],
         ),

@@ -228,8 +228,8 @@ def plan_uniform_grid(
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
         notes.append(
-            f"{breaks.size} gap{'s' * (breaks.size > 1)} longer than {gap:g} s (the longest {steps.max():.3g} s) split the"
-            f" recording into {breaks.size + 1} segments"
+            f"{breaks.size} gap{'s' * (breaks.size > 1)} longer than {gap:g} s (the longest"
+            f" {steps.max():.3g} s) split the recording into {breaks.size + 1} segments"
         )
     segments = tuple(rows for rows in np.split(kept_rows, breaks) if rows.size >= SHORTEST)
     if not segments:
