@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc, fdtrc
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 from asbuilt.identification.statistics import estimate_mean_error, exceeds
@@ -58,6 +59,8 @@ class SelectionRules:
 
 
 RULES = SelectionRules()
+NONE = np.zeros(0, dtype=np.int64)
+"""No columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,18 +84,20 @@ class Trial:
     error on each held-out group. `gain` is the fall of the cost in half squares of independent
     standard errors, by the logarithm of its ratio; `nearer` how much nearer to CAD bodies come, in
     the same unit; `felt` its torque in that of the joint where this share is largest.
-    `alternatives` would explain as much, and are needless beside it.
+    `alternatives` would explain as much, and are needless next to it. `errors` are the held-out
+    errors without and with it.
     """
 
     candidate: Candidate
     values: Array
-    covariance: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     p_value: float = 0.0
     relief: Array = field(default_factory=lambda: np.zeros(0))
     gain: float = 0.0
     nearer: float = 0.0
     felt: float = 0.0
     alternatives: tuple[Candidate, ...] = ()
+    errors: tuple[float, float] = (0.0, 0.0)
 
     @property
     def relief_error(self) -> float:
@@ -143,19 +148,6 @@ class _Fit:
     score: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _HeldOut:
-    """Hold a fit without a group, its squared error there (n,), and how columns change that.
-
-    A change d of the columns adds `2 gradient @ d + d @ gram @ d`, with (n, c) and (n, c, c).
-    """
-
-    fit: _Fit
-    error: Array
-    gradient: Array
-    gram: Array
-
-
 class Selection:
     """Fit a model with effects toward CAD on groups of time blocks, and choose effects.
 
@@ -177,6 +169,8 @@ class Selection:
         """
         self.equations, self.prior, self.weights = equations, prior, weights
         self._total = equations.stacked(weights)
+        length = np.diag(self._total)
+        self._size, self._acts = np.sqrt(length), length > RULES.acting * length.max(initial=0.0)
         self._without = [self._total - equations.stacked(weights, group) for group in groups]
         self._of_joints = [
             [
@@ -185,13 +179,18 @@ class Selection:
             ]
             for group in groups
         ]
-        self._blocks = np.empty((equations.n_blocks, *self._total.shape))
-        for b, own in enumerate(self._blocks):
-            own[:] = equations.stacked(weights, [b])
+        self._torque = np.array([[own[-1, -1] for _, own in each] for each in self._of_joints])
+        """Squared torque of each held-out group and joint."""
+        every = np.arange(equations.n_parameters + 1)
+        blocks = range(len(equations.counts))
+        self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
+        self._alone = np.array([equations.stacked(own) for own in np.eye(len(equations.support))])
+        """Normal equations of each joint over all blocks, without weights."""
+        self._n_samples = max(int(equations.counts.sum()), 1)
+        rms = np.sqrt(self._alone[:, -1, -1] / self._n_samples)
+        least = max(float(rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
+        self._rms = np.maximum(rms, least)
         self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
-        self._place = np.full((equations.n_joints, equations.n_parameters), -1)
-        for place, support in zip(self._place, equations.support, strict=True):
-            place[support] = np.arange(len(support))
         self.taken: list[Candidate] = []
         self.held = equations.robot.model.has_masses
         """Whether CAD holds the bodies."""
@@ -200,13 +199,10 @@ class Selection:
         """Effects that turned out to have no size that robots have."""
         self.unsure: list[Trial] = []
         """Effects that are sure, but not beside CAD and on other motion."""
-        torque = np.array([gram[-1, -1] for gram in equations.of_joints])
-        self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
-        self._apart = self._parts_outside()
-        self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
 
-    def _parts_outside(self) -> Array:
-        """Return the squared part of each column outside the model's own, in its length, (P,)."""
+    @cached_property
+    def _apart(self) -> Array:
+        """Squared part of each column outside the model's own, in its length, (P,)."""
         gram, own = self._total[:-1, :-1], self._inside(())
         size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
         scaled = gram / np.outer(size, size)
@@ -220,37 +216,33 @@ class Selection:
 
     def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
-        path: list[Trial] = []
-        before: list[Trial] = []
-        exchanged = False
+        path, before, swapped = list[Trial](), list[Trial](), False
         while True:
             busy = {slot for each in self.taken for slot in each.busy}
-            every = self.equations.candidates
             left = [
                 each
-                for each in every
+                for each in self.equations.candidates
                 if each.slot not in busy
                 and each.at not in self.impossible
                 and (not each.effect.of_log or self._is_shown(each))
             ]
-            n = len({each.at for each in left})
-            robot = self.equations.robot
+            n, robot = len({each.at for each in left}), self.equations.robot
             sure = [each for each in self.trials(left) if each.is_sure(n, robot)]
             trials = [each for each in sure if each.is_taken(n, robot, self.held)]
             if path:
                 path[-1] = _with_alternatives(path[-1], before, trials)
-            if not trials or len(path) == RULES.most:
-                if exchanged or not self._exchange(path):
-                    self.unsure = sure
-                    return path
-                exchanged = True
-                continue
-            best = self._preferred(max(trials, key=lambda each: each.worth), trials)
-            path.append(best)
-            self.taken.append(best.candidate)
-            before = trials
+            if trials and len(path) < RULES.most:
+                best = self._preferred(max(trials, key=lambda each: each.worth), trials)
+                path.append(best)
+                self.taken.append(best.candidate)
+                before = trials
+            elif swapped or not self._swap_forms(path):
+                self.unsure = sure
+                return path
+            else:
+                swapped = True
 
-    def _exchange(self, path: list[Trial]) -> bool:
+    def _swap_forms(self, path: list[Trial]) -> bool:
         """Give effects of the path up for those of their kind that predict other motion better.
 
         What was worthiest when it was taken need not be so after what came later (Miller, Subset
@@ -312,8 +304,8 @@ class Selection:
         links = np.flatnonzero(base.columns[inside[inside < base.n_base]] < 10 * base.n_links)
         A, P = self._normal(self._total, inside)
         free = float(np.trace(np.linalg.solve(A, P)[np.ix_(links, links)]))
-        fit = self._fit(self._total, inside, np.zeros(0, dtype=np.int64))
-        return self._distance(fit.residual) / self.prior.effect > len(links) - free
+        distance = self._distance(self._fit(self._total, inside).residual)
+        return distance / self.prior.effect > len(links) - free
 
     def holds(self, candidate: Candidate) -> bool:
         """Return whether an effect taken is so beside those alone that the model can have, too.
@@ -358,29 +350,23 @@ class Selection:
 
     def acting(self, candidate: Candidate) -> Candidate:
         """Return a candidate with those of its parameters that act on this robot."""
-        length = np.diag(self._total)
-        acts = length > RULES.acting * length.max(initial=0.0)
-        return replace(candidate, places=candidate.places[acts[candidate.places]])
+        return replace(candidate, places=candidate.places[self._acts[candidate.places]])
 
     def held_out_error(self, taken: Sequence[Candidate]) -> float:
         """Return the relative torque error with these effects, the geometric mean of groups.
 
         So a group that the others hardly determine counts no more than others.
         """
-        none = np.zeros(0, dtype=np.int64)
-        squares = []
-        for without, joints in zip(self._without, self._of_joints, strict=True):
-            z = self._fit(without, self._inside(taken), none).residual
-            error = sum(float(z[places] @ own @ z[places]) for places, own in joints)
-            torque = sum(float(own[-1, -1]) for _, own in joints)
-            if torque > 0.0:
-                squares.append(max(error / torque, float(np.finfo(np.float64).eps) ** 2))
-        return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares else 0.0
+        error, torque = (
+            each.sum(axis=1) for each in (self._leave_out(self._inside(taken)), self._torque)
+        )
+        there, least = torque > 0.0, float(np.finfo(np.float64).eps) ** 2
+        squares = np.maximum(error[there] / torque[there], least)
+        return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares.size else 0.0
 
     def values(self) -> Array:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
-        fit = self._fit(self._total, self._inside(self.taken), np.zeros(0, dtype=np.int64))
-        return -fit.residual[:-1]
+        return -self._fit(self._total, self._inside(self.taken)).residual[:-1]
 
     def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return values of candidates beside all others taken, and their covariance.
@@ -391,10 +377,8 @@ class Selection:
         places = np.concatenate([each.places for each in candidates])
         whole = self._fit(self._total, self._inside(beside), places)
         d = np.asarray(np.linalg.solve(whole.schur, whole.score))
-        both = np.column_stack([whole.residual, whole.moves])
-        blocks = [whole.moves.T @ gram @ both for gram in self._blocks]
-        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
-        return d, _estimate_scatter(whole.schur, left, d)[0]
+        _, gradient, matrix = _expand_squares(whole, self._blocks)
+        return d, _estimate_scatter(whole.schur, -gradient - matrix @ d, d)[0]
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""
@@ -415,14 +399,8 @@ class Selection:
 
     def _torques(self, candidate: Candidate, values: Array) -> Array:
         """Return the RMS torque (n,) of a candidate with these values."""
-        c, eq = candidate.places, self.equations
-        energy = np.zeros(eq.n_joints)
-        for k, gram in enumerate(eq.of_joints):
-            own = self._place[k, c]
-            if np.any(acts := own >= 0):
-                own, x = own[acts], values[acts]
-                energy[k] = x @ gram[np.ix_(own, own)] @ x
-        return np.sqrt(np.maximum(energy, 0.0) / max(int(eq.counts.sum()), 1))
+        energy = self._alone[:, candidate.places][:, :, candidate.places] @ values @ values
+        return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
         """Try each candidate alone beside those taken; what it replaces is left out then.
@@ -433,8 +411,10 @@ class Selection:
         for each in candidates:
             groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
         self._factored.clear()
-        start = self._cost(self._inside(self.taken))
-        return [trial for own in groups.values() for trial in self._tried(own, start)]
+        before = self._inside(self.taken)
+        x = self._fit(self._total, before).residual
+        start = self._leave_out(before), float(x @ self._total @ x), self._distance(x)
+        return [trial for own in groups.values() for trial in self._try_candidates(own, start)]
 
     def _inside(self, taken: Sequence[Candidate]) -> Indices:
         left = np.setdiff1d(
@@ -443,7 +423,7 @@ class Selection:
         )
         return np.concatenate([left, *(each.places for each in taken)]).astype(np.int64)
 
-    def _fit(self, gram: Array, inside: Indices, columns: Indices) -> _Fit:
+    def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
         P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
         if key not in self._factored:
@@ -466,30 +446,26 @@ class Selection:
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
         return A, prior
 
-    def _cost(self, inside: Indices) -> tuple[Array, float, float]:
-        """Return squared errors of held-out groups (groups, n), and error and distance of all."""
-        none = np.zeros(0, dtype=np.int64)
-        held = np.array(
-            [
-                [x[places] @ own @ x[places] for places, own in joints]
-                for without, joints in zip(self._without, self._of_joints, strict=True)
-                for x in (self._fit(without, inside, none).residual,)
-            ]
-        )
-        x = self._fit(self._total, inside, none).residual
-        return held, float(x @ self._total @ x), self._distance(x)
+    def _leave_out(self, inside: Indices) -> Array:
+        """Return the squared error of each joint on each held-out group (groups, n)."""
+        fits = [self._fit(without, inside) for without in self._without]
+        both = zip(fits, self._of_joints, strict=True)
+        return np.array([_expand_squares(fit, joints)[0] for fit, joints in both])
 
     def _distance(self, residual: Array) -> float:
         away = -residual[: self.equations.n_base] - self.prior.mean
         return float(away @ self.prior.information @ away)
 
-    def _tried(
+    def _try_candidates(
         self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
     ) -> list[Trial]:
-        """Try candidates that replace the same parameters; those of no gain have no trial."""
+        """Try candidates that replace the same parameters; those of no gain have no trial.
+
+        `start` are held-out errors (groups, n), error and distance from CAD of what is taken.
+        """
         held_before, error_before, distance_before = start
         inside = np.setdiff1d(self._inside(self.taken), candidates[0].replaces)
-        gaining = self._gaining(candidates, inside, error_before + distance_before)
+        gaining = self._find_gaining(candidates, inside, error_before + distance_before)
         if not gaining:
             return []
         columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
@@ -497,52 +473,37 @@ class Selection:
         # All other parameters are zero, and stay so.
         moving = np.zeros(self.equations.n_parameters + 1, dtype=np.bool_)
         moving[inside], moving[columns], moving[-1] = True, True, True
-        parts: list[_HeldOut] = []
-        for without, joints in zip(self._without, self._of_joints, strict=True):
-            fit = self._fit(without, inside, columns)
-            H = []
-            for places, gram in joints:
-                kept = moving[places]
-                p, own = places[kept], gram[np.ix_(kept, kept)]
-                H.append((fit.residual[p], fit.moves[p], own @ fit.moves[p], own))
-            error = np.array([x @ own @ x for x, _, _, own in H])
-            gradient = np.array([x @ own for x, _, own, _ in H])
-            parts.append(
-                _HeldOut(fit, error, gradient, np.array([m.T @ own for _, m, own, _ in H]))
-            )
-        residual, moves, own = whole.residual[moving], whole.moves[moving], np.ix_(moving, moving)
-        felt_by = [moves.T @ gram[own] for gram in self._blocks]
-        by_block = np.array([each @ residual for each in felt_by])
-        of_block = np.array([each @ moves for each in felt_by])
-        size = np.sqrt(np.diag(self._total))
-        floor = np.finfo(np.float64).eps * np.array(
-            [[own[-1, -1] for _, own in joints] for joints in self._of_joints]
-        )
-        floor = floor + np.finfo(np.float64).tiny
+        _, scores, slopes = _expand_squares(whole, self._blocks, moving)
+        held_out = [
+            (fit, _expand_squares(fit, joints, moving))
+            for without, joints in zip(self._without, self._of_joints, strict=True)
+            for fit in (self._fit(without, inside, columns),)
+        ]
+        floor = np.finfo(np.float64).eps * self._torque + np.finfo(np.float64).tiny
         found = []
         for each, gain in gaining:
             c = np.searchsorted(columns, each.places)
             own = whole.schur[np.ix_(c, c)]
             d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
-            left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
+            left = -scores[:, c] - slopes[:, c][:, :, c] @ d
             covariance, p_value = _estimate_scatter(own, left, d)
+            felt = float(np.max(self._torques(each, d) / self._rms))
             if len(each.replaces):
-                # That a term in place of another one is zero is no question: its gain is one.
+                # That a term in place of another one is zero is no question: its gain is one. And
+                # nearly all of its torque is the torque of what it replaces.
                 p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
-            held_after = np.array([_score_left_out(part, c, size[each.places]) for part in parts])
+                fall = 2.0 * self.prior.effect * max(gain, 0.0)
+                felt = float(np.sqrt(fall / self._total[-1, -1]))
+            size = self._size[each.places]
+            held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
             ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
             relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
             distance = self._distance(whole.residual + whole.moves[:, c] @ d)
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
-            felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
-            if len(each.replaces):  # nearly all of its torque is that of what it replaces
-                felt = float(
-                    np.sqrt(2.0 * self.prior.effect * max(gain, 0.0) / self._total[-1, -1])
-                )
             found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
         return found
 
-    def _gaining(
+    def _find_gaining(
         self, candidates: Sequence[Candidate], inside: Indices, cost: float
     ) -> list[tuple[Candidate, float]]:
         """Return the candidates that lower the cost surely, with their gain.
@@ -555,12 +516,12 @@ class Selection:
             return []
         columns = np.unique(np.concatenate([each.places for each in acting]))
         fit = self._fit(self._total, inside, columns)
-        x, size = fit.residual, np.sqrt(np.diag(self._total))
+        x = fit.residual
         lost = float(x @ self._total @ x) + self._distance(x) - cost
         found = []
         for each in acting:
             c = np.searchsorted(columns, each.places)
-            own, scale = fit.schur[np.ix_(c, c)], size[each.places]
+            own, scale = fit.schur[np.ix_(c, c)], self._size[each.places]
             if np.linalg.eigvalsh(own / np.outer(scale, scale))[0] < RULES.separate:
                 continue
             fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
@@ -634,8 +595,30 @@ def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _score_left_out(part: _HeldOut, c: Indices, size: Array) -> Array:
+def _expand_squares(
+    fit: _Fit, grams: Sequence[tuple[Indices, Array]], moving: Mask | None = None
+) -> tuple[Array, Array, Array]:
+    """Return `|r + M d|^2` in d for Gram matrices at some places: value, slope and curvature.
+
+    For a change d of the columns it is `value + 2 slope @ d + d @ curvature @ d`, shapes (g,),
+    (g, c) and (g, c, c). Parameters that are not `moving`, whose coefficients are zero, are passed
+    over.
+    """
+    found = []
+    for places, gram in grams:
+        kept = slice(None) if moving is None else moving[places]
+        r, M, own = fit.residual[places[kept]], fit.moves[places[kept]], gram[kept][:, kept]
+        felt = M.T @ own
+        found.append((r @ own @ r, felt @ r, felt @ M))
+    value, slope, curvature = map(np.array, zip(*found, strict=True))
+    return value, slope, curvature
+
+
+def _score_left_out(
+    fit: _Fit, squares: tuple[Array, Array, Array], c: Indices, size: Array
+) -> Array:
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
-    own = part.fit.schur[np.ix_(c, c)]
-    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), part.fit.score[c])
-    return np.asarray(part.error + 2.0 * part.gradient[:, c] @ d + part.gram[:, c][:, :, c] @ d @ d)
+    value, slope, curvature = squares
+    own = fit.schur[np.ix_(c, c)]
+    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), fit.score[c])
+    return np.asarray(value + 2.0 * slope[:, c] @ d + curvature[:, c][:, :, c] @ d @ d)

@@ -88,11 +88,7 @@ class Presliding(Effect):
     """
 
     key, title, positive, kind = "presliding", "presliding friction", True, "friction"
-    by_span = True
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of friction."""
-        return "N m" if revolute else "N"
+    units, by_span = ("N m", "N"), True
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield trial displacements at every joint with Coulomb friction."""
