@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import fdtrc
@@ -50,7 +51,7 @@ def predicts_better(
 
     Links near CAD (or plain least squares, where CAD has no masses) are fitted to the other groups
     and predict each group, with torques as logged and shifted back. False if there are fewer than
-    three groups, which say nothing.
+    three groups, which prove nothing.
 
     Parameters
     ----------
@@ -96,9 +97,7 @@ def measure_delay_relief(
             return None
         try:
             errors = [
-                measure_held_out_errors(each, lambda part: _fit_part(model, part, weights), groups)[
-                    0
-                ]
+                measure_held_out_errors(each, partial(_fit_part, model, weights), groups)[0]
                 @ weights**2
                 for each in (as_logged, shifted)
             ]
@@ -109,7 +108,7 @@ def measure_delay_relief(
     return float(relief.mean()), estimate_mean_error(relief)
 
 
-def _fit_part(model: RobotModel, part: SquareRootInformation, weights: Array) -> Array:
+def _fit_part(model: RobotModel, weights: Array, part: SquareRootInformation) -> Array:
     if model.has_every_mass:
         prior = build_cad_prior(model, part.base.drive)
         # Weight of CAD in the fits, as for a base tilt: ten times the usual design effect.
@@ -229,23 +228,14 @@ def find_delays(
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
     std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
     lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
-    joints, errors = _estimate_joint_delays(
-        fits, delays, abs(lag) + RULES.significant * lag_error
-    ) or (
-        None,
-        None,
-    )
-    sure = np.abs(delays) > RULES.significant * std_errors
-    if joints is not None and errors is not None:
-        doubtful, shifts = bool(np.median(errors) >= RULES.certain), joints
+    of_joints = _estimate_joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error)
+    if of_joints is None:
+        sure = np.abs(delays) > RULES.significant * std_errors
+        doubtful, shifts = np.any(sure & (std_errors >= RULES.certain)), np.where(sure, delays, 0.0)
     else:
-        doubtful, shifts = (
-            bool(np.any(sure & (std_errors >= RULES.certain))),
-            np.where(sure, delays, 0.0),
-        )
+        doubtful, shifts = np.median(of_joints[1]) >= RULES.certain, of_joints[0]
     helps = fits.predict_better(shifts) if doubtful else None
-    if joints is not None and helps is False:
-        joints, errors = None, None
+    joints, errors = (None, None) if of_joints is None or helps is False else of_joints
     return DelayEstimate(delays, std_errors, lag, lag_error, joints, errors, helps)
 
 
@@ -281,7 +271,7 @@ class _Fits:
         return self._prepare(wide)
 
     def _rows(self, samples: Sequence[Samples]) -> Rows:
-        """Return the rows of samples, those of before but for the torque where delays are alike."""
+        """Return the rows of samples; only their torque is new where the motion is as before."""
         if self._known is None or not self._known.take_torque(samples):
             self._known = Rows(self.model, self._base, samples, self._block_seconds)
         return self._known
@@ -312,11 +302,9 @@ class _Fits:
         for _ in range(RULES.most_steps):
             step = columns.increments(shares)[: self.count]
             step = np.clip(step, -self.longest, self.longest)
-            if np.all(np.abs(step) < RULES.settled) or np.any(
-                np.abs(delays + step) > RULES.farthest
-            ):
-                return delays + step, columns
             delays = delays + step
+            if np.all(np.abs(step) < RULES.settled) or np.any(np.abs(delays) > RULES.farthest):
+                break
             columns = self.columns(delays)
         return delays, columns
 

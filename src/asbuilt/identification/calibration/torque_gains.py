@@ -25,8 +25,12 @@ from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.errors.common_growth import BlockScores
 from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_motions
-from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
-from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
+from asbuilt.identification.information.rows import (
+    JointFactors,
+    TimeBlock,
+    divide_into_blocks,
+)
+from asbuilt.identification.information.triangular import triangular_factor, widen_factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,11 +243,7 @@ def identify_gains(
         )
     if terms.needs_load:
         raise UsageError(f"drive terms {terms} depend on load; expected terms that do not")
-    used = (
-        np.ones(model.n_joints)
-        if in_use is None
-        else np.atleast_1d(np.asarray(in_use, dtype=np.float64))
-    )
+    used = np.atleast_1d(np.asarray(1.0 if in_use is None else in_use, dtype=np.float64))
     if used.shape not in ((1,), (model.n_joints,)) or not np.all(np.isfinite(used) & (used != 0.0)):
         raise UsageError(
             f"gains in use are {used.tolist()}; expected one number or {model.n_joints}, one per"
@@ -252,11 +252,9 @@ def identify_gains(
     used = np.broadcast_to(used, (model.n_joints,)).copy()
     name, link, placement = choose_payload_frame(model, frame)
     problem = _Problem(model, terms, without, under, link, shift_matrix(placement))
-    centre = np.zeros(3) if com is None else np.asarray(com, dtype=np.float64)
-    tensor = (
-        np.zeros((3, 3))
-        if inertia_about_com is None
-        else np.asarray(inertia_about_com, dtype=np.float64)
+    centre, tensor = (
+        np.asarray(np.zeros(shape) if each is None else each, dtype=np.float64)
+        for each, shape in ((com, 3), (inertia_about_com, (3, 3)))
     )
     given = LinkInertia.from_com(mass, centre, tensor).parameters
     known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
@@ -272,11 +270,7 @@ def identify_gains(
         determined &= gains > 0.0
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
-    labels = [
-        "mass",
-        *(["centre of mass"] if com is not None else []),
-        *(["inertia"] if inertia_about_com is not None else []),
-    ]
+    labels = (("mass", mass), ("centre of mass", com), ("inertia", inertia_about_com))
     return TorqueGains(
         joint_names=model.joint_names,
         gains=used * gains,
@@ -284,7 +278,7 @@ def identify_gains(
         in_use=used,
         determined=determined,
         payload_share=share,
-        known=tuple(labels),
+        known=tuple(label for label, each in labels if each is not None),
         frame=name,
         payload=payload,
         sources=tuple(each.source for each in (*without, *under)),
@@ -315,29 +309,22 @@ class _Problem:
     ) -> None:
         base = find_base_parameters(model, drive)
         self._n, self._p = model.n_joints, base.n_base
-        carried = np.arange(10 * link, 10 * link + 10)
-        union = np.union1d(base.columns, carried)
-        where_base, where_payload = (
-            np.searchsorted(union, base.columns),
-            np.searchsorted(union, carried),
-        )
+        of_link = np.arange(10 * link, 10 * link + 10)
+        union = np.union1d(base.columns, of_link)
+        own, carried = (np.searchsorted(union, each) for each in (base.columns, of_link))
         plan = RegressorPlan.of(model, drive, union, spare_rows=1)
         self.blocks: list[list[Array]] = []
         self.times: list[TimeBlock] = []
         loads: set[bool] = set()
         for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
             for part in divide_into_blocks(model, [samples]):
-                growing = [GrowingFactor(len(support) + 1) for support in plan.support]
-                for chunk in part.chunks(plan):
-                    for factor, rows in zip(growing, chunk, strict=True):
-                        factor.append(rows)
+                joints = JointFactors(plan)
+                joints.add(part)
                 block = []
-                for support, factor in zip(plan.support, growing, strict=True):
-                    r = factor.factor()
-                    every = np.zeros((len(r), len(union)))
-                    every[:, support] = r[:, :-1]
-                    payload = every[:, where_payload] @ to_link if under else np.zeros((len(r), 10))
-                    block.append(np.hstack([every[:, where_base], payload, r[:, -1:]]))
+                for support, factor in zip(plan.support, joints.factors(), strict=True):
+                    rows = widen_factor(factor, support, len(union))
+                    payload = under * rows[:, carried] @ to_link
+                    block.append(np.hstack([rows[:, own], payload, rows[:, -1:]]))
                 self.blocks.append(block)
                 self.times.append(part.time)
                 loads.add(under)
@@ -407,27 +394,19 @@ class _Problem:
             size = float(np.linalg.norm(r[:, -1])) or 1.0
             matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
             target.append(-r[:, :-1] @ theta / size)
-        return np.where(
-            _solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0,
-            -1.0,
-            1.0,
-        )
+        gains = _solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :]
+        return np.where(gains < 0, -1.0, 1.0)
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
         """Return the payload's RMS torque over the RMS torque of the loaded recordings, (n,)."""
-        shares = []
-        for k in range(self._n):
-            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [
-                np.zeros((1, self._p + 11))
-            ]
-            rows = np.vstack(under)
-            total = float(np.linalg.norm(rows[:, -1] * gains[k]))
-            shares.append(
-                float(np.linalg.norm(rows[:, self._p : -1] @ payload)) / total
-                if total > 0.0
-                else 0.0
-            )
-        return np.array(shares)
+        shares = np.zeros(self._n)
+        for k, gain in enumerate(gains):
+            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])]
+            rows = np.vstack([np.zeros((1, self._p + 11)), *under])
+            total = float(np.linalg.norm(rows[:, -1] * gain))
+            if total > 0.0:
+                shares[k] = np.linalg.norm(rows[:, self._p : -1] @ payload) / total
+        return shares
 
     def std_errors(self, solution: _Solution, known: NDArray[np.bool_]) -> Array:
         """Return standard errors of the gains (n,) from time blocks, infinite if undetermined.
@@ -457,8 +436,7 @@ class _Problem:
 
 def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return L (p, r) with `L L^T = (A^T A)^+` in scaled columns, and which unknowns are lost."""
-    sizes = np.linalg.norm(matrix, axis=0)
-    sizes[sizes == 0.0] = 1.0
+    sizes = _measure_columns(matrix)
     _, s, axes = np.linalg.svd(triangular_factor(matrix / sizes))
     kept = s > RULES.rank_tolerance * s[0]
     # Part of an unknown in directions without information beyond which nothing bounds it.
@@ -468,7 +446,12 @@ def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 def _solve_least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
-    sizes = np.linalg.norm(matrix, axis=0)
-    sizes[sizes == 0.0] = 1.0
+    sizes = _measure_columns(matrix)
     solution: Array = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
     return np.asarray(solution / sizes)
+
+
+def _measure_columns(matrix: Array) -> Array:
+    """Return the lengths of columns, 1 for zero columns."""
+    sizes: Array = np.linalg.norm(matrix, axis=0)
+    return np.where(sizes == 0.0, 1.0, sizes)

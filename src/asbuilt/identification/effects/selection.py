@@ -377,8 +377,10 @@ class Selection:
         places = np.concatenate([each.places for each in candidates])
         whole = self._fit(self._total, self._inside(beside), places)
         d = np.asarray(np.linalg.solve(whole.schur, whole.score))
-        _, gradient, matrix = _expand_squares(whole, self._blocks)
-        return d, _estimate_scatter(whole.schur, -gradient - matrix @ d, d)[0]
+        both = np.column_stack([whole.residual, whole.moves])
+        blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
+        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
+        return d, _estimate_scatter(whole.schur, left, d)[0]
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
 from asbuilt.arrays import Array, Indices
@@ -37,9 +37,8 @@ class DelaySlopes:
         cls, rows: ServoRows, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
     ) -> DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
-        weight = np.array(counted, dtype=np.float64)
-        names, means = [], []
-        count = float(weight @ [block.n_samples for block in rows.times])
+        weight, names, means = np.array(counted, dtype=np.float64), [], []
+        count = float(weight @ rows.lengths)
         for k, support in enumerate(rows.support):
             gram = rows.total(k, weight)
             names.append(tuple(base.names[j] for j in support))
@@ -57,7 +56,7 @@ def estimate_servo_delay_errors(
     """Return what a delay with this standard error [s] adds; None if it is known.
 
     Parameters follow the delay by `-(W^T W)^-1 sum_k w_k^2 kp_k W_k^T du/dt`, with the information
-    of the estimate, that of CAD included.
+    of the estimate, CAD's included.
     """
     if not 0.0 < std_error < np.inf:
         return None
@@ -127,19 +126,14 @@ def fit_delay(
     sign of what does not average out. What is taken off has an error too (`DOUBT`).
     """
     n, p = len(rows.support), base.n_standard
-    prior = np.eye(p + 1) / RULES.drives**2
-    for i, metric in enumerate(design.metric):
-        link = slice(10 * i, 10 * i + 10)
-        prior[link, link] = RULES.links * metric
+    prior, links = np.eye(p + 1) / RULES.drives**2, slice(10 * base.n_links)
+    prior[links, links] = RULES.links * block_diag(*design.metric)
     prior[p, p] = 0.0
-    start = np.append(design.parameters, 0.0)
-    start[10 * base.n_links : p] = 0.0
-    lower = np.full(p + 1, -np.inf)
-    lower[design.non_negative] = 0.0
+    start, lower = np.zeros(p + 1), np.full(p + 1, -np.inf)
+    start[links], lower[design.non_negative] = design.parameters[links], 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
-    weight = np.ones((n, len(rows.times)))
-    lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
+    weight, lengths = np.ones((n, len(rows.times))), rows.lengths
     x, scale, free = start, np.ones(n), np.arange(p + 1)
     for _ in range(RULES.passes):
         normal, right = prior.copy(), prior @ start

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.terms.friction import Offset
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
@@ -140,12 +140,10 @@ def _estimate_own_scale(
     return float(x[0]), float(np.sum(scores**2)), source
 
 
-def _find_varying_columns(base: BaseParameters) -> list[int]:
+def _find_varying_columns(base: BaseParameters) -> Indices:
     """Return the drive columns that are no constant torque.
 
     Rows have columns of other joints only where forces at contacts are projected away.
     """
-    symbols = [symbol for term in base.drive.terms for symbol in term.symbols]
-    per = len(symbols)
-    every = range(base.n_standard - 10 * base.n_links)
-    return [i for i in every if symbols[i % per] not in Offset.symbols]
+    varies = [s not in Offset.symbols for term in base.drive.terms for s in term.symbols]
+    return np.flatnonzero(np.resize(varies, base.n_standard - 10 * base.n_links))

@@ -53,22 +53,21 @@ def predict_fall(objective: Objective, found: Refinement, term: DriveTerm) -> fl
     """
     model, drive = objective.trajectories.model, objective.trajectories.base.drive
     n, wider = model.n_joints, drive.with_term(term)
-    points = [
+    point, start = (
         replace(each, chi=widen_parameters(each.chi, drive, wider, n))
         for each in (found.point, objective.start)
-    ]
+    )
     wide = replace(
         objective,
         trajectories=Trajectories(model, find_base_parameters(model, wider)),
         torque_weights=np.zeros(n),
         prior=build_simulated_prior(model, wider),
-        start=points[1],
+        start=start,
     )
-    quadratic = wide.quadratic(points[0], found.motions, found.weights)
-    free = ~wide.at_bound(points[0], quadratic.gradient)
-    links, per = 10 * model.n_links, np.tile(_find_new_columns(drive, wider), n)
-    added = np.zeros_like(free)
-    added[links : links + len(per)] = per
+    quadratic = wide.quadratic(point, found.motions, found.weights)
+    free = ~wide.at_bound(point, quadratic.gradient)
+    added, links = np.zeros_like(free), 10 * model.n_links
+    added[links : len(point.chi)] = np.tile(_find_new_columns(drive, wider), n)
     return quadratic.fall(free) - quadratic.fall(free & ~added)
 
 

@@ -19,7 +19,7 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
 from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.start_elimination import StartModel, eliminate_starts
+from asbuilt.identification.trajectories.start_elimination import Eliminated, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
 
@@ -42,6 +42,8 @@ class ObjectiveRules:
 RULES = ObjectiveRules()
 Slopes = Callable[[], Iterator[tuple[Branch, slice, Array]]]
 """What yields the derivatives of the windows of a recording, branch by branch."""
+Starts = tuple[int, slice, Branch, Eliminated]
+"""Number of a recording, some of its windows, and how their starts follow a branch's parameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +80,7 @@ class Quadratic:
     matrix: Array
     scores: Array
     data: Array
-    starts: tuple[StartModel, ...]
+    starts: tuple[Starts, ...]
     gain: float
 
     def fall(self, free: Mask) -> float:
@@ -117,14 +119,12 @@ class Objective:
     belief: float
     start: Point
     of_servo: ServoCoordinates = field(default_factory=ServoCoordinates)
-    linear_factors: tuple[Array, ...] = field(init=False)
 
-    def __post_init__(self) -> None:
-        factors = tuple(
-            w * factor
-            for w, factor in zip(self.torque_weights, self.information.joint_factors, strict=True)
-        )
-        object.__setattr__(self, "linear_factors", factors)
+    @cached_property
+    def linear_factors(self) -> tuple[Array, ...]:
+        """Weighted torque rows of each joint, as triangular factors."""
+        both = zip(self.torque_weights, self.information.joint_factors, strict=True)
+        return tuple(weight * factor for weight, factor in both)
 
     @property
     def n_links(self) -> int:
@@ -138,13 +138,9 @@ class Objective:
 
     def robot(self, point: Point) -> SimulatedRobot:
         """Return the robot of a point, the links of the description in place of its own."""
-        n = self.n_links
-        return SimulatedRobot(
-            self.trajectories.model,
-            self.trajectories.base.drive,
-            point.chi[10 * n :].reshape(self.trajectories.model.n_joints, -1),
-            point.servo,
-        )
+        model, drive = self.trajectories.model, self.trajectories.base.drive
+        values = point.chi[10 * self.n_links :].reshape(model.n_joints, -1)
+        return SimulatedRobot(model, drive, values, point.servo)
 
     @cached_property
     def links_held(self) -> bool:
@@ -191,10 +187,11 @@ class Objective:
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = list(pool.map(one, parts))
-        return [
-            _join_motions([each for (at, _), each in zip(parts, found, strict=True) if at == k])
+        of_recordings = [
+            [each for (at, _), each in zip(parts, found, strict=True) if at == k]
             for k in range(len(self.windows))
         ]
+        return [Motion(*map(np.concatenate, zip(*own, strict=True))) for own in of_recordings]
 
     def errors(self, motions: Sequence[Motion]) -> list[Array]:
         """Return measured minus simulated positions after the start, (W, L - 1, n) each."""
@@ -226,15 +223,12 @@ class Objective:
 
     def other_cost(self, point: Point) -> float:
         """Return the part of the cost that belongs to no window."""
-        _, rest = self._torque_rows(point)
-        ridge = self._ridge()
-        moved = self._away(point)
+        (_, rest), (ridge, moved) = self._torque_rows(point), self._pull(point)
         total = 0.5 * float(rest @ rest + ridge @ moved**2)
-        if not self.links_held:
-            total += (
-                0.5 * self.belief * float(self.prior.strength @ self.prior.divergence(point.chi))
-            )
-        return total
+        if self.links_held:
+            return total
+        divergence = float(self.prior.strength @ self.prior.divergence(point.chi))
+        return total + 0.5 * self.belief * divergence
 
     def _starts_moved(self, point: Point) -> list[Array]:
         """Return the starts less the measured ones, (W, 2, n) each."""
@@ -283,7 +277,7 @@ class Objective:
         gradient += A.T @ rest
         if not self.links_held:
             self._add_cad(point, gradient, matrix)
-        ridge, moved = self._ridge(), self._away(point)
+        ridge, moved = self._pull(point)
         gradient += ridge * moved
         matrix[np.diag_indices(len(ridge))] += ridge
         cost = self.cost(point, motions, weights)
@@ -296,10 +290,10 @@ class Objective:
         weights: Weights,
         slopes: Sequence[Slopes],
         size: int,
-    ) -> tuple[Array, Array, tuple[StartModel, ...], float]:
+    ) -> tuple[Array, Array, tuple[Starts, ...], float]:
         """Return matrix (size, size) and scores (W, size) of windows, starts, and their gain."""
         H = np.zeros((size, size))
-        scores, starts, gain = [], list[StartModel](), 0.0
+        scores, starts, gain = [], list[Starts](), 0.0
         errors, away = self.errors(motions), self._starts_moved(point)
         for k, (cut, derivatives, error, of_window) in enumerate(
             zip(self.windows, slopes, errors, weights.windows, strict=True)
@@ -318,7 +312,7 @@ class Objective:
                 at = branch.parameters
                 H[np.ix_(at, at)] += own.matrix
                 score[part, at] += own.scores
-                starts.append(StartModel(k, part, branch, own.to_best, own.by_parameters))
+                starts.append((k, part, branch, own))
                 gain += own.gain
             scores.append(score)
         return H, np.concatenate(scores), tuple(starts), gain
@@ -327,10 +321,9 @@ class Objective:
         """Return the best starts at coordinates `step` (m,) from a point, by its model."""
         z = self._to_parameters(point) @ step
         found = [start.copy() for start in point.starts]
-        for each in quadratic.starts:
-            moved = each.to_best - each.by_parameters @ z[each.branch.parameters]
-            joints = each.branch.joints
-            found[each.recording][each.part][:, :, joints] += moved.reshape(-1, 2, len(joints))
+        for k, part, branch, own in quadratic.starts:
+            moved = own.to_best - own.by_parameters @ z[branch.parameters]
+            found[k][part][:, :, branch.joints] += moved.reshape(-1, 2, len(branch.joints))
         return tuple(found)
 
     def moved(self, point: Point, step: Array, starts: tuple[Array, ...]) -> Point:
@@ -345,9 +338,7 @@ class Objective:
         chi[10 * n :] += step[10 * n : len(chi)]
         bounded = self.prior.non_negative
         chi[bounded] = np.maximum(chi[bounded], 0.0)
-        servo = point.servo
-        if servo is not None:
-            servo = self.of_servo.moved(servo, step[len(chi) :])
+        servo = point.servo and self.of_servo.moved(point.servo, step[len(chi) :])
         return Point(chi, servo, starts)
 
     def at_bound(self, point: Point, gradient: Array) -> Mask:
@@ -434,22 +425,19 @@ class Objective:
             curvature = np.einsum("xyaa->xy", turned)
             matrix[part, part] += weight * 0.5 * (curvature + curvature.T)
 
-    def _ridge(self) -> Array:
-        """Return the weight (m,) of drive and servo parameters toward their start."""
-        ridge = np.zeros(self.size)
-        n = 10 * self.n_links
-        ridge[n : len(self.start.chi)] = RULES.drive_ridge / self.prior.drive_scale**2
-        ridge[len(self.start.chi) :] = self.of_servo.weights
-        return ridge
+    def _pull(self, point: Point) -> tuple[Array, Array]:
+        """Return weights (m,) of drives and servo toward their start, and how far they are from it.
 
-    def _away(self, point: Point) -> Array:
-        """Return the coordinates (m,) of drives and servo from the start, zero for links."""
-        away = np.zeros(self.size)
-        n = 10 * self.n_links
-        away[n : len(point.chi)] = point.chi[n:] - self.start.chi[n:]
+        Both are zero for links.
+        """
+        ridge, away, chi = np.zeros(self.size), np.zeros(self.size), point.chi
+        drives, servo = slice(10 * self.n_links, len(chi)), slice(len(chi), None)
+        ridge[drives] = RULES.drive_ridge / self.prior.drive_scale**2
+        away[drives] = (chi - self.start.chi)[drives]
+        ridge[servo] = self.of_servo.weights
         if point.servo is not None and self.start.servo is not None:
-            away[len(point.chi) :] = self.of_servo.away(point.servo, self.start.servo)
-        return away
+            away[servo] = self.of_servo.away(point.servo, self.start.servo)
+        return ridge, away
 
 
 _SVEC = svec(pseudo_inertias(np.eye(10))).T
@@ -459,9 +447,3 @@ def _divide_range(count: int) -> list[tuple[int, int]]:
     """Return ranges of equal length, one per processor."""
     edges = np.linspace(0, count, (os.cpu_count() or 1) + 1).astype(int)
     return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
-
-
-def _join_motions(parts: Sequence[Motion]) -> Motion:
-    return Motion(
-        *(np.concatenate([getattr(part, x) for part in parts]) for x in ("q", "v", "a", "state"))
-    )

@@ -112,22 +112,21 @@ def refine_fit(
     progress
         Called with the fraction done.
     """
-    model, base = fit.model, fit.base
+    model, base, linear = fit.model, fit.base, fit.estimate
+    links = slice(10 * model.n_links)
     prior = build_simulated_prior(model, base.drive)
-    linear = fit.estimate
     if not isinstance(linear, ConsistentEstimate):
         linear = fit_toward_cad(fit.information, prior)
     chi = np.array(linear.standard)
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
-        chi[: 10 * model.n_links] = prior.parameters[: 10 * model.n_links]
+        chi[links] = prior.parameters[links]
     wanted, windows = of_servo or ServoCoordinates(delay=True), thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
     share = RULES.same_samples * fit.uncertainty.effective_samples / fit.information.n_samples
-    trajectories = Trajectories(model, base)
     objective = Objective(
-        trajectories,
+        Trajectories(model, base),
         tuple(windows),
         fit.information,
         np.sqrt(share) / linear.sigma,
@@ -145,38 +144,26 @@ def refine_fit(
         objective, first = _with_lead(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
-    p = base.n_base
-    beta = base.regrouping @ found.point.chi
-    open_names = objective.undetermined(found.quadratic)
-    estimate = replace(
-        linear,
-        beta=beta,
-        standard=found.point.chi,
-        covariance=covariance[:p, :p],
-        sigma=np.maximum(
-            np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples),
-            np.finfo(np.float64).tiny,
-        ),
-        notes=(*linear.notes, _word_note(found, windows)),
-        refit=None,
-    )
+    own, beta = covariance[: base.n_base, : base.n_base], base.regrouping @ found.point.chi
+    sigma = np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples)
+    note = _word_note(found, windows)
     refined = replace(
         fit,
-        estimate=estimate,
-        uncertainty=replace(fit.uncertainty, covariance=covariance[:p, :p]),
-        provenance=(*fit.provenance, _word_note(found, windows)),
+        estimate=replace(
+            linear,
+            beta=beta,
+            standard=found.point.chi,
+            covariance=own,
+            sigma=np.maximum(sigma, np.finfo(np.float64).tiny),
+            notes=(*linear.notes, note),
+            refit=None,
+        ),
+        uncertainty=replace(fit.uncertainty, covariance=own),
+        provenance=(*fit.provenance, note),
     )
-    built = SimulatedRobot(
-        model.with_parameters(found.point.chi[: 10 * model.n_links]),
-        base.drive,
-        found.point.chi[10 * model.n_links :].reshape(model.n_joints, -1),
-        found.point.servo,
-    )
-    before = SimulatedRobot(
-        model.with_parameters(chi[: 10 * model.n_links]),
-        base.drive,
-        chi[10 * model.n_links :].reshape(model.n_joints, -1),
-        servo,
+    before, built = (
+        replace(objective.robot(each), model=model.with_parameters(each.chi[links]))
+        for each in (start, found.point)
     )
     stiffness, late, lead = _derive_servo_errors(objective, covariance)
     return RefinedFit(
@@ -187,7 +174,7 @@ def refine_fit(
         objective,
         found,
         objective.drive_errors(found.quadratic),
-        open_names,
+        objective.undetermined(found.quadratic),
         late,
         stiffness,
         lead,
@@ -215,8 +202,7 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
     Stiffness, damping and delay of an unknown servo trade off, so that a search may miss the
     best of them; a few steps show which start leads lower under the same weights.
     """
-    chi = start.chi.copy()
-    links = 10 * objective.n_links
+    chi, links = start.chi.copy(), 10 * objective.n_links
     chi[:links] = objective.prior.parameters[:links]
     chi[links:] *= RULES.stiffer
     stiffer = replace(servo, kp=tuple(RULES.stiffer * kp for kp in servo.kp), delay=0.0)
@@ -224,8 +210,7 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
         refine(objective, each, steps=FEW)
         for each in (start, replace(start, chi=chi, servo=stiffer))
     ]
-    weights = tried[0].weights
-    costs = [objective.cost(each.point, each.motions, weights) for each in tried]
+    costs = [objective.cost(each.point, each.motions, tried[0].weights) for each in tried]
     return tried[int(np.argmin(costs))].point
 
 

@@ -55,7 +55,6 @@ class Refinement:
     weights: Weights
     motions: list[Motion]
     iterations: int
-    costs: tuple[float, ...]
 
 
 def refine(
@@ -77,8 +76,7 @@ def _refine_point(
     progress: Callable[[float], None] | None,
 ) -> Refinement:
     point, motions = start, objective.motions(start)
-    done, costs = 0, list[float]()
-    inflation, damping = 1.0, steps.damping
+    done, inflation, damping = 0, 1.0, steps.damping
     weights = derive_weights(objective, motions, steps, inflation)
     slopes = objective.slopes(point, motions)
     quadratic = objective.quadratic(point, motions, weights, slopes)
@@ -95,23 +93,22 @@ def _refine_point(
         for _ in range(steps.most):
             if _is_settled(objective, point, quadratic, enough):
                 break
+            done += 1
             moved = _find_better_point(
                 objective, point, motions, quadratic, weights, damping, steps
             )
-            done += 1
             if moved is None:
                 break
             point, motions, damping = moved
             slopes = objective.slopes(point, motions)
             before, quadratic = quadratic.cost, objective.quadratic(point, motions, weights, slopes)
-            costs.append(quadratic.cost)
             if progress is not None:
                 progress((number + done / (steps.most * steps.rounds)) / steps.rounds)
             if before - quadratic.cost < enough:
                 break
         if last:
             break
-    return Refinement(point, quadratic, weights, motions, done, tuple(costs))
+    return Refinement(point, quadratic, weights, motions, done)
 
 
 def derive_weights(
