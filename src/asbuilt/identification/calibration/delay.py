@@ -326,8 +326,8 @@ def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Arra
         if np.all(np.abs(step) < RULES.settled):
             break
     solved = columns.solve(each)
-    beside = columns.solve(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
-    moved = beside.increments[: count * n] - solved.increments
+    with_lags = columns.solve(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
+    moved = with_lags.increments[: count * n] - solved.increments
     errors = np.hypot(solved.std_errors, moved).reshape(count, n)
     chance, spread = _test_equal_delays(wide, errors, solved.n_blocks)
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)

@@ -87,9 +87,8 @@ class EncoderPair:
     @property
     def stiffness(self) -> tuple[float, float] | None:
         """Stiffness and its standard error [N m/rad or N/m]; None if it is not determined."""
-        if not self.determined:
-            return None
-        return 1.0 / self.compliance, self.compliance_error / self.compliance**2
+        c, error = self.compliance, self.compliance_error
+        return (1.0 / c, error / c**2) if self.determined else None
 
     @property
     def damping(self) -> tuple[float, float] | None:

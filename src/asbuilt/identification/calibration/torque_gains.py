@@ -259,9 +259,9 @@ def identify_gains(
     given = LinkInertia.from_com(mass, centre, tensor).parameters
     known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
     with use_one_blas_thread():
-        solution = problem.solve(np.where(known, given, 0.0), known)
-        scatter = problem.std_errors(solution, known)
-    gains, payload = 1.0 / solution.inverse, solution.theta[-10:]
+        theta, inverse, sigma = problem.solve(np.where(known, given, 0.0), known)
+        scatter = problem.std_errors(theta, inverse, sigma, known)
+    gains, payload = 1.0 / inverse, theta[-10:]
     open_ended = ~(scatter < np.abs(gains)) | (
         np.abs(gains) > RULES.runaway * np.nanmedian(np.abs(gains))
     )
@@ -284,15 +284,6 @@ def identify_gains(
         sources=tuple(each.source for each in (*without, *under)),
         of_command=of_command,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    """Hold `[beta, phi]`, 1 / gain (n,) and the noise of each joint's logged torque (n,)."""
-
-    theta: Array
-    inverse: Array
-    sigma: Array
 
 
 class _Problem:
@@ -335,8 +326,11 @@ class _Problem:
                 cure=Cure("record longer, or raise the cutoff"),
             )
 
-    def solve(self, given: Array, known: NDArray[np.bool_]) -> _Solution:
-        """Return gains and payload by reweighted Gauss-Newton on 1 / gain."""
+    def solve(self, given: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Return arm and payload, 1 / gain and noise (n,) by reweighted Gauss-Newton on 1 / gain.
+
+        The first are `[beta, phi]`; the noise is in each joint's logged torque.
+        """
         rows = [
             triangular_factor(np.vstack([block[k] for block in self.blocks]))
             for k in range(self._n)
@@ -353,7 +347,7 @@ class _Problem:
                 theta[free] = _solve_least_squares(
                     every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
                 )
-            matrix, errors = self._linear(rows, _Solution(theta, inverse, sigma), free)
+            matrix, errors = self._linear(rows, theta, inverse, sigma, free)
             step = _solve_least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
             theta[free] += step[: -self._n]
@@ -368,19 +362,24 @@ class _Problem:
                 "the recordings do not determine the gains",
                 cure=Cure("carry a heavier payload, and move the joints that carry it"),
             )
-        return _Solution(theta, inverse, sigma)
+        return theta, inverse, sigma
 
     def _free(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.concatenate([np.ones(self._p, dtype=bool), ~known])
 
     def _linear(
-        self, rows: Sequence[Array], at: _Solution, free: NDArray[np.bool_]
+        self,
+        rows: Sequence[Array],
+        theta: Array,
+        inverse: Array,
+        sigma: Array,
+        free: NDArray[np.bool_],
     ) -> tuple[Array, Array]:
         """Return the matrix of `[beta, free phi, 1 / gain]` about a solution, and the errors."""
         matrix, errors = [], []
-        for k, (r, g, s) in enumerate(zip(rows, at.inverse, at.sigma, strict=True)):
+        for k, (r, g, s) in enumerate(zip(rows, inverse, sigma, strict=True)):
             own = np.zeros((len(r), self._n))
-            own[:, k] = r[:, :-1] @ at.theta
+            own[:, k] = r[:, :-1] @ theta
             matrix.append(np.hstack([g * r[:, :-1][:, free], own]) / s)
             errors.append((r[:, -1] - g * own[:, k]) / s)
         return np.vstack(matrix), np.concatenate(errors)
@@ -408,14 +407,16 @@ class _Problem:
                 shares[k] = np.linalg.norm(rows[:, self._p : -1] @ payload) / total
         return shares
 
-    def std_errors(self, solution: _Solution, known: NDArray[np.bool_]) -> Array:
+    def std_errors(
+        self, theta: Array, inverse: Array, sigma: Array, known: NDArray[np.bool_]
+    ) -> Array:
         """Return standard errors of the gains (n,) from time blocks, infinite if undetermined.
 
-        Those of the fit about the solution, as in `block_uncertainty`: the arm and the unknown part
-        of the payload absorb residuals too.
+        They belong to the fit about the solution, as in `block_uncertainty`: the arm and the
+        unknown part of the payload absorb residuals too.
         """
         free, p = self._free(known), self._p
-        parts = [self._linear(block, solution, free) for block in self.blocks]
+        parts = [self._linear(block, theta, inverse, sigma, free) for block in self.blocks]
         whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
         root, lost = _invert_root(whole)
         grams = np.array([matrix.T @ matrix for matrix, _ in parts])
@@ -431,7 +432,7 @@ class _Problem:
         )
         own = root[-self._n :]
         found = np.maximum(estimate_scatter(data, own).variance, variance * np.sum(own**2, axis=1))
-        return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / solution.inverse**2
+        return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / inverse**2
 
 
 def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -447,8 +448,8 @@ def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
 def _solve_least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
     sizes = _measure_columns(matrix)
-    solution: Array = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
-    return np.asarray(solution / sizes)
+    solution = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
+    return np.asarray(solution / sizes, dtype=np.float64)
 
 
 def _measure_columns(matrix: Array) -> Array:

@@ -284,8 +284,8 @@ class _Remaining:
 
     def measure_error(self, term: DriveTerm, *, positive: bool) -> Array:
         """Return the squared error (n,) with this term; without it if not `positive` as asked."""
-        columns = 10 * self._model.n_links + np.arange(len(term.symbols) * self._model.n_joints)
-        plan = RegressorPlan.of(self._model, DriveSet((term,)), columns, spare_rows=1)
+        own = 10 * self._model.n_links + np.arange(len(term.symbols) * self._model.n_joints)
+        plan = RegressorPlan.of(self._model, DriveSet((term,)), own, spare_rows=1)
         left = []
         for rows, basis, torque in zip(
             _stack_rows(plan, self._chosen), self._bases, self._torques, strict=True

@@ -88,8 +88,8 @@ class Described:
 class Motion:
     """Hold states (L, n) of a robot on a span of samples, and what its model makes of them.
 
-    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end; `rate` is that of
-    the samples [Hz], which are without gaps.
+    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end; the samples, at
+    `rate` [Hz], are without gaps.
     """
 
     robot: Described
@@ -240,9 +240,8 @@ class Effect(ABC):
 
     def advanced(self, values: Array, step: Array) -> Array:
         """Return the values after a step about what they leave."""
-        if self.of_shares:
-            return np.asarray((1.0 + values) * (1.0 + step) - 1.0)
-        return np.asarray(values + step)
+        moved = (1.0 + values) * (1.0 + step) - 1.0 if self.of_shares else values + step
+        return np.asarray(moved)
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding | None:
         """Return what can be done about the effect where a model cannot have it, if anything."""

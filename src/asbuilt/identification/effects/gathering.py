@@ -26,7 +26,7 @@ At = tuple[str, int | None]
 class Candidate:
     """Name an effect at a joint (from 0; None: of the whole robot) and its parameters.
 
-    `places` are its positions among all parameters, those of the model first; `replaces` those of
+    `places` are its positions among all parameters, the model's first; `replaces` are positions of
     the model's parameters in whose place it comes.
     """
 
@@ -62,7 +62,7 @@ class Candidate:
 class EffectEquations:
     """Hold the normal equations of `[W_k | E_k | tau_k]` by time block, joint by joint.
 
-    W are the columns of the base parameters (p), E those of all candidates (m). Joint k has the
+    W are the columns of the base parameters (p), E of all candidates (m). Joint k has the
     parameters `support[k]` and `grams[k]` (B, s_k + 1, s_k + 1). `counts` (B,) are the samples of a
     block.
     """
@@ -86,7 +86,7 @@ class EffectEquations:
         return tuple(gram.sum(axis=0) for gram in self.grams)
 
     def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
-        """Return those of all joints together, (P + 1, P + 1), joint k times `weights[k]`^2."""
+        """Return the sum over joints, (P + 1, P + 1), of joint k times `weights[k]`^2."""
         total = np.zeros((self.n_parameters + 1,) * 2)
         for k, support in enumerate(self.support):
             gram = self.of_joints[k] if blocks is None else self.grams[k][blocks].sum(axis=0)

@@ -26,7 +26,7 @@ class SelectionRules:
     """Standard errors over groups of different motion by which the held-out error must fall."""
     unheld: float = 2.0
     """The same where the description has no masses, or masses that the data refute: then nothing
-    but the data holds the bodies, and the model's will not be those of this fit."""
+    but the data holds the bodies, and this fit's will not be the model's."""
     form: float = 2.0
     """Standard errors by which another form, such as a spring between points for a torsion spring,
     must predict other motion better than the one that lowers the cost most for its columns."""
@@ -49,7 +49,7 @@ class SelectionRules:
     shown: float = 1e-3
     """Squared part of a column outside all others below which a log does not show an effect."""
     separate: float = 1e-6
-    """Squared part of a column outside all others below which nothing can be said of it."""
+    """Squared part of a column outside all others below which it has no trial."""
     acting: float = 1e-18
     """Squared length of a column, in the largest, below which it does not act on this robot."""
     most: int = 20
@@ -77,13 +77,13 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """Hold what a candidate would do beside those taken.
+    """Hold what a candidate would do in addition to what is taken.
 
     `values` (m,) and `covariance` are of its parameters, by the scatter of time blocks, `p_value`
-    that of their all being zero. `relief` (groups,) is the logarithm of the fall of the squared
+    tests that all are zero. `relief` (groups,) is the logarithm of the fall of the squared
     error on each held-out group. `gain` is the fall of the cost in half squares of independent
     standard errors, by the logarithm of its ratio; `nearer` how much nearer to CAD bodies come, in
-    the same unit; `felt` its torque in that of the joint where this share is largest.
+    the same unit; `felt` its share in the torque of the joint where it is largest.
     `alternatives` would explain as much, and are needless next to it. `errors` are the held-out
     errors without and with it.
     """
@@ -198,7 +198,7 @@ class Selection:
         self.impossible: Collection[At] = ()
         """Effects that turned out to have no size that robots have."""
         self.unsure: list[Trial] = []
-        """Effects that are sure, but not beside CAD and on other motion."""
+        """Effects that are sure, but do not lower the error on other motion."""
 
     @cached_property
     def _apart(self) -> Array:
@@ -243,7 +243,7 @@ class Selection:
                 swapped = True
 
     def _swap_forms(self, path: list[Trial]) -> bool:
-        """Give effects of the path up for those of their kind that predict other motion better.
+        """Give effects of the path up for others of their kind that predict other motion better.
 
         What was worthiest when it was taken need not be so after what came later (Miller, Subset
         Selection in Regression, 2002, section 3.4). Returns whether any was.
@@ -269,7 +269,7 @@ class Selection:
         ]
         if own.has_trial_values or len({each.at for each in alike}) < 2:
             return None
-        trials = self._trials_beside([each for each in self.taken if each is not own], alike)
+        trials = self._try_with([each for each in self.taken if each is not own], alike)
         n, robot = self.n_asked, self.equations.robot
         now = next(
             (
@@ -284,9 +284,8 @@ class Selection:
             for each in trials
             if each.candidate.at != own.at and each.is_taken(n, robot, self.held)
         ]
-        if now is None:
-            return max(taken, key=_predicts, default=None)
-        return _find_better(taken, now, RULES.certain)
+        best = max(taken, key=_predicts, default=None)
+        return best if now is None else _find_better(taken, now, RULES.certain)
 
     @property
     def n_asked(self) -> int:
@@ -308,20 +307,18 @@ class Selection:
         return distance / self.prior.effect > len(links) - free
 
     def holds(self, candidate: Candidate) -> bool:
-        """Return whether an effect taken is so beside those alone that the model can have, too.
+        """Return whether an effect is taken with only such others as the model can have, too.
 
         What is only named is not in the model by which other motion is predicted: on the dVRK MTM a
-        tilt was worth its torque beside a gain of 1.5 and a zero position, and alone tripled the
+        tilt was worth its torque with a gain of 1.5 and a zero position, and alone tripled the
         error.
         """
-        beside = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
-        trials = self._trials_beside(beside, [candidate])
+        others = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
+        trials = self._try_with(others, [candidate])
         return any(each.is_taken(self.n_asked, self.equations.robot, self.held) for each in trials)
 
-    def _trials_beside(
-        self, taken: list[Candidate], candidates: Iterable[Candidate]
-    ) -> list[Trial]:
-        """Try candidates beside other effects than those taken."""
+    def _try_with(self, taken: list[Candidate], candidates: Iterable[Candidate]) -> list[Trial]:
+        """Try candidates with other effects in place of the ones taken."""
         own, self.taken = self.taken, taken
         trials = self.trials(candidates)
         self.taken = own
@@ -349,7 +346,7 @@ class Selection:
         return self.acting(next(each for each in self.equations.candidates if each.at == at))
 
     def acting(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with those of its parameters that act on this robot."""
+        """Return a candidate with the parameters of it that act on this robot."""
         return replace(candidate, places=candidate.places[self._acts[candidate.places]])
 
     def held_out_error(self, taken: Sequence[Candidate]) -> float:
@@ -369,13 +366,13 @@ class Selection:
         return -self._fit(self._total, self._inside(self.taken)).residual[:-1]
 
     def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-        """Return values of candidates beside all others taken, and their covariance.
+        """Return values of candidates next to all others taken, and their covariance.
 
         The covariance is that by the scatter of time blocks.
         """
-        beside = [each for each in self.taken if all(each is not own for own in candidates)]
+        others = [each for each in self.taken if all(each is not own for own in candidates)]
         places = np.concatenate([each.places for each in candidates])
-        whole = self._fit(self._total, self._inside(beside), places)
+        whole = self._fit(self._total, self._inside(others), places)
         d = np.asarray(np.linalg.solve(whole.schur, whole.score))
         both = np.column_stack([whole.residual, whole.moves])
         blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
@@ -405,7 +402,7 @@ class Selection:
         return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
-        """Try each candidate alone beside those taken; what it replaces is left out then.
+        """Try each candidate alone with what is taken; what it replaces is left out then.
 
         Those that do not lower the cost surely have no trial.
         """
@@ -461,7 +458,7 @@ class Selection:
     def _try_candidates(
         self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
     ) -> list[Trial]:
-        """Try candidates that replace the same parameters; those of no gain have no trial.
+        """Try candidates that replace the same parameters; without a gain they have no trial.
 
         `start` are held-out errors (groups, n), error and distance from CAD of what is taken.
         """
@@ -608,8 +605,9 @@ def _expand_squares(
     """
     found = []
     for places, gram in grams:
-        kept = slice(None) if moving is None else moving[places]
-        r, M, own = fit.residual[places[kept]], fit.moves[places[kept]], gram[kept][:, kept]
+        kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
+        at, own = places[kept], gram[np.ix_(kept, kept)]
+        r, M = fit.residual[at], fit.moves[at]
         felt = M.T @ own
         found.append((r @ own @ r, felt @ r, felt @ M))
     value, slope, curvature = map(np.array, zip(*found, strict=True))

@@ -111,7 +111,7 @@ def estimate_deadband(
 
     For each width `D(e) = W b + v qd + step du/dt` is fitted joint by joint to half of the time
     blocks, with everything free, and validated on the others, both ways. The residual counts
-    relative to D(e), whose scale is that of the torque. Joints share the width: it counts only if
+    relative to D(e), which scales as the torque does. Joints share the width: it counts only if
     the cost falls, and significantly rises at no joint, as friction that grows with the load, which
     resembles a deadband, would have it.
 
@@ -225,7 +225,7 @@ def find_goal_limit(
     """Return the limit under which a recording fits best; None if it shows none.
 
     For each limit `goal - q = W b + v qd + step dgoal/dt` is fitted joint by joint, with everything
-    free. The cost is that of residuals whose variance varies from block to block, with a bounded
+    free. The cost holds for residuals whose variance varies from block to block, with a bounded
     influence of each (`n log(1 + r / median)` for the mean square r of n rows), so that contact
     does not count.
 

@@ -30,19 +30,24 @@ from asbuilt.identification.servo.deviations import (
     fill_unknown,
     find_goal_limit,
 )
-from asbuilt.identification.servo.servo_delay import DelayFit, DelaySlopes, fit_delay
 from asbuilt.identification.servo.servo_errors import ServoErrors
+from asbuilt.identification.servo.servo_fits import (
+    DelayFit,
+    DelaySlopes,
+    ServoScale,
+    find_scale,
+    fit_delay,
+)
 from asbuilt.identification.servo.servo_replay import Replay, replay
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
     ServoRows,
     reduce_servo_recordings,
 )
-from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
 
 UNEXPLAINED = 3.0
-"""Residual of a second, in those of the median second, from which it has another cause than those
-of the model: contact, or a limit of the servo. Residuals of friction stay below."""
+"""Residual of a second, in residuals of the median second, from which the model lacks its cause:
+contact, or a limit of the servo. Residuals of friction stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +56,7 @@ class ServoEstimate:
 
     `goals` are the limits of the acceleration of its goal that the recordings show, None for one
     that shows none. The servo has a limit if all of them show one. `slopes` are how the torque
-    follows the delay. `currents` are the laws of magnitudes that were logged beside the commands,
+    follows the delay. `currents` are the laws of magnitudes that were logged with the commands,
     one per joint, empty if none were. `expected` is what does not average out of the recordings,
     None if the replay that measures it diverged.
     """
@@ -253,8 +258,8 @@ def _settle_servo(
 ) -> tuple[_Settled, Replay | None]:
     """Return servo and fit from a first delay [s], and the last replay; None if it diverged.
 
-    Each replay is that of the robot and servo found before, with links that can exist: those of a
-    fit without bounds may not.
+    Each replay moves the robot and servo found before, with physically consistent links: a fit
+    without bounds may have others.
 
     Parameters
     ----------
@@ -272,7 +277,7 @@ def _settle_servo(
     motion, replayed = motions[0], None
     at = _alternate(design, motions, recordings, servo, late, None, free_delay, shared)
     for last in (False,) * (ITERATIONS.replays - 1) + (True,):
-        # Smallest eigenvalue of the inertia of a link that is replayed, in that of CAD: own choice.
+        # Smallest eigenvalue of the inertia of a link that is replayed, in CAD's: own choice.
         links = design.made_consistent(at.found.parameters, 0.1)
         replayed = replay(
             motion.model,

@@ -85,7 +85,7 @@ class Replay:
 
     @property
     def sees_noise(self) -> bool:
-        """Whether the copies differ by noise alone, so that their variance is that of noise."""
+        """Whether the copies differ by noise alone, so that their variance shows the noise."""
         return min(len(draws) for draws in self.draws) > 0
 
     def variance(self, along: Sequence[Array]) -> float:

@@ -142,8 +142,8 @@ class CommandedMotion:
     ) -> Iterator[tuple[TimeBlock, tuple[Array, ...], Array]]:
         """Yield time blocks, Gram matrices of each joint's rows, and how many rows count (n,).
 
-        `recording` is that of the motion, with any servo; its command acts after `delay` [s]. A
-        `rate` that was made before takes the place of its own.
+        `recording` has the motion, and any servo; its command acts after `delay` [s]. A `rate` that
+        was made before takes the place of its own.
         """
         error = hold_command(recording, delay, self._curve) - recording.q
         if recording.servo is not None:
@@ -222,9 +222,8 @@ class CommandedMotion:
         """The rows of all blocks; None if they are too many to keep."""
         outputs = sum(block.n_outputs for blocks in self._blocks for block in blocks)
         rows = sum(own.size + 1 for own in self.support)
-        if 8.0 * outputs * rows > BLOCKS.most_held:
-            return None
-        return tuple(map(self._reduce_run, self._blocks))
+        few = 8.0 * outputs * rows <= BLOCKS.most_held
+        return tuple(map(self._reduce_run, self._blocks)) if few else None
 
     def _reduce_run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
         whole = replace(blocks[0], last=blocks[-1].last)

@@ -120,12 +120,6 @@ class Objective:
     start: Point
     of_servo: ServoCoordinates = field(default_factory=ServoCoordinates)
 
-    @cached_property
-    def linear_factors(self) -> tuple[Array, ...]:
-        """Weighted torque rows of each joint, as triangular factors."""
-        both = zip(self.torque_weights, self.information.joint_factors, strict=True)
-        return tuple(weight * factor for weight, factor in both)
-
     @property
     def n_links(self) -> int:
         """Number of links."""
@@ -159,12 +153,11 @@ class Objective:
         A position has the error by which it differs from the logged one, a velocity is as
         uncertain as the velocities of the joint are large, so that the window decides.
         """
-        found = []
-        for cut in self.windows:
-            error = np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0) + RULES.smallest**2
-            speed = np.mean(cut.start_qd**2, axis=0) + RULES.smallest**2
-            found.append(1.0 / np.stack([error, speed]))
-        return tuple(found)
+        squares = (
+            [np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0), np.mean(cut.start_qd**2, axis=0)]
+            for cut in self.windows
+        )
+        return tuple(1.0 / (np.stack(each) + RULES.smallest**2) for each in squares)
 
     def motions(self, point: Point, some: Sequence[Indices] | None = None) -> list[Motion]:
         """Simulate all windows, or `some` of each recording by number."""
@@ -393,22 +386,19 @@ class Objective:
 
     def _torque_rows(self, point: Point) -> tuple[Array, Array]:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
-        base = self.trajectories.base
-        beta = base.regrouping @ point.chi
-        width = self.trajectories.n_parameters
-        free_stiffness = self.of_servo.stiffness
-        rows, rest = [], []
+        base, own, start = self.trajectories.base, point.servo, self.start.servo
+        beta, rows, rest = base.regrouping @ point.chi, [], []
         for k, (support, factor) in enumerate(
-            zip(self.information.support, self.linear_factors, strict=True)
+            zip(self.information.support, self.information.joint_factors, strict=True)
         ):
-            scale = 1.0
-            row = np.zeros((len(factor), width))
-            row[:, support] = factor[:, :-1]
-            if point.servo is not None and self.start.servo is not None and free_stiffness:
-                scale = point.servo.kp[k] / self.start.servo.kp[k]
-                row[:, base.n_base + k] = -factor[:, -1] / self.start.servo.kp[k]
+            weighted, scale = self.torque_weights[k] * factor, 1.0
+            row = np.zeros((len(factor), self.trajectories.n_parameters))
+            row[:, support] = weighted[:, :-1]
+            if own is not None and start is not None and self.of_servo.stiffness:
+                scale = own.kp[k] / start.kp[k]
+                row[:, base.n_base + k] = -weighted[:, -1] / start.kp[k]
             rows.append(row)
-            rest.append(factor[:, :-1] @ beta[support] - scale * factor[:, -1])
+            rest.append(weighted[:, :-1] @ beta[support] - scale * weighted[:, -1])
         return np.concatenate(rows), np.concatenate(rest)
 
     def _add_cad(self, point: Point, gradient: Array, matrix: Array) -> None:

@@ -61,7 +61,7 @@ class LinkMass(_Body):
     key, title = "link_mass", "mass of a link"
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
-        """Return its mass beyond that of CAD."""
+        """Return its mass beyond CAD's."""
         return f"{super().size_text(values, covariance, revolute=revolute)} beyond CAD"
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:

@@ -102,7 +102,7 @@ def _list_trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
 
 
 def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
-    """Return drive terms with those of candidates, in place of the simpler terms they replace."""
+    """Return drive terms with the terms of candidates, in place of simpler ones they replace."""
     for effect in dict.fromkeys(each.effect for each in candidates):
         assert isinstance(effect, DriveEffect)
         found = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}

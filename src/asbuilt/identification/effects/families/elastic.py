@@ -36,7 +36,7 @@ def elastic_columns(
 
     With encoders at the motors and a stiffness K_k [N m/rad or N/m] between motor and link k, the
     link lags by `tau_k / K_k`, tau_k the torque that the spring transmits. To first order in the
-    compliance `c_k = 1 / K_k` the torque at the logged positions is that of the stiff robot plus
+    compliance `c_k = 1 / K_k` the stiff robot's torque at the logged positions lacks
 
         sum_k c_k column_k,   column_k = -(D_q tau_k + D_qd dtau_k/dt + D_qdd d2tau_k/dt2),
 

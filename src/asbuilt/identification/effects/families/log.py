@@ -99,7 +99,7 @@ class Clock(Effect):
         return Finding(
             "clock_wrong",
             "warning",
-            f"The torques are those of a motion {_format_percent(found)} {pace} than the clock of"
+            f"The torques belong to a motion {_format_percent(found)} {pace} than the clock of"
             " the log says, for only then do masses act alike by gravity and"
             f" acceleration{_word_worth(found)}",
             Cure(
@@ -283,7 +283,7 @@ class Drift(_OfTorque):
     """Drift in the joint's largest torque below which it is of no account."""
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
-        """Return whether the drift matters beside the joint's largest torque."""
+        """Return whether the drift matters next to the joint's largest torque."""
         return bool(abs(values[0]) >= self.felt * robot.largest[joint or 0])
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
@@ -335,8 +335,8 @@ class Warming(_OfTorque):
             "friction_drifts",
             "warning",
             f"Friction of {found.joint}, or its viscous part, {pace} by {_format_percent(found)}"
-            " over the recording, as that of a drive whose temperature changes"
-            f"{_word_worth(found)}; its parameters are those of the middle",
+            " over the recording, as in a drive whose temperature changes"
+            f"{_word_worth(found)}; its parameters hold for the middle",
             Cure("record cold and warm robots separately"),
             joint=found.joint,
         )
