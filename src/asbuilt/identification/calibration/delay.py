@@ -113,8 +113,7 @@ def _fit_part(model: RobotModel, weights: Array, part: SquareRootInformation) ->
         prior = build_cad_prior(model, part.base.drive)
         # Weight of CAD in the fits, as for a base tilt: ten times the usual design effect.
         return fit_toward_cad(part, prior, weight=100.0, weights=weights).beta
-    design = design_values(model, part.base)
-    return fit_least_squares(part, weights=weights, prior=design).beta
+    return fit_least_squares(part, weights=weights, prior=design_values(model, part.base)).beta
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,9 +265,8 @@ class _Fits:
         )
 
     def _samples(self, delays: Array) -> Sequence[Samples]:
-        n = self.model.n_joints
-        wide = np.broadcast_to(delays if delays.ndim == 2 else delays[:, None], (self.count, n))
-        return self._prepare(wide)
+        of_recordings = delays.reshape(self.count, -1)
+        return self._prepare(np.broadcast_to(of_recordings, (self.count, self.model.n_joints)))
 
     def _rows(self, samples: Sequence[Samples]) -> Rows:
         """Return the rows of samples; only their torque is new where the motion is as before."""

@@ -112,8 +112,7 @@ def derive_gain_errors(
     calibrated, to 5 %, if the gravity torques agree with CAD's; otherwise 10 %, as all torques
     but a sensor's do where the description has no masses.
     """
-    n = result.model.n_joints
-    usual = relative_gain_errors(source, n, stated)
+    usual = relative_gain_errors(source, result.model.n_joints, stated)
     if stated is not None or source == "sensor":
         return usual
     if not result.model.has_every_mass:

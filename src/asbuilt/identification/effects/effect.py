@@ -240,8 +240,7 @@ class Effect(ABC):
 
     def advanced(self, values: Array, step: Array) -> Array:
         """Return the values after a step about what they leave."""
-        moved = (1.0 + values) * (1.0 + step) - 1.0 if self.of_shares else values + step
-        return np.asarray(moved)
+        return np.asarray((1.0 + values) * (1.0 + step) - 1.0 if self.of_shares else values + step)
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding | None:
         """Return what can be done about the effect where a model cannot have it, if anything."""

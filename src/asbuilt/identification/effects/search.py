@@ -23,7 +23,8 @@ from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Fo
 from asbuilt.identification.effects.families.drive_terms import with_terms
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
 from asbuilt.identification.effects.lacking import Lacking
-from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial
+from asbuilt.identification.effects.selection import Selection
+from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
@@ -188,8 +189,7 @@ class _Search:
             for each in selection.equations.candidates
             if each.effect.shown
         }
-        lacking = Lacking.of(selection, out, known)
-        return Effects(turned, drive, found, fitted, lacking, unseen)
+        return Effects(turned, drive, found, fitted, Lacking.of(selection, out, known), unseen)
 
     def _next_removed(self, path: Sequence[Trial], removed: Sequence[Trial]) -> Trial | None:
         """Return what is taken out next: what the model can have, or what the log shows first."""
@@ -332,8 +332,7 @@ class _Search:
             and each.joint is not None
             and not own.determined[each.joint]
         }
-        kept = [each for each in taken if each.at not in undetermined]
-        drive = with_terms(self.drive, kept, n)
+        drive = with_terms(self.drive, [each for each in taken if each.at not in undetermined], n)
         for own in fit.nonlinear:
             term = next((each for each in drive.terms if each.key == own.term), None)
             if term is not None:

@@ -251,8 +251,7 @@ def find_goal_limit(
 
     @cache
     def costs(limit: float) -> Array:
-        own = fill_unknown(servo, goal_acceleration=limit)
-        return _evaluate_costs(rows(own), joints, usual)
+        return _evaluate_costs(rows(fill_unknown(servo, goal_acceleration=limit)), joints, usual)
 
     sums: dict[float, float] = {}
     for limit in chain([first], visible):
@@ -266,8 +265,7 @@ def find_goal_limit(
     error = logarithmic_error(costs, limit, plain)
     if not error < GOAL.determined:
         return None
-    acts = _find_acting_blocks(without - costs(limit), plain)
-    return GoalLimit(limit, limit * error, acts)
+    return GoalLimit(limit, limit * error, _find_acting_blocks(without - costs(limit), plain))
 
 
 def _list_visible_limits(

@@ -61,8 +61,6 @@ class ServoScale:
     ----------
     kp, std_errors
         Stiffness [N m/rad or N/m] and its standard error, CAD's included, (n,).
-    determined
-        Whether the joint's own rows determine it, (n,).
     shared
         Whether one stiffness was fitted to all joints.
     source
@@ -71,7 +69,6 @@ class ServoScale:
 
     kp: Array
     std_errors: Array
-    determined: Mask
     shared: bool
     source: tuple[Scale, ...]
 
@@ -112,7 +109,7 @@ def find_scale(
         kp = np.where(c > 0, 1.0 / c, np.nan)
         relative = np.where(c > 0, np.sqrt(V) / c, np.inf)
     errors = kp * np.sqrt(relative**2 + SCALE.cad**2)
-    return ServoScale(kp, errors, determined, pooled, tuple(source))  # type: ignore[arg-type]
+    return ServoScale(kp, errors, pooled, tuple(source))  # type: ignore[arg-type]
 
 
 def _estimate_own_scale(
@@ -177,12 +174,13 @@ class DelaySlopes:
         cls, rows: ServoRows, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
     ) -> DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
-        weight, names, means = np.array(counted, dtype=np.float64), [], []
-        count = float(weight @ rows.lengths)
-        for k, support in enumerate(rows.support):
-            gram = rows.total(k, weight)
-            names.append(tuple(base.names[j] for j in support))
-            means.append(kp[k] * gram[: support.size, support.size + 1] / max(count, 1.0))
+        weight = np.array(counted, dtype=np.float64)
+        count = max(float(weight @ rows.lengths), 1.0)
+        means = (
+            kp[k] * rows.total(k, weight)[: support.size, support.size + 1] / count
+            for k, support in enumerate(rows.support)
+        )
+        names = (tuple(base.names[j] for j in support) for support in rows.support)
         return cls(tuple(names), tuple(means))
 
 
@@ -306,8 +304,7 @@ def fit_delay(
         least = variance
         if replayed is not None and replayed.sees_noise:
             least = replayed.variance([scale[k] * each for k, each in enumerate(along)])
-        scatter = float(together @ together) * together.size / (together.size - 1)
-        variance = max(least, scatter)
+        variance = max(least, float(together @ together) * together.size / (together.size - 1))
     if replayed is None:
         variance = max(variance, float(np.square(by_joint).sum()))
     variance += (DOUBT * taken) ** 2

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -169,12 +168,14 @@ class Objective:
             cuts = [cut.some(at) for cut, at in zip(cuts, some, strict=True)]
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         parts = [
-            (k, slice(a, b))
+            (k, at)
             for k, cut in enumerate(cuts)
-            for a, b in _divide_range(cut.n_windows) or [(0, 0)]
+            for at in np.array_split(
+                np.arange(cut.n_windows), min(os.cpu_count() or 1, max(cut.n_windows, 1))
+            )
         ]
 
-        def one(part: tuple[int, slice]) -> Motion:
+        def one(part: tuple[int, Indices]) -> Motion:
             cut = cuts[part[0]].some(part[1])
             return self.trajectories.simulate(robot.centred(cut.step), cut, links)
 
@@ -431,9 +432,3 @@ class Objective:
 
 
 _SVEC = svec(pseudo_inertias(np.eye(10))).T
-
-
-def _divide_range(count: int) -> list[tuple[int, int]]:
-    """Return ranges of equal length, one per processor."""
-    edges = np.linspace(0, count, (os.cpu_count() or 1) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]

@@ -127,8 +127,7 @@ def derive_weights(
     share = [
         np.minimum(1.0, (steps.outlying * usual / np.maximum(each, 1e-300)) ** 2) for each in size
     ]
-    kept = np.concatenate(share)
-    spread = np.average(variance, axis=0, weights=kept) + np.finfo(float).tiny
+    spread = np.average(variance, axis=0, weights=np.concatenate(share)) + np.finfo(float).tiny
     return Weights(1.0 / (spread * inflation), tuple(share))
 
 
@@ -166,8 +165,7 @@ def _find_better_point(
     steps: Steps,
 ) -> tuple[Point, list[Motion], float] | None:
     """Return a better point, its motions and the next damping; None if there is none."""
-    held = objective.at_bound(point, quadratic.gradient)
-    free = np.flatnonzero(~held)
+    free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
     H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
     scale = np.diag(H)
     before = objective.window_costs(point, motions, weights)

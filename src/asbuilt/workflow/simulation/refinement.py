@@ -15,7 +15,7 @@ from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.effects.selection import RULES as EFFECT_RULES
+from asbuilt.identification.effects.trials import RULES as EFFECT_RULES
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.identification.trajectories.refined_fit import (
