@@ -217,13 +217,13 @@ def find_delays(
     # All joints of a recording share one delay.
     common = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
     lags = _build_friction_shares(count, n)
-    together, columns = fits.settled(np.zeros(count), common)
+    together, columns = fits.settle(np.zeros(count), common)
     delays, std_errors = together, columns.solve(common).std_errors
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
     std_errors = np.hypot(std_errors, mean_lag.increments[:count])
     if abs(mean_lag.increments[-1]) > RULES.significant * mean_lag.std_errors[-1]:
         whole = np.concatenate([common, lags], axis=2)
-        delays, columns = fits.settled(together, whole)
+        delays, columns = fits.settle(together, whole)
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
     std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
     lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
@@ -258,43 +258,43 @@ class _Fits:
 
     def predict_better(self, delays: Array) -> bool:
         """Return whether torques shifted back by delays are predicted better on other motions."""
-        after, before = self._samples(delays), self._samples(np.zeros(self.count))
-        weights = self._plain(self._rows(after)).weights
+        after, before = self._shift_samples(delays), self._shift_samples(np.zeros(self.count))
+        weights = self._fit_plain(self._take_rows(after)).weights
         return predicts_better(
             self.model, self._base, weights, before, after, block_seconds=self._block_seconds
         )
 
-    def _samples(self, delays: Array) -> Sequence[Samples]:
+    def _shift_samples(self, delays: Array) -> Sequence[Samples]:
         of_recordings = delays.reshape(self.count, -1)
         return self._prepare(np.broadcast_to(of_recordings, (self.count, self.model.n_joints)))
 
-    def _rows(self, samples: Sequence[Samples]) -> Rows:
+    def _take_rows(self, samples: Sequence[Samples]) -> Rows:
         """Return the rows of samples; only their torque is new where the motion is as before."""
         if self._known is None or not self._known.take_torque(samples):
             self._known = Rows(self.model, self._base, samples, self._block_seconds)
         return self._known
 
-    def _plain(self, rows: Rows) -> Estimate:
+    def _fit_plain(self, rows: Rows) -> Estimate:
         """Return the plain weighted fit."""
         information = reduce_rows(self._base, self.model.joint_names, rows.support, rows)
         return fit_least_squares(information, weights="joint", prior=self._design)
 
     def columns(self, delays: Array) -> DelayColumns:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
-        samples = self._samples(delays)
+        samples = self._shift_samples(delays)
         bands = [each.parallel.cutoff for each in samples if each.parallel]
         self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
-        rows = self._rows(samples)
+        rows = self._take_rows(samples)
         return build_delay_columns(
             self.model,
             self._base,
-            self._plain(rows),
+            self._fit_plain(rows),
             samples,
             block_seconds=self._block_seconds,
             rows=rows,
         )
 
-    def settled(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
+    def settle(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
         """Return the delays (R,) after which the residual falls no further."""
         columns = self.columns(delays)
         for _ in range(RULES.most_steps):

@@ -381,8 +381,8 @@ def _solve_payload(
     p, data = len(estimates), triangular_factor(np.vstack(blocks))
     if arm == "frozen":
         root, own = np.linalg.pinv(prior[:, :p]), _subtract_arm(data, estimates)
-        _demand_known_arm(data[:, :p], prior[:, :p])
-        _demand(solve_factor(triangular_factor(own), len(own)).rank)
+        _check_known_arm(data[:, :p], prior[:, :p])
+        _check_rank(solve_factor(triangular_factor(own), len(own)).rank)
         solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
         spread = solution.inverse_root @ solution.inverse_root.T
         carried = np.column_stack(
@@ -394,7 +394,7 @@ def _solve_payload(
         solve_factor(triangular_factor(rows), len(data)).rank
         for rows in (both, np.delete(both, slice(p, p + 10), axis=1))
     ]
-    _demand(ranks[0] - ranks[1])
+    _check_rank(ranks[0] - ranks[1])
     held = np.vstack([prior, _widen_vague(vague, p)])
     factor, start = triangular_factor(np.vstack([held, data])), np.append(estimates, np.zeros(10))
     solution = solve_factor(factor, len(data), start)
@@ -402,7 +402,7 @@ def _solve_payload(
     return solution.x, carried @ carried.T
 
 
-def _demand(rank: int) -> None:
+def _check_rank(rank: int) -> None:
     if rank < 4:
         raise IdentifiabilityError(
             f"the recording under load determines {max(rank, 0)} of the payload's ten parameters,"
@@ -414,7 +414,7 @@ def _demand(rank: int) -> None:
         )
 
 
-def _demand_known_arm(rows: Array, prior: Array) -> None:
+def _check_known_arm(rows: Array, prior: Array) -> None:
     """Raise `IdentifiabilityError` if rows (m, p) excite what the prior (k, p) leaves free."""
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)

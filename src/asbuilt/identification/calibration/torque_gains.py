@@ -112,15 +112,15 @@ class TorqueGains:
 
     def sentences(self) -> tuple[str, ...]:
         """Return notes on the gains."""
-        undetermined = self._named(~self.determined)
+        undetermined = self._name_joints(~self.determined)
         instead = "identify finds it" if self.of_command else "the gain in use stays"
         turned = self.determined & (self.factors < 0)
-        small = self._named(self.payload_share < RULES.small_share)
+        small = self._name_joints(self.payload_share < RULES.small_share)
         notes = (
             (
                 True,
                 f"given for the payload: {', '.join(self.known)}; estimated payload:"
-                f" {self._found()}",
+                f" {self._describe_payload()}",
             ),
             (
                 undetermined,
@@ -130,8 +130,8 @@ class TorqueGains:
             (
                 turned.any(),
                 "the torque in use has the opposite sign at"
-                f" {'every joint' if turned.all() else self._named(turned)}; these gains reverse"
-                " it, so keep all other sign settings",
+                f" {'every joint' if turned.all() else self._name_joints(turned)}; these gains"
+                " reverse it, so keep all other sign settings",
             ),
             (
                 self.of_command,
@@ -147,12 +147,12 @@ class TorqueGains:
         )
         return tuple(note for holds, note in notes if holds)
 
-    def _named(self, chosen: NDArray[np.bool_]) -> str:
+    def _name_joints(self, chosen: NDArray[np.bool_]) -> str:
         return ", ".join(
             name for name, named in zip(self.joint_names, chosen, strict=True) if named
         )
 
-    def _found(self) -> str:
+    def _describe_payload(self) -> str:
         body = LinkInertia(self.payload)
         centre = ", ".join(f"{value:.3g}" for value in self.payload[6:9] / self.payload[9])
         return f"mass {body.mass:.4g} kg, centre ({centre}) m in {self.frame}"
@@ -336,9 +336,9 @@ class _Problem:
             for k in range(self._n)
         ]
         n_samples, p = sum(block.n_samples for block in self.times), self._p
-        free = self._free(known)
+        free = self._select_free(known)
         theta = np.concatenate([np.zeros(p), given])
-        inverse = self._signs(rows, theta, free)
+        inverse = self._find_signs(rows, theta, free)
         sigma = np.ones(self._n)
         for iteration in range(RULES.iterations):
             if iteration == 0:
@@ -347,7 +347,7 @@ class _Problem:
                 theta[free] = _solve_least_squares(
                     every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
                 )
-            matrix, errors = self._linear(rows, theta, inverse, sigma, free)
+            matrix, errors = self._linearise(rows, theta, inverse, sigma, free)
             step = _solve_least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
             theta[free] += step[: -self._n]
@@ -364,10 +364,10 @@ class _Problem:
             )
         return theta, inverse, sigma
 
-    def _free(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _select_free(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.concatenate([np.ones(self._p, dtype=bool), ~known])
 
-    def _linear(
+    def _linearise(
         self,
         rows: Sequence[Array],
         theta: Array,
@@ -384,7 +384,7 @@ class _Problem:
             errors.append((r[:, -1] - g * own[:, k]) / s)
         return np.vstack(matrix), np.concatenate(errors)
 
-    def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
+    def _find_signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
         """Return the sign (n,) of each gain by a fit of `-i_k g_k + Y_k beta + P_k phi = 0`."""
         matrix, target = [], []
         for k, r in enumerate(rows):
@@ -415,8 +415,8 @@ class _Problem:
         They belong to the fit about the solution, as in `block_uncertainty`: the arm and the
         unknown part of the payload absorb residuals too.
         """
-        free, p = self._free(known), self._p
-        parts = [self._linear(block, theta, inverse, sigma, free) for block in self.blocks]
+        free, p = self._select_free(known), self._p
+        parts = [self._linearise(block, theta, inverse, sigma, free) for block in self.blocks]
         whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
         root, lost = _invert_root(whole)
         grams = np.array([matrix.T @ matrix for matrix, _ in parts])

@@ -154,7 +154,7 @@ class _Search:
     def run(self) -> Effects:
         """Return the effects, found on robot and log without those that can be taken out."""
         start = self._take_out_stated if self.stated else self._take_out_factor
-        removed, selection = start(self._selection(()))
+        removed, selection = start(self._begin_selection(()))
         path = _select_further(selection, removed)
         if self.held and selection.refutes_cad():
             self.held = selection.held = False
@@ -172,7 +172,7 @@ class _Search:
             path = _select_further(selection, removed)
         removed = [_conclude(_advance_values(each, selection), selection) for each in removed]
         added = [each.candidate for each in path if each.candidate.effect.key in self.applied]
-        turned, _ = self._without(
+        turned, _ = self._take_out(
             [each for each in removed if each.candidate.effect.key in self.applied]
         )
         drive, fitted, undetermined = self._fit_terms(turned, added)
@@ -298,7 +298,7 @@ class _Search:
         """
         nearer = list(removed)
         for _ in range(LIMITS.rounds):
-            own, selection = nearer, self._selection(nearer)
+            own, selection = nearer, self._begin_selection(nearer)
             nearer = [_advance_values(each, selection) for each in own]
             if all(
                 np.linalg.norm(new.values - old.values) < old.candidate.effect.settled
@@ -307,7 +307,7 @@ class _Search:
                 break
         return own, selection
 
-    def _without(self, removed: Sequence[Trial]) -> tuple[RobotModel, list[Samples]]:
+    def _take_out(self, removed: Sequence[Trial]) -> tuple[RobotModel, list[Samples]]:
         """Return the robot and its samples without effects."""
         model, samples = self.model, list(self.samples)
         for each in removed:
@@ -340,9 +340,9 @@ class _Search:
         places = tuple(each for each in fit.places if (each.term, each.joint) not in undetermined)
         return drive, places, undetermined
 
-    def _selection(self, removed: Sequence[Trial]) -> Selection:
+    def _begin_selection(self, removed: Sequence[Trial]) -> Selection:
         """Return the selection on a robot without effects, whose columns are taken."""
-        model, samples = self._without(removed)
+        model, samples = self._take_out(removed)
         base, prior = find_base_parameters(model, self.drive), build_cad_prior(model, self.drive)
         seen = accumulate_stream(model, base, samples, block_seconds=self.seconds)
         fit = fit_consistent(seen, prior)

@@ -50,9 +50,9 @@ class Selection(Trials):
             sure = [each for each in self.trials(left) if each.is_sure(n, robot)]
             trials = [each for each in sure if each.is_taken(n, robot, self.held)]
             if path:
-                path[-1] = _with_alternatives(path[-1], before, trials)
+                path[-1] = _add_alternatives(path[-1], before, trials)
             if trials and len(path) < RULES.most:
-                best = self._preferred(max(trials, key=lambda each: each.worth), trials)
+                best = self._prefer(max(trials, key=lambda each: each.worth), trials)
                 path.append(best)
                 self.taken.append(best.candidate)
                 before = trials
@@ -70,14 +70,14 @@ class Selection(Trials):
         """
         changed = False
         for k, old in enumerate(path):
-            best = self._best_of_kind(old.candidate)
+            best = self._find_best_of_kind(old.candidate)
             if best is not None:
                 self.taken = [best.candidate if e is old.candidate else e for e in self.taken]
                 path[k] = replace(best, alternatives=old.alternatives)
                 changed = True
         return changed
 
-    def _best_of_kind(self, own: Candidate) -> Trial | None:
+    def _find_best_of_kind(self, own: Candidate) -> Trial | None:
         """Return what of an effect's kind predicts other motion best and surely better, or None."""
         alike = [
             each
@@ -119,11 +119,11 @@ class Selection(Trials):
         than the number of parameters that the data determine, p - tr((A + P)^-1 P) (MacKay, Neural
         Computation 4, 1992, eq. 4.8).
         """
-        inside, base = self._inside(self.taken), self.equations.base
+        inside, base = self._list_inside(self.taken), self.equations.base
         links = np.flatnonzero(base.columns[inside[inside < base.n_base]] < 10 * base.n_links)
-        A, P = self._normal(self._total, inside)
+        A, P = self._build_normal(self._total, inside)
         free = float(np.trace(np.linalg.solve(A, P)[np.ix_(links, links)]))
-        distance = self._distance(self._fit(self._total, inside).residual)
+        distance = self._measure_distance(self._fit(self._total, inside).residual)
         return distance / self.prior.effect > len(links) - free
 
     def holds(self, candidate: Candidate) -> bool:
@@ -144,17 +144,17 @@ class Selection(Trials):
         self.taken = own
         return trials
 
-    def _preferred(self, best: Trial, trials: Sequence[Trial]) -> Trial:
+    def _prefer(self, best: Trial, trials: Sequence[Trial]) -> Trial:
         """Return the best form at its joint, or a look-alike where the model may not have it."""
-        best = _best_form(best, trials)
+        best = _find_best_form(best, trials)
         own = [each for each in trials if each.candidate.effect.key in self.applied]
-        alike = [each for each in own if _look_alike(best, each)]
+        alike = [each for each in own if _is_alike(best, each)]
         if best in own or not alike:
             return best
         return max(alike, key=lambda each: each.worth)
 
 
-def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
+def _find_best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     """Return the trial of the same kind and joint that surely predicts other motion better."""
     forms = (each for each in trials if each.candidate.slot == best.candidate.slot)
     return _find_better(forms, best, RULES.form) or best
@@ -171,7 +171,7 @@ def _predicts(trial: Trial) -> float:
     return float(trial.relief.mean())
 
 
-def _look_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> bool:
+def _is_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> bool:
     """Return whether another effect predicts other motion as well, for half the worth.
 
     As well: within so many standard errors of the paired differences.
@@ -180,7 +180,7 @@ def _look_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> boo
     return not exceeds(lag, standard_errors) and other.worth > RULES.alike * taken.worth
 
 
-def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
+def _add_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
     """Return a trial with the look-alikes among those that were taken `before` and not `after`.
 
     Another form at the same joint is one unless it predicts worse by as much as chooses a form.
@@ -190,6 +190,6 @@ def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Tr
     for each in before:
         own = each.candidate
         margin = RULES.form if own.slot == taken.candidate.slot else 1.0
-        if own.at not in still and _look_alike(taken, each, margin):
+        if own.at not in still and _is_alike(taken, each, margin):
             found.setdefault(own.at, own)
     return replace(taken, alternatives=tuple(found.values()))

@@ -192,7 +192,7 @@ class Trials:
     @cached_property
     def _apart(self) -> Array:
         """Squared part of each column outside the model's own, in its length, (P,)."""
-        gram, own = self._total[:-1, :-1], self._inside(())
+        gram, own = self._total[:-1, :-1], self._list_inside(())
         size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
         scaled = gram / np.outer(size, size)
         inverse = np.linalg.pinv(scaled[np.ix_(own, own)], rcond=RULES.separate, hermitian=True)
@@ -225,7 +225,7 @@ class Trials:
         So a group that the others hardly determine counts no more than others.
         """
         error, torque = (
-            each.sum(axis=1) for each in (self._leave_out(self._inside(taken)), self._torque)
+            each.sum(axis=1) for each in (self._leave_out(self._list_inside(taken)), self._torque)
         )
         there, least = torque > 0.0, float(np.finfo(np.float64).eps) ** 2
         squares = np.maximum(error[there] / torque[there], least)
@@ -233,7 +233,7 @@ class Trials:
 
     def values(self) -> Array:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
-        return -self._fit(self._total, self._inside(self.taken)).residual[:-1]
+        return -self._fit(self._total, self._list_inside(self.taken)).residual[:-1]
 
     def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return values of candidates next to all others taken, and their covariance.
@@ -242,7 +242,7 @@ class Trials:
         """
         others = [each for each in self.taken if all(each is not own for own in candidates)]
         places = np.concatenate([each.places for each in candidates])
-        whole = self._fit(self._total, self._inside(others), places)
+        whole = self._fit(self._total, self._list_inside(others), places)
         d = np.asarray(np.linalg.solve(whole.schur, whole.score))
         both = np.column_stack([whole.residual, whole.moves])
         blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
@@ -256,7 +256,7 @@ class Trials:
             return 0.0
         if not self._is_shown(own):
             return np.inf
-        fit = self._fit(self._total, self._inside(self.taken), own.places)
+        fit = self._fit(self._total, self._list_inside(self.taken), own.places)
         n = int(np.sum(self.weights > 0.0))
         of_joint = float(fit.residual @ self._total @ fit.residual) / n
         felt = of_joint * np.expm1(n * RULES.named)
@@ -264,9 +264,9 @@ class Trials:
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
-        return float(np.linalg.norm(self._torques(trial.candidate, trial.values)))
+        return float(np.linalg.norm(self._measure_torques(trial.candidate, trial.values)))
 
-    def _torques(self, candidate: Candidate, values: Array) -> Array:
+    def _measure_torques(self, candidate: Candidate, values: Array) -> Array:
         """Return the RMS torque (n,) of a candidate with these values."""
         energy = self._alone[:, candidate.places][:, :, candidate.places] @ values @ values
         return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
@@ -280,12 +280,12 @@ class Trials:
         for each in candidates:
             groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
         self._factored.clear()
-        before = self._inside(self.taken)
+        before = self._list_inside(self.taken)
         x = self._fit(self._total, before).residual
-        start = self._leave_out(before), float(x @ self._total @ x), self._distance(x)
+        start = self._leave_out(before), float(x @ self._total @ x), self._measure_distance(x)
         return [trial for own in groups.values() for trial in self._try_candidates(own, start)]
 
-    def _inside(self, taken: Sequence[Candidate]) -> Indices:
+    def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
         left = np.setdiff1d(
             np.arange(self.equations.n_base),
             np.concatenate([np.zeros(0), *(c.replaces for c in taken)]),
@@ -296,7 +296,7 @@ class Trials:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
         P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
         if key not in self._factored:
-            factor, b = cho_factor(self._normal(gram, inside)[0]), gram[inside, -1].copy()
+            factor, b = cho_factor(self._build_normal(gram, inside)[0]), gram[inside, -1].copy()
             own = np.flatnonzero(inside < self.equations.n_base)
             b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
             self._factored[key] = factor, cho_solve(factor, b)
@@ -307,7 +307,7 @@ class Trials:
         moves[columns, np.arange(len(columns))] -= 1.0
         return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
 
-    def _normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
+    def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
         own, prior = np.flatnonzero(inside < self.equations.n_base), np.zeros((len(inside),) * 2)
         prior[np.ix_(own, own)] = self.prior.information[np.ix_(inside[own], inside[own])]
@@ -321,7 +321,7 @@ class Trials:
         both = zip(fits, self._of_joints, strict=True)
         return np.array([_expand_squares(fit, joints)[0] for fit, joints in both])
 
-    def _distance(self, residual: Array) -> float:
+    def _measure_distance(self, residual: Array) -> float:
         away = -residual[: self.equations.n_base] - self.prior.mean
         return float(away @ self.prior.information @ away)
 
@@ -333,7 +333,7 @@ class Trials:
         `start` are held-out errors (groups, n), error and distance from CAD of what is taken.
         """
         held_before, error_before, distance_before = start
-        inside = np.setdiff1d(self._inside(self.taken), candidates[0].replaces)
+        inside = np.setdiff1d(self._list_inside(self.taken), candidates[0].replaces)
         gaining = self._find_gaining(candidates, inside, error_before + distance_before)
         if not gaining:
             return []
@@ -356,7 +356,7 @@ class Trials:
             d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
             left = -scores[:, c] - slopes[:, c][:, :, c] @ d
             covariance, p_value = _estimate_scatter(own, left, d)
-            felt = float(np.max(self._torques(each, d) / self._rms))
+            felt = float(np.max(self._measure_torques(each, d) / self._rms))
             if len(each.replaces):
                 # That a term in place of another one is zero is no question: its gain is one. And
                 # nearly all of its torque is the torque of what it replaces.
@@ -367,7 +367,7 @@ class Trials:
             held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
             ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
             relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
-            distance = self._distance(whole.residual + whole.moves[:, c] @ d)
+            distance = self._measure_distance(whole.residual + whole.moves[:, c] @ d)
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
         return found
@@ -386,7 +386,7 @@ class Trials:
         columns = np.unique(np.concatenate([each.places for each in acting]))
         fit = self._fit(self._total, inside, columns)
         x = fit.residual
-        lost = float(x @ self._total @ x) + self._distance(x) - cost
+        lost = float(x @ self._total @ x) + self._measure_distance(x) - cost
         found = []
         for each in acting:
             c = np.searchsorted(columns, each.places)

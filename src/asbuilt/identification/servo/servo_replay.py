@@ -140,7 +140,7 @@ def replay(
         clean = replay_recording(model, base, recording, own, parameters)
         if clean is None:
             return None
-        driven = [drive_by_command(each, own) for each in _with_noise(recording, clean, pairs, rng)]
+        driven = [drive_by_command(each, own) for each in _add_noise(recording, clean, pairs, rng)]
         late = servo.delay or 0.0
         try:
             rows = [
@@ -257,7 +257,7 @@ def estimate_position_noise(recording: Recording) -> Array:
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 
 
-def _with_noise(
+def _add_noise(
     recording: Recording, clean: Array, pairs: int, rng: np.random.Generator
 ) -> Iterator[Recording]:
     """Yield the recording with clean positions and noise of either sign."""

@@ -135,7 +135,7 @@ class CommandedMotion:
 
     def rate(self, recording: Recording, delay: float) -> Samples:
         """Return samples whose torques are the rate of what the servo of a recording follows."""
-        return self._filtered(self._gains[0] * command_rate(recording, delay, self._curve))
+        return self._filter(self._gains[0] * command_rate(recording, delay, self._curve))
 
     def grams(
         self, recording: Recording, delay: float, rate: Samples | None = None
@@ -148,8 +148,8 @@ class CommandedMotion:
         error = hold_command(recording, delay, self._curve) - recording.q
         if recording.servo is not None:
             error = recording.servo.acting(error)
-        both = (rate or self.rate(recording, delay), self._filtered(self._gains[0] * error))
-        for run in self._runs():
+        both = (rate or self.rate(recording, delay), self._filter(self._gains[0] * error))
+        for run in self._list_runs():
             signals = np.stack([run.whole.filtered(each.tau.__getitem__) for each in both])
             for b, (block, span) in enumerate(zip(run.blocks, run.spans, strict=True)):
                 joined = tuple(
@@ -187,23 +187,23 @@ class CommandedMotion:
     @cached_property
     def _velocity(self) -> Samples:
         """Samples whose torques are velocities; rows count where their direction is known."""
-        found = self._divided(self.motion.samples())
+        found = self._divide(self.motion.samples())
         return drop_slow_rows(found, self.recording, self.chain.cutoff or np.inf)
 
-    def _filtered(self, signal: Array) -> Samples:
+    def _filter(self, signal: Array) -> Samples:
         """Return samples with a signal (N, n) in place of the torque, less forces at contacts."""
-        found = self._divided(self.motion.with_torque(signal).samples())
+        found = self._divide(self.motion.with_torque(signal).samples())
         if found.contact is None:
             return found
         state = found.q, found.contact, found.tau, found.noise
         return replace(found, tau=without_contact_forces(self.model, *state))
 
-    def _divided(self, samples: Samples) -> Samples:
+    def _divide(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
         kept = drop_saturated(replace(samples, noise=self.noise), self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 
-    def _runs(self) -> Iterable[_Run]:
+    def _list_runs(self) -> Iterable[_Run]:
         return self._kept or map(self._reduce_run, self._blocks)
 
     @cached_property

@@ -122,7 +122,7 @@ class _Engine:
         start = np.zeros((windows.n_windows, size))
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
         start[:, 1 + self.every], start[:, 1 + n + self.every] = moved.q, moved.qd
-        forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
+        forces = self._build_forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
         control = np.concatenate([forces, np.repeat(self.floors[:, None], steps, axis=1)], axis=2)
         given = (state.mjSTATE_CTRL, state.mjSTATE_QFRC_APPLIED, state.mjSTATE_MOCAP_POS)
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
@@ -133,7 +133,7 @@ class _Engine:
 
     def in_step(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return the same, all windows step by step, with the drive terms that MuJoCo lacks."""
-        forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
+        forces = self._build_forces(windows.inputs(self.robot.delay, self.robot.lead))
         order, n_controls = self.order, self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
@@ -147,7 +147,7 @@ class _Engine:
         arrays = [(x.ctrl, x.qfrc_applied, x.qpos, x.qvel, x.qacc) for x in runs]
         friction, step_once = self.compiled.dof_frictionloss, self.mujoco.mj_step
         for step in range(steps):
-            added, dry = self._further(q, qd, qdd)
+            added, dry = self._evaluate_others(q, qd, qdd)
             applied = forces[:, step, n_controls:].copy()
             applied[:, order] -= added
             moving = np.flatnonzero(np.all(np.abs(qd) < DIVERGED, axis=1))
@@ -156,7 +156,7 @@ class _Engine:
                 friction[order] = dry[w]
                 control[:] = forces[w, step, :n_controls]
                 if not self.proportional:
-                    control[:] = self._servo_beyond(control, q[w], qd[w])
+                    control[:] = self._apply_servo_limits(control, q[w], qd[w])
                 force[:] = applied[w]
                 step_once(self.compiled, runs[w])
                 q[w], qd[w] = position[order], velocity[order]
@@ -165,7 +165,7 @@ class _Engine:
             positions[moving, step], velocities[moving, step] = q[moving], qd[moving]
         return positions, velocities
 
-    def _servo_beyond(self, goal: Array, q: Array, qd: Array) -> Array:
+    def _apply_servo_limits(self, goal: Array, q: Array, qd: Array) -> Array:
         """Set torque limits at a speed, and return the goals (n,) outside the deadband."""
         servo = self.robot.servo
         if servo is None:
@@ -174,7 +174,7 @@ class _Engine:
         self.compiled.actuator_forcerange[:] = np.stack([low, high], axis=1)
         return q + servo.acting(goal - q)
 
-    def _forces(self, inputs: Array) -> Array:
+    def _build_forces(self, inputs: Array) -> Array:
         """Return controls and generalised forces of every step."""
         forces = np.zeros((*inputs.shape[:2], self.compiled.nu + len(self.every)))
         applied = self.compiled.nu + self.order
@@ -185,7 +185,7 @@ class _Engine:
             forces[..., : self.compiled.nu] = inputs
         return forces
 
-    def _further(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+    def _evaluate_others(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """Return torque and dry friction of the terms that MuJoCo lacks, two (W, n)."""
         model, sound = self.robot.model, np.where(np.abs(qd) < DIVERGED, qd, 0.0)
         where, rest = np.where(np.isfinite(q), q, 0.0), np.zeros_like(q)

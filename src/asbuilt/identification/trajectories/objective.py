@@ -210,21 +210,21 @@ class Objective:
                 self.errors(motions),
                 weights.windows,
                 self.start_weights,
-                self._starts_moved(point),
+                self._measure_start_moves(point),
                 strict=True,
             )
         ]
 
     def other_cost(self, point: Point) -> float:
         """Return the part of the cost that belongs to no window."""
-        (_, rest), (ridge, moved) = self._torque_rows(point), self._pull(point)
+        (_, rest), (ridge, moved) = self._build_torque_rows(point), self._build_pull(point)
         total = 0.5 * float(rest @ rest + ridge @ moved**2)
         if self.links_held:
             return total
         divergence = float(self.prior.strength @ self.prior.divergence(point.chi))
         return total + 0.5 * self.belief * divergence
 
-    def _starts_moved(self, point: Point) -> list[Array]:
+    def _measure_start_moves(self, point: Point) -> list[Array]:
         """Return the starts less the measured ones, (W, 2, n) each."""
         return [
             start - np.stack([cut.start_q, cut.start_qd], axis=1)
@@ -236,7 +236,7 @@ class Objective:
 
         They do not depend on weights. Others are computed each time that they are asked for.
         """
-        needed = np.any(self._to_parameters(point)[:, self.free] != 0.0, axis=1)
+        needed = np.any(self._derive_parameters(point)[:, self.free] != 0.0, axis=1)
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         found = [
             partial(
@@ -260,24 +260,24 @@ class Objective:
 
         `slopes` belong to the point and its motions; None: they are computed.
         """
-        to_z = self._to_parameters(point)
+        to_z = self._derive_parameters(point)
         slopes = self.slopes(point, motions) if slopes is None else slopes
-        H, scores, starts, gain = self._of_windows(point, motions, weights, slopes, len(to_z))
+        H, scores, starts, gain = self._reduce_windows(point, motions, weights, slopes, len(to_z))
         data = to_z.T @ H @ to_z
         matrix, gradient = data.copy(), -to_z.T @ scores.sum(axis=0)
-        rows, rest = self._torque_rows(point)
+        rows, rest = self._build_torque_rows(point)
         A = rows @ to_z
         matrix += A.T @ A
         gradient += A.T @ rest
         if not self.links_held:
             self._add_cad(point, gradient, matrix)
-        ridge, moved = self._pull(point)
+        ridge, moved = self._build_pull(point)
         gradient += ridge * moved
         matrix[np.diag_indices(len(ridge))] += ridge
         cost = self.cost(point, motions, weights)
         return Quadratic(cost, gradient, matrix, scores @ to_z, data, starts, gain)
 
-    def _of_windows(
+    def _reduce_windows(
         self,
         point: Point,
         motions: Sequence[Motion],
@@ -288,7 +288,7 @@ class Objective:
         """Return matrix (size, size) and scores (W, size) of windows, starts, and their gain."""
         H = np.zeros((size, size))
         scores, starts, gain = [], list[Starts](), 0.0
-        errors, away = self.errors(motions), self._starts_moved(point)
+        errors, away = self.errors(motions), self._measure_start_moves(point)
         for k, (cut, derivatives, error, of_window) in enumerate(
             zip(self.windows, slopes, errors, weights.windows, strict=True)
         ):
@@ -313,7 +313,7 @@ class Objective:
 
     def starts_after(self, point: Point, quadratic: Quadratic, step: Array) -> tuple[Array, ...]:
         """Return the best starts at coordinates `step` (m,) from a point, by its model."""
-        z = self._to_parameters(point) @ step
+        z = self._derive_parameters(point) @ step
         found = [start.copy() for start in point.starts]
         for k, part, branch, own in quadratic.starts:
             moved = own.to_best - own.by_parameters @ z[branch.parameters]
@@ -348,7 +348,7 @@ class Objective:
 
     def covariance(self, point: Point, quadratic: Quadratic) -> Array:
         """Return the covariance (p_z, p_z) of base and servo parameters at the minimum."""
-        to_z = self._to_parameters(point)[:, self.free]
+        to_z = self._derive_parameters(point)[:, self.free]
         root = np.linalg.cholesky(quadratic.matrix[np.ix_(self.free, self.free)])
         spread = np.linalg.solve(root, to_z.T)
         return np.asarray(spread.T @ spread)
@@ -371,7 +371,7 @@ class Objective:
         drives = range(10 * self.n_links, self.size)
         return tuple(names[k] for k in drives if held[k] > RULES.mostly)
 
-    def _to_parameters(self, point: Point) -> Array:
+    def _derive_parameters(self, point: Point) -> Array:
         """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
         n, p = self.n_links, self.trajectories.base.n_base
         K = self.trajectories.base.regrouping
@@ -385,7 +385,7 @@ class Objective:
             to_z[p:, len(point.chi) :] = self.of_servo.columns(point.servo)
         return to_z
 
-    def _torque_rows(self, point: Point) -> tuple[Array, Array]:
+    def _build_torque_rows(self, point: Point) -> tuple[Array, Array]:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
         base, own, start = self.trajectories.base, point.servo, self.start.servo
         beta, rows, rest = base.regrouping @ point.chi, [], []
@@ -416,7 +416,7 @@ class Objective:
             curvature = np.einsum("xyaa->xy", turned)
             matrix[part, part] += weight * 0.5 * (curvature + curvature.T)
 
-    def _pull(self, point: Point) -> tuple[Array, Array]:
+    def _build_pull(self, point: Point) -> tuple[Array, Array]:
         """Return weights (m,) of drives and servo toward their start, and how far they are from it.
 
         Both are zero for links.

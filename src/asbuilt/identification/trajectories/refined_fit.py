@@ -145,7 +145,7 @@ def refine_fit(
     if wanted.lead and servo is not None and any(servo.lead):
         objective = replace(objective, of_servo=wanted)
     elif wanted.lead and servo is not None:
-        objective, first = _with_lead(objective, first, servo)
+        objective, first = _try_lead(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
     own, beta = covariance[: base.n_base, : base.n_base], base.regrouping @ found.point.chi
@@ -218,7 +218,7 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
     return tried[int(np.argmin(costs))].point
 
 
-def _with_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple[Objective, Point]:
+def _try_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple[Objective, Point]:
     """Return objective and start with a lead and no delay in place of a delay below zero.
 
     They are as they were if that explains the trajectories worse by more than chance. The

@@ -116,7 +116,7 @@ class Trajectories:
         q, v = (np.empty((shape[0], shape[1] + 1, shape[2])) for _ in range(2))
         q[:, 0], v[:, 0] = windows.start_q, windows.start_qd
         a, state = np.empty(shape), np.empty(shape)
-        codes, program, numbers = self._program(robot, links)
+        codes, program, numbers = self._compile_program(robot, links)
         simulate(
             codes,
             program,
@@ -267,7 +267,9 @@ class Trajectories:
         shares = coupling.matrix[np.arange(len(moved_by)), moved_by]
         return moved_by.astype(np.int64), shares, np.array(coupling.offset)
 
-    def _program(self, robot: SimulatedRobot, links: Array) -> tuple[Indices, Indices, Array]:
+    def _compile_program(
+        self, robot: SimulatedRobot, links: Array
+    ) -> tuple[Indices, Indices, Array]:
         """Return codes of the links, codes with the drive program, and numbers."""
         layout, coupling = build_layout(self.model.tree), self.model.coupling
         bodies = links.reshape(-1, 10)
