@@ -180,10 +180,11 @@ class Trials:
         every = np.arange(equations.n_parameters + 1)
         blocks = range(len(equations.counts))
         self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
-        self._alone = np.array([equations.stacked(own) for own in np.eye(len(equations.support))])
-        """Normal equations of each joint over all blocks, without weights."""
+        self._place = np.full((len(equations.support), equations.n_parameters), -1)
+        for place, support in zip(self._place, equations.support, strict=True):
+            place[support] = np.arange(len(support))
         self._n_samples = max(int(equations.counts.sum()), 1)
-        rms = np.sqrt(self._alone[:, -1, -1] / self._n_samples)
+        rms = np.sqrt(np.array([own[-1, -1] for own in equations.of_joints]) / self._n_samples)
         least = max(float(rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
         self._rms = np.maximum(rms, least)
         self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
@@ -268,7 +269,11 @@ class Trials:
 
     def _measure_torques(self, candidate: Candidate, values: Array) -> Array:
         """Return the RMS torque (n,) of a candidate with these values."""
-        energy = self._alone[:, candidate.places][:, :, candidate.places] @ values @ values
+        energy = np.zeros(len(self.equations.support))
+        for k, gram in enumerate(self.equations.of_joints):
+            own = self._place[k, candidate.places]
+            at, x = own[own >= 0], values[own >= 0]
+            energy[k] = x @ gram[np.ix_(at, at)] @ x
         return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
