@@ -30,10 +30,9 @@ from asbuilt.experiment.virtual.presets import perturb_links
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
 from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,9 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.identify import fit_samples
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import prepare
 from asbuilt.workflow.servo import drop_unexplained, settle_servo, with_delay_errors

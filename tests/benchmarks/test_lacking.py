@@ -78,7 +78,7 @@ def test_bristles_of_the_right_length_leave_noise_and_carry_all_friction(name: s
     def bristles(samples: Samples, _: np.ndarray) -> np.ndarray:
         columns = np.zeros((*samples.q.shape, model.n_joints))
         for k in range(model.n_joints):
-            columns[:, k, k] = presliding_column(samples.t, samples.q[:, k], 0.01)
+            columns[:, k, k] = presliding_column(samples.q[:, k], 0.01)
         return columns
 
     force, _, rms, without = fitted(model, log, bristles)

@@ -29,10 +29,9 @@ from asbuilt.experiment.free_base.columns import (
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 from asbuilt.workflow.calibration import identify_moments
 from asbuilt.workflow.options import PayloadOptions
 from asbuilt.workflow.study import Study

@@ -11,7 +11,7 @@ from .calibration.two_channels import identify_two_channels as identify_two_chan
 from .drives.motor_side import MotorSideParameter as MotorSideParameter
 from .drives.motor_side import gear_ratios as gear_ratios
 from .drives.motor_side import motor_side_parameters as motor_side_parameters
-from .effects.found_effect import FoundEffect as FoundEffect
+from .effects.effect import FoundEffect as FoundEffect
 from .effects.search import Effects as Effects
 from .effects.search import find_effects as find_effects
 from .ensembles.ensemble import Ensemble as Ensemble

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
 from asbuilt.tables import WIDTH, Table, format_plus_minus, round_significant, wrap_text
 
 

@@ -229,7 +229,7 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
         return fit
     late = None
     if found.slopes is not None:
-        from asbuilt.identification.servo.servo_delay import (  # noqa: PLC0415 - light start
+        from asbuilt.identification.servo.servo_fits import (  # noqa: PLC0415 - light start
             estimate_servo_delay_errors,
         )
 

@@ -26,7 +26,7 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.physics import import_mujoco
 from asbuilt.findings import Cure, Finding, rank_findings
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.result.determination import Determination, determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.stored_document import parse_stored_document

@@ -10,10 +10,9 @@ from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics.drives.position_servo import read_described_servo
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 
 STEP = 1e-3
 SCENE = """

@@ -19,8 +19,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
-from asbuilt.identification.effects.effect_findings import report_effects
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
+from asbuilt.identification.effects.report import report_effects
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.validation.generalisation.plateaus import (
     find_plateaus,

@@ -17,8 +17,8 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.effects.as_identified import describe_stated
 from asbuilt.identification.effects.effect import EFFECTS, Described
+from asbuilt.identification.effects.report import describe_stated
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.effects.wanted import EffectsWanted
 from asbuilt.identification.identify import fit_samples, identify_samples

@@ -16,14 +16,8 @@ from scipy import stats
 
 from asbuilt.identification.effects.effect import Effect
 from asbuilt.identification.effects.gathering import Candidate, EffectEquations
-from asbuilt.identification.effects.selection import (
-    RULES,
-    Prior,
-    Selection,
-    Trial,
-    _best_form,
-    evaluate_worth,
-)
+from asbuilt.identification.effects.selection import Selection, _find_best_form
+from asbuilt.identification.effects.trials import RULES, Prior, Trial, evaluate_worth
 
 BASE, ALL, BLOCKS, SAMPLES = 4, 10, 12, 30
 SUPPORT = (np.array([0, 1, 2, 4, 7, 8]), np.array([1, 2, 3, 5, 6, 7, 8, 9]), np.array([3, 7, 8]))
@@ -384,7 +378,7 @@ def test_of_one_kind_the_form_that_predicts_other_motion_is_taken(
 ) -> None:
     plain = held([0.3, 0.5, 0.4, 0.4])
     other = held(relief, worth=40.0, key=key, joint=joint, columns=3)
-    assert (_best_form(plain, [plain, other]) is other) is preferred
+    assert (_find_best_form(plain, [plain, other]) is other) is preferred
 
 
 def test_a_size_that_no_robot_has_is_not_sure() -> None:
@@ -551,5 +545,5 @@ def test_what_came_later_exchanges_an_effect_for_a_better_one_of_its_kind() -> N
     for applied, better in ((("spring", "balancer"), "balancer"), (("spring",), None)):
         other = rows.selection(candidates, applied=(*applied, "whole"))
         other.taken = [plain, CANDIDATES[2]]
-        found = other._best_of_kind(plain)
+        found = other._find_best_of_kind(plain)
         assert (found and found.candidate.effect.key) == better

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import nnls
 
 from asbuilt.identification.servo.block_fits import solve_truncated
-from asbuilt.identification.servo.servo_delay import _solve_bounded
+from asbuilt.identification.servo.servo_fits import _solve_bounded
 
 
 def test_truncated_solution_is_the_least_one_of_dependent_columns() -> None:

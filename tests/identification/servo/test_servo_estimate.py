@@ -14,8 +14,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
-from asbuilt.identification.servo.servo_delay import estimate_servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import estimate_servo
+from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import report_servo
 from asbuilt.workflow.study import identify

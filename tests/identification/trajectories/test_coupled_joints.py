@@ -10,11 +10,10 @@ import pytest
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import forward_dynamics
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 from coupled_robots import palletizer
 
 DRIVE = DriveSet.parse("armature,viscous,coulomb,offset")

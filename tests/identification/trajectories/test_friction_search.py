@@ -15,12 +15,13 @@ from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
-from asbuilt.identification.trajectories.friction_search import (
+from asbuilt.identification.trajectories.refined_fit import (
+    RefinedFit,
     build_simulated_prior,
     predict_fall,
+    refine_fit,
     widen_parameters,
 )
-from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.windows import cut_windows
 
 pytest.importorskip("mujoco")

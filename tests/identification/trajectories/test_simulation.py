@@ -16,14 +16,13 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import (
     SimulatedRobot,
     build_robot_as_described,
 )
-from asbuilt.identification.trajectories.windows import Windows, cut_windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cut_windows
 
 pytest.importorskip("mujoco")
 assert format_mjcf

@@ -11,9 +11,8 @@ from tests.identification.trajectories.test_simulation import samples_of
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.executor import open_workers
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import Windows, cut_windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cut_windows
 from asbuilt.validation.rollout.errors import measure_rollout_errors
 from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
 from asbuilt.validation.rollout.outlying import find_outlying_windows

@@ -14,7 +14,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.validation.prediction import validate_description
 from asbuilt.validation.verdicts.verdict import study_verdict
 from asbuilt.workflow.study import Study, identify

@@ -11,10 +11,9 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 from asbuilt.writers.models.mjcf import export_mjcf
 
 STEP = 1e-3

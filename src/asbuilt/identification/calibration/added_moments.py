@@ -17,7 +17,7 @@ from asbuilt.identification.calibration.payload import (
     LARGEST_ERROR,
     choose_payload_frame,
 )
-from asbuilt.identification.calibration.payload_rows import PayloadRows
+from asbuilt.identification.calibration.payload_rows import PayloadRows, jackknife_covariance
 from asbuilt.identification.result.result import IdentificationResult
 
 NAMES = ("mx", "my", "mz", "m")
@@ -177,10 +177,9 @@ def _build_columns(
 
 def _jackknife_covariance(blocks: Sequence[Array], whole: _Solution) -> Array:
     """Return the covariance from leaving out one time block at a time."""
-    n, total = len(blocks), sum(each.T @ each for each in blocks)
+    total = sum(each.T @ each for each in blocks)
     found = np.array([_Solution.of(total - each.T @ each).x for each in blocks])
-    apart = (found - found.mean(axis=0)) * whole.kept
-    return np.asarray((n - 1) / n * apart.T @ apart)
+    return jackknife_covariance(found) * np.outer(whole.kept, whole.kept)
 
 
 def _propagate_arm_covariance(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import fdtrc
@@ -49,7 +50,7 @@ def predicts_better(
 
     Links near CAD (or plain least squares, where CAD has no masses) are fitted to the other groups
     and predict each group, with torques as logged and shifted back. False if there are fewer than
-    three groups, which say nothing.
+    three groups, which prove nothing.
 
     Parameters
     ----------
@@ -95,9 +96,7 @@ def measure_delay_relief(
             return None
         try:
             errors = [
-                measure_held_out_errors(each, lambda part: _fit_part(model, part, weights), groups)[
-                    0
-                ]
+                measure_held_out_errors(each, partial(_fit_part, model, weights), groups)[0]
                 @ weights**2
                 for each in (as_logged, shifted)
             ]
@@ -108,13 +107,12 @@ def measure_delay_relief(
     return float(relief.mean()), estimate_mean_error(relief)
 
 
-def _fit_part(model: RobotModel, part: SquareRootInformation, weights: Array) -> Array:
+def _fit_part(model: RobotModel, weights: Array, part: SquareRootInformation) -> Array:
     if model.has_every_mass:
         prior = build_cad_prior(model, part.base.drive)
         # Weight of CAD in the fits, as for a base tilt: ten times the usual design effect.
         return fit_toward_cad(part, prior, weight=100.0, weights=weights).beta
-    design = design_values(model, part.base)
-    return fit_least_squares(part, weights=weights, prior=design).beta
+    return fit_least_squares(part, weights=weights, prior=design_values(model, part.base)).beta
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,33 +216,24 @@ def find_delays(
     # All joints of a recording share one delay.
     common = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
     lags = _build_friction_shares(count, n)
-    together, columns = fits.settled(np.zeros(count), common)
+    together, columns = fits.settle(np.zeros(count), common)
     delays, std_errors = together, columns.solve(common).std_errors
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
     std_errors = np.hypot(std_errors, mean_lag.increments[:count])
     if abs(mean_lag.increments[-1]) > RULES.significant * mean_lag.std_errors[-1]:
         whole = np.concatenate([common, lags], axis=2)
-        delays, columns = fits.settled(together, whole)
+        delays, columns = fits.settle(together, whole)
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
     std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
     lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
-    joints, errors = _estimate_joint_delays(
-        fits, delays, abs(lag) + RULES.significant * lag_error
-    ) or (
-        None,
-        None,
-    )
-    sure = np.abs(delays) > RULES.significant * std_errors
-    if joints is not None and errors is not None:
-        doubtful, shifts = bool(np.median(errors) >= RULES.certain), joints
+    of_joints = _estimate_joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error)
+    if of_joints is None:
+        sure = np.abs(delays) > RULES.significant * std_errors
+        doubtful, shifts = np.any(sure & (std_errors >= RULES.certain)), np.where(sure, delays, 0.0)
     else:
-        doubtful, shifts = (
-            bool(np.any(sure & (std_errors >= RULES.certain))),
-            np.where(sure, delays, 0.0),
-        )
+        doubtful, shifts = np.median(of_joints[1]) >= RULES.certain, of_joints[0]
     helps = fits.predict_better(shifts) if doubtful else None
-    if joints is not None and helps is False:
-        joints, errors = None, None
+    joints, errors = (None, None) if of_joints is None or helps is False else of_joints
     return DelayEstimate(delays, std_errors, lag, lag_error, joints, errors, helps)
 
 
@@ -268,54 +257,51 @@ class _Fits:
 
     def predict_better(self, delays: Array) -> bool:
         """Return whether torques shifted back by delays are predicted better on other motions."""
-        after, before = self._samples(delays), self._samples(np.zeros(self.count))
-        weights = self._plain(self._rows(after)).weights
+        after, before = self._shift_samples(delays), self._shift_samples(np.zeros(self.count))
+        weights = self._fit_plain(self._take_rows(after)).weights
         return predicts_better(
             self.model, self._base, weights, before, after, block_seconds=self._block_seconds
         )
 
-    def _samples(self, delays: Array) -> Sequence[Samples]:
-        n = self.model.n_joints
-        wide = np.broadcast_to(delays if delays.ndim == 2 else delays[:, None], (self.count, n))
-        return self._prepare(wide)
+    def _shift_samples(self, delays: Array) -> Sequence[Samples]:
+        of_recordings = delays.reshape(self.count, -1)
+        return self._prepare(np.broadcast_to(of_recordings, (self.count, self.model.n_joints)))
 
-    def _rows(self, samples: Sequence[Samples]) -> Rows:
-        """Return the rows of samples, those of before but for the torque where delays are alike."""
+    def _take_rows(self, samples: Sequence[Samples]) -> Rows:
+        """Return the rows of samples; only their torque is new where the motion is as before."""
         if self._known is None or not self._known.take_torque(samples):
             self._known = Rows(self.model, self._base, samples, self._block_seconds)
         return self._known
 
-    def _plain(self, rows: Rows) -> Estimate:
+    def _fit_plain(self, rows: Rows) -> Estimate:
         """Return the plain weighted fit."""
         information = reduce_rows(self._base, self.model.joint_names, rows.support, rows)
         return fit_least_squares(information, weights="joint", prior=self._design)
 
     def columns(self, delays: Array) -> DelayColumns:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
-        samples = self._samples(delays)
+        samples = self._shift_samples(delays)
         bands = [each.parallel.cutoff for each in samples if each.parallel]
         self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
-        rows = self._rows(samples)
+        rows = self._take_rows(samples)
         return build_delay_columns(
             self.model,
             self._base,
-            self._plain(rows),
+            self._fit_plain(rows),
             samples,
             block_seconds=self._block_seconds,
             rows=rows,
         )
 
-    def settled(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
+    def settle(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
         """Return the delays (R,) after which the residual falls no further."""
         columns = self.columns(delays)
         for _ in range(RULES.most_steps):
             step = columns.increments(shares)[: self.count]
             step = np.clip(step, -self.longest, self.longest)
-            if np.all(np.abs(step) < RULES.settled) or np.any(
-                np.abs(delays + step) > RULES.farthest
-            ):
-                return delays + step, columns
             delays = delays + step
+            if np.all(np.abs(step) < RULES.settled) or np.any(np.abs(delays) > RULES.farthest):
+                break
             columns = self.columns(delays)
         return delays, columns
 
@@ -337,8 +323,8 @@ def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Arra
         if np.all(np.abs(step) < RULES.settled):
             break
     solved = columns.solve(each)
-    beside = columns.solve(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
-    moved = beside.increments[: count * n] - solved.increments
+    with_lags = columns.solve(np.concatenate([each, _build_friction_shares(count, n)], axis=2))
+    moved = with_lags.increments[: count * n] - solved.increments
     errors = np.hypot(solved.std_errors, moved).reshape(count, n)
     chance, spread = _test_equal_delays(wide, errors, solved.n_blocks)
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -88,9 +87,8 @@ class EncoderPair:
     @property
     def stiffness(self) -> tuple[float, float] | None:
         """Stiffness and its standard error [N m/rad or N/m]; None if it is not determined."""
-        if not self.determined:
-            return None
-        return 1.0 / self.compliance, self.compliance_error / self.compliance**2
+        c, error = self.compliance, self.compliance_error
+        return (1.0 / c, error / c**2) if self.determined else None
 
     @property
     def damping(self) -> tuple[float, float] | None:
@@ -158,36 +156,34 @@ def identify_encoders(
     tuple of EncoderPair
         One for each joint whose two encoders measure the same coordinate.
     """
-    given = [each for each in samples if each.encoder is not None]
-    if not given:
-        return ()
-    taken = [
-        np.zeros_like(each.q) if friction is None else friction[k]
-        for k, each in enumerate(samples)
-        if each.encoder is not None
-    ]
-    found = []
-    for k, name in enumerate(given[0].joint_names):
-        if all(_is_pair(each, k) for each in given):
-            sensor, pair = given[0].torque_source == "sensor", None
-            # The first time finds the lag, in which the columns are linear only where it is short.
-            for _ in range(PASSES):
-                late = 0.0 if pair is None else pair.lag
-                parts = zip(given, taken, strict=True)
-                rows = np.concatenate(
-                    [_stack_joint_rows(each, k, f[:, k], late) for each, f in parts]
-                )
-                forms = (rows[:, 0] - f for f in (rows[:, 1], _sum_plain_friction(rows)))
-                pair = _choose_friction_form(
-                    *(
-                        _identify_pair(name, np.c_[s, rows[:, 2:]], sensor, revolute[k])
-                        for s in forms
-                    )
-                )
-                pair = replace(pair, lag=pair.lag + late)
-            assert pair is not None
-            found.append(pair)
-    return tuple(found)
+    taken = [np.zeros_like(each.q) for each in samples] if friction is None else friction
+    given = [both for both in zip(samples, taken, strict=True) if both[0].encoder is not None]
+    return tuple(
+        _identify_joint(given, k, turns)
+        for k, turns in enumerate(revolute)
+        if given and all(_is_pair(each, k) for each, _ in given)
+    )
+
+
+def _identify_joint(given: Sequence[tuple[Samples, Array]], k: int, turns: bool) -> EncoderPair:
+    """Identify a joint from samples and friction of the drives (N, n)."""
+    first, late = given[0][0], 0.0
+    # The first time finds the lag, in which the columns are linear only where it is short.
+    for _ in range(PASSES):
+        rows = np.concatenate([_stack_joint_rows(each, k, f[:, k], late) for each, f in given])
+        forms = (rows[:, 0] - f for f in (rows[:, 1], _sum_plain_friction(rows)))
+        of_forms = (
+            _identify_pair(
+                first.joint_names[k],
+                np.c_[s, rows[:, 2:]],
+                first.torque_source == "sensor",
+                turns,
+            )
+            for s in forms
+        )
+        pair = _choose_friction_form(*of_forms)
+        late += pair.lag
+    return replace(pair, lag=late)
 
 
 def describe_encoders(pairs: Sequence[EncoderPair]) -> str:
@@ -311,11 +307,11 @@ def _sum_plain_friction(rows: Array) -> Array:
 
 
 def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
-    """Return what the rows of a joint say."""
+    """Return what the rows of a joint determine."""
     used = np.array([True, not sensor, True, True, True, True, True])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)
     squares = [part.T @ part for part in np.array_split(rows / scale, RULES.blocks) if len(part)]
-    whole = reduce(np.add, squares)
+    whole = np.sum(squares, axis=0)
 
     def coefficients(normal: Array) -> Array:
         values = np.zeros(len(used))
@@ -323,12 +319,12 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
         values[used] = np.linalg.lstsq(inner, right, rcond=1e-12)[0]
         return np.asarray(values * scale[-1] / scale[:-1])
 
-    value = _derive_physical_values(coefficients(whole))
+    raw = coefficients(whole)
     parts = np.array([_derive_physical_values(coefficients(whole - each)) for each in squares])
     error = np.sqrt((len(parts) - 1) * np.mean((parts - parts.mean(axis=0)) ** 2, axis=0))
-    raw = coefficients(whole)
     left = rows[:, -1] - rows[:, :-1] @ raw
-    (lag, c, relaxation, rotor, play), errors = value.tolist(), error.tolist()
+    lag, c, relaxation, rotor, play = _derive_physical_values(raw).tolist()
+    errors = error.tolist()
     known = not sensor and c > RULES.sure * errors[1]
     return EncoderPair(
         joint=name,

@@ -11,6 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
+from asbuilt.identification.calibration.payload_rows import solve_scaled
 from asbuilt.identification.information.random_motion import draw_positions
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -35,10 +36,9 @@ def gravity_scales(result: IdentificationResult) -> Array:
     cad, built = (
         (rows @ values[links]).reshape(len(q), n) for values in (design, result.estimates)
     )
-    size = np.sqrt(np.mean(cad**2, axis=0))
-    own = np.sqrt(np.mean(built**2, axis=0))
+    size, own = (np.sqrt(np.mean(each**2, axis=0)) for each in (cad, built))
     product = np.mean(cad * built, axis=0)
-    # Gravity torque, relative to the largest, below which a joint says nothing of its scale.
+    # Gravity torque, relative to the largest, below which a joint does not show its scale.
     # 0.8: correlation with CAD's gravity torque below which something other than the scale differs.
     clear = (size > 0.05 * size.max(initial=0.0)) & (product > 0.8 * size * own)
     scales[clear] = product[clear] / size[clear] ** 2
@@ -112,8 +112,7 @@ def derive_gain_errors(
     calibrated, to 5 %, if the gravity torques agree with CAD's; otherwise 10 %, as all torques
     but a sensor's do where the description has no masses.
     """
-    n = result.model.n_joints
-    usual = relative_gain_errors(source, n, stated)
+    usual = relative_gain_errors(source, result.model.n_joints, stated)
     if stated is not None or source == "sensor":
         return usual
     if not result.model.has_every_mass:
@@ -190,9 +189,4 @@ def split_by_joint(
     factors = [factor * np.append(~result.dropped, True) for factor in factors]
     matrix = sum((factor[:, :-1].T @ factor[:, :-1] for factor in factors), start=np.zeros((p, p)))
     sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
-    scale = np.sqrt(np.diag(matrix))
-    scale[scale == 0.0] = 1.0
-    shares = np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-10)[
-        0
-    ]
-    return np.asarray(shares / scale[:, None])
+    return solve_scaled(matrix, sides, 1e-10)

@@ -1,4 +1,4 @@
-"""What the flange carries.
+"""Payload at the flange.
 
 The ten inertial parameters of a payload, from a loaded recording and a model of the bare arm.
 """
@@ -31,7 +31,12 @@ from asbuilt.identification.calibration.gain_uncertainty import (
     name_doubtful_gains,
     split_by_joint,
 )
-from asbuilt.identification.calibration.payload_rows import PayloadRows
+from asbuilt.identification.calibration.payload_rows import (
+    PayloadRows,
+    jackknife_covariance,
+    measure_columns,
+    solve_scaled,
+)
 from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 from asbuilt.identification.result.as_built_parameters import find_determined_directions
 from asbuilt.identification.result.result import IdentificationResult
@@ -279,7 +284,7 @@ def identify_payload_samples(
         np.sqrt(np.maximum(np.diag(reported @ part @ reported.T), 0.0))
         for part in (noise + gains, noise, gains)
     )
-    determined = _find_determined(values, errors)
+    determined = tuple(np.array(PAYLOAD_NAMES)[_find_determined(values, errors)].tolist())
     added = np.zeros(10 * result.model.n_links)
     added[10 * link : 10 * link + 10] = shift_matrix(placement) @ parameters
     tested = list(validation) or batches
@@ -299,12 +304,8 @@ def identify_payload_samples(
         gains_by_evidence=result.cause_data is not None,
         gains_in_doubt=name_doubtful_gains(result, source) if gain_uncertainty is None else (),
         projected=projected,
-        determined=tuple(
-            item for item, well in zip(PAYLOAD_NAMES, determined, strict=True) if well
-        ),
-        not_determined=tuple(
-            item for item, well in zip(PAYLOAD_NAMES, determined, strict=True) if not well
-        ),
+        determined=determined,
+        not_determined=tuple(name for name in PAYLOAD_NAMES if name not in determined),
         arm=beta,
         n_samples=rows.n_samples,
         torque_source=source,
@@ -330,23 +331,9 @@ def _derive_gain_slopes(
     )
     matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]
     if arm == "frozen":
-        return np.asarray(_solve_symmetric(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm))
+        return solve_scaled(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm, 1e-14)
     held = prior[:, :-1].T @ prior[:, :-1]
-    return np.asarray(_solve_symmetric(matrix + held, sides + held[:, :p] @ of_arm)[p:])
-
-
-def _solve_symmetric(matrix: Array, sides: Array) -> Array:
-    scale = _measure_columns(matrix)
-    return np.asarray(
-        np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-14)[0]
-        / scale[:, None]
-    )
-
-
-def _measure_columns(gram: Array) -> Array:
-    """Return the column lengths of a Gram matrix, 1 for zero columns."""
-    length = np.sqrt(np.diag(gram))
-    return np.where(length > 0.0, length, 1.0)
+    return solve_scaled(matrix + held, sides + held[:, :p] @ of_arm, 1e-14)[p:]
 
 
 def _build_prior(result: IdentificationResult) -> Array:
@@ -375,6 +362,11 @@ def _build_vague_prior(model: RobotModel) -> Array:
     return np.column_stack([np.diag(1.0 / size), np.zeros(10)])
 
 
+def _widen_vague(vague: Array, p: int) -> Array:
+    """Return rows (10, p + 11) of the vague prior, with columns of the arm."""
+    return np.concatenate([np.zeros((10, p)), vague], axis=1)
+
+
 def _subtract_arm(factor: Array, beta: Array) -> Array:
     """Return a factor's rows (m, 11) of the payload alone, the torque of the arm subtracted."""
     p = len(beta)
@@ -388,37 +380,31 @@ def _solve_payload(
 
     Undetermined directions of the arm stay at the result's `estimates` (p,).
     """
-    p = len(estimates)
-    data = triangular_factor(np.vstack(blocks))
-    ignorance = np.concatenate([np.zeros((10, p)), vague], axis=1)
+    p, data = len(estimates), triangular_factor(np.vstack(blocks))
     if arm == "frozen":
-        root, beta = np.linalg.pinv(prior[:, :p]), estimates
-        _demand_known_arm(data[:, :p], prior[:, :p])
-        own = _subtract_arm(data, beta)
-        _demand(solve_factor(triangular_factor(own), len(own)).rank)
+        root, own = np.linalg.pinv(prior[:, :p]), _subtract_arm(data, estimates)
+        _check_known_arm(data[:, :p], prior[:, :p])
+        _check_rank(solve_factor(triangular_factor(own), len(own)).rank)
         solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
         spread = solution.inverse_root @ solution.inverse_root.T
         carried = np.column_stack(
             [spread @ own[:, :-1].T @ data[:, :p] @ root, spread @ vague[:, :-1].T]
         )
-        return np.concatenate([beta, solution.x]), carried @ carried.T
+        return np.concatenate([estimates, solution.x]), carried @ carried.T
     both = np.vstack([prior, data])
-    without = np.delete(both, slice(p, p + 10), axis=1)
-    _demand(
-        solve_factor(triangular_factor(both), len(data)).rank
-        - solve_factor(triangular_factor(without), len(data)).rank
-    )
-    solution = solve_factor(
-        triangular_factor(np.vstack([prior, ignorance, data])),
-        len(data),
-        np.append(estimates, np.zeros(10)),
-    )
-    held = np.vstack([prior, ignorance])[:, :-1]
-    carried = (solution.inverse_root @ solution.inverse_root.T @ held.T)[p:]
+    ranks = [
+        solve_factor(triangular_factor(rows), len(data)).rank
+        for rows in (both, np.delete(both, slice(p, p + 10), axis=1))
+    ]
+    _check_rank(ranks[0] - ranks[1])
+    held = np.vstack([prior, _widen_vague(vague, p)])
+    factor, start = triangular_factor(np.vstack([held, data])), np.append(estimates, np.zeros(10))
+    solution = solve_factor(factor, len(data), start)
+    carried = (solution.inverse_root @ solution.inverse_root.T @ held[:, :-1].T)[p:]
     return solution.x, carried @ carried.T
 
 
-def _demand(rank: int) -> None:
+def _check_rank(rank: int) -> None:
     if rank < 4:
         raise IdentifiabilityError(
             f"the recording under load determines {max(rank, 0)} of the payload's ten parameters,"
@@ -430,7 +416,7 @@ def _demand(rank: int) -> None:
         )
 
 
-def _demand_known_arm(rows: Array, prior: Array) -> None:
+def _check_known_arm(rows: Array, prior: Array) -> None:
     """Raise `IdentifiabilityError` if rows (m, p) excite what the prior (k, p) leaves free."""
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
@@ -457,27 +443,15 @@ def _jackknife(
             f"{n} time blocks are too few for the errors of a payload, {FEWEST_BLOCKS} are needed",
             cure=Cure("record longer"),
         )
+    rows, held = blocks, np.vstack([prior, _widen_vague(vague, p)])
     if arm == "frozen":
         rows, held = [_subtract_arm(block, estimates) for block in blocks], vague
-    else:
-        rows, held = (
-            list(blocks),
-            np.vstack([prior, np.concatenate([np.zeros((10, p)), vague], axis=1)]),
-        )
     total = sum((row.T @ row for row in rows), start=held.T @ held)
-    scale = _measure_columns(total)[:-1]
-    found = []
+    scale, found = measure_columns(total)[:-1], []
     for row in rows:
         rest = total - row.T @ row
-        solved = (
-            np.linalg.lstsq(
-                rest[:-1, :-1] / np.outer(scale, scale), rest[:-1, -1] / scale, rcond=1e-14
-            )[0]
-            / scale
-        )
-        found.append(solved[-10:])
-    deviations: Array = np.array(found) - np.mean(found, axis=0)
-    return np.asarray((n - 1) / n * deviations.T @ deviations, dtype=np.float64)
+        found.append(solve_scaled(rest[:-1, :-1], rest[:-1, -1], 1e-14, scale)[-10:])
+    return jackknife_covariance(np.array(found))
 
 
 def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
@@ -488,11 +462,12 @@ def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]
     values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     root = (axes / np.sqrt(np.maximum(values, 1e-10 * values.max()))).T / scale
     floor = RULES.interior * float(np.abs(estimate[9]))
-    quadratic = sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale)))
-    linear = -2.0 * (root * scale).T @ (root @ estimate)
-    constraint = sparse.csc_matrix(-PSEUDO_INERTIA_SVEC * scale)
     solution = solve_cone_program(
-        quadratic, linear, constraint, -floor * IDENTITY_SVEC, [clarabel.PSDTriangleConeT(4)]
+        sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale))),
+        -2.0 * (root * scale).T @ (root @ estimate),
+        sparse.csc_matrix(-PSEUDO_INERTIA_SVEC * scale),
+        -floor * IDENTITY_SVEC,
+        [clarabel.PSDTriangleConeT(4)],
     )
     if not solution.is_solved:
         raise IdentifiabilityError(
@@ -507,8 +482,7 @@ def _derive_reported_values(parameters: Array, covariance: Array) -> tuple[Array
 
     def report(pi: Array) -> Array:
         body = LinkInertia(pi)
-        about = body.inertia_about_com
-        return np.concatenate([[body.mass], body.com, about[np.triu_indices(3)]])
+        return np.concatenate([[body.mass], body.com, body.inertia_about_com[np.triu_indices(3)]])
 
     step = 1e-6 * np.maximum(np.sqrt(np.diag(covariance)), 1e-9)
     slope = np.column_stack(

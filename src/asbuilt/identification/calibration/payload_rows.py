@@ -1,12 +1,11 @@
-"""Recordings under load reduced to rows of arm, payload and torque."""
+"""Recordings under load reduced to rows of arm, payload and torque, and fits to such rows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.signal.samples import Samples
@@ -47,57 +46,65 @@ class PayloadRows:
 
         Columns of parameters that the result dropped are zero.
         """
-        p, weights = result.n_base, result.weights
-        link_columns = np.arange(10 * link, 10 * link + 10)
-        columns = np.union1d(result.base.columns, link_columns)
-        own, carried = (
-            np.searchsorted(columns, result.base.columns),
-            np.searchsorted(columns, link_columns),
-        )
-        kept = ~result.dropped
-        arm_model = set_link_parameters(result.model, result.base, x[:p])
-        chi = arm_model.parameters.copy()
-        chi[link_columns] += shift @ x[p:]
-        under = accumulate_stream(
-            arm_model.with_parameters(chi),
-            replace(result.base, columns=columns),
-            loaded,
-            block_seconds=block_seconds,
-        )
+        p, weights, kept = result.n_base, result.weights, ~result.dropped
+        of_link = np.arange(10 * link, 10 * link + 10)
+        columns = np.union1d(result.base.columns, of_link)
+        own, carried = (np.searchsorted(columns, each) for each in (result.base.columns, of_link))
+        arm = set_link_parameters(result.model, result.base, x[:p])
+        chi = arm.parameters.copy()
+        chi[of_link] += shift @ x[p:]
 
         def with_payload(factor: Array) -> Array:
             return np.column_stack(
                 [factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]]
             )
 
-        blocks = [with_payload(under.stacked(weights, b)) for b in range(under.n_blocks)]
-        joints = [
-            with_payload(weight * factor)
-            for weight, factor in zip(weights, _widen_factors(under), strict=True)
-        ]
-        if unloaded:
-            bare = accumulate_stream(arm_model, result.base, unloaded, block_seconds=block_seconds)
-            blocks += [
-                _insert_payload_columns(bare.stacked(weights, b), kept)
-                for b in range(bare.n_blocks)
-            ]
+        def without_payload(factor: Array) -> Array:
+            return np.column_stack(
+                [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1]]
+            )
+
+        def rows_of(
+            information: SquareRootInformation, complete: Callable[[Array], Array]
+        ) -> tuple[list[Array], list[Array]]:
+            blocks = [information.stacked(weights, b) for b in range(information.n_blocks)]
             joints = [
-                np.vstack([rows, _insert_payload_columns(weight * factor, kept)])
-                for rows, weight, factor in zip(joints, weights, _widen_factors(bare), strict=True)
+                weight * widen_factor(factor, support, information.base.n_base)
+                for weight, support, factor in zip(
+                    weights, information.support, information.joint_factors, strict=True
+                )
             ]
+            return [*map(complete, blocks)], [*map(complete, joints)]
+
+        under = accumulate_stream(
+            arm.with_parameters(chi),
+            replace(result.base, columns=columns),
+            loaded,
+            block_seconds=block_seconds,
+        )
+        blocks, joints = rows_of(under, with_payload)
+        if unloaded:
+            bare = accumulate_stream(arm, result.base, unloaded, block_seconds=block_seconds)
+            further, of_bare = rows_of(bare, without_payload)
+            blocks += further
+            joints = [np.vstack(both) for both in zip(joints, of_bare, strict=True)]
         return cls(blocks, joints, under.n_samples, under.n_blocks)
 
 
-def _widen_factors(information: SquareRootInformation) -> list[Array]:
-    """Return the factor of each joint with a column for every base parameter and the torque."""
-    return [
-        widen_factor(factor, support, information.base.n_base)
-        for support, factor in zip(information.support, information.joint_factors, strict=True)
-    ]
+def measure_columns(gram: Array) -> Array:
+    """Return the column lengths of a Gram matrix, 1 for zero columns."""
+    length = np.sqrt(np.diag(gram))
+    return np.where(length > 0.0, length, 1.0)
 
 
-def _insert_payload_columns(factor: Array, kept: NDArray[np.bool_]) -> Array:
-    """Return a factor of the bare arm with ten zero columns of the payload, others if `kept`."""
-    return np.concatenate(
-        [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1
-    )
+def solve_scaled(gram: Array, sides: Array, rcond: float, scale: Array | None = None) -> Array:
+    """Return the least solution of normal equations whose columns have been scaled to length 1."""
+    scale = measure_columns(gram) if scale is None else scale
+    solved = np.linalg.lstsq(gram / np.outer(scale, scale), (sides.T / scale).T, rcond=rcond)[0]
+    return np.asarray((solved.T / scale).T)
+
+
+def jackknife_covariance(found: Array) -> Array:
+    """Return the covariance (m, m) of values, found (n, m) without one time block at a time."""
+    apart = found - found.mean(axis=0)
+    return np.asarray((len(found) - 1) / len(found) * apart.T @ apart)

@@ -26,7 +26,11 @@ from asbuilt.identification.errors.block_scatter import BlockScores
 from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
-from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
+from asbuilt.identification.information.triangular import (
+    GrowingFactor,
+    triangular_factor,
+    widen_factor,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,15 +112,15 @@ class TorqueGains:
 
     def sentences(self) -> tuple[str, ...]:
         """Return notes on the gains."""
-        undetermined = self._named(~self.determined)
+        undetermined = self._name_joints(~self.determined)
         instead = "identify finds it" if self.of_command else "the gain in use stays"
         turned = self.determined & (self.factors < 0)
-        small = self._named(self.payload_share < RULES.small_share)
+        small = self._name_joints(self.payload_share < RULES.small_share)
         notes = (
             (
                 True,
                 f"given for the payload: {', '.join(self.known)}; estimated payload:"
-                f" {self._found()}",
+                f" {self._describe_payload()}",
             ),
             (
                 undetermined,
@@ -126,8 +130,8 @@ class TorqueGains:
             (
                 turned.any(),
                 "the torque in use has the opposite sign at"
-                f" {'every joint' if turned.all() else self._named(turned)}; these gains reverse"
-                " it, so keep all other sign settings",
+                f" {'every joint' if turned.all() else self._name_joints(turned)}; these gains"
+                " reverse it, so keep all other sign settings",
             ),
             (
                 self.of_command,
@@ -143,12 +147,12 @@ class TorqueGains:
         )
         return tuple(note for holds, note in notes if holds)
 
-    def _named(self, chosen: NDArray[np.bool_]) -> str:
+    def _name_joints(self, chosen: NDArray[np.bool_]) -> str:
         return ", ".join(
             name for name, named in zip(self.joint_names, chosen, strict=True) if named
         )
 
-    def _found(self) -> str:
+    def _describe_payload(self) -> str:
         body = LinkInertia(self.payload)
         centre = ", ".join(f"{value:.3g}" for value in self.payload[6:9] / self.payload[9])
         return f"mass {body.mass:.4g} kg, centre ({centre}) m in {self.frame}"
@@ -239,11 +243,7 @@ def identify_gains(
         )
     if terms.needs_load:
         raise UsageError(f"drive terms {terms} depend on load; expected terms that do not")
-    used = (
-        np.ones(model.n_joints)
-        if in_use is None
-        else np.atleast_1d(np.asarray(in_use, dtype=np.float64))
-    )
+    used = np.atleast_1d(np.asarray(1.0 if in_use is None else in_use, dtype=np.float64))
     if used.shape not in ((1,), (model.n_joints,)) or not np.all(np.isfinite(used) & (used != 0.0)):
         raise UsageError(
             f"gains in use are {used.tolist()}; expected one number or {model.n_joints}, one per"
@@ -252,18 +252,16 @@ def identify_gains(
     used = np.broadcast_to(used, (model.n_joints,)).copy()
     name, link, placement = choose_payload_frame(model, frame)
     problem = _Problem(model, terms, without, under, link, shift_matrix(placement))
-    centre = np.zeros(3) if com is None else np.asarray(com, dtype=np.float64)
-    tensor = (
-        np.zeros((3, 3))
-        if inertia_about_com is None
-        else np.asarray(inertia_about_com, dtype=np.float64)
+    centre, tensor = (
+        np.asarray(np.zeros(shape) if each is None else each, dtype=np.float64)
+        for each, shape in ((com, 3), (inertia_about_com, (3, 3)))
     )
     given = LinkInertia.from_com(mass, centre, tensor).parameters
     known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
     with use_one_blas_thread():
-        solution = problem.solve(np.where(known, given, 0.0), known)
-        scatter = problem.std_errors(solution, known)
-    gains, payload = 1.0 / solution.inverse, solution.theta[-10:]
+        theta, inverse, sigma = problem.solve(np.where(known, given, 0.0), known)
+        scatter = problem.std_errors(theta, inverse, sigma, known)
+    gains, payload = 1.0 / inverse, theta[-10:]
     open_ended = ~(scatter < np.abs(gains)) | (
         np.abs(gains) > RULES.runaway * np.nanmedian(np.abs(gains))
     )
@@ -272,11 +270,7 @@ def identify_gains(
         determined &= gains > 0.0
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
-    labels = [
-        "mass",
-        *(["centre of mass"] if com is not None else []),
-        *(["inertia"] if inertia_about_com is not None else []),
-    ]
+    labels = (("mass", mass), ("centre of mass", com), ("inertia", inertia_about_com))
     return TorqueGains(
         joint_names=model.joint_names,
         gains=used * gains,
@@ -284,21 +278,12 @@ def identify_gains(
         in_use=used,
         determined=determined,
         payload_share=share,
-        known=tuple(labels),
+        known=tuple(label for label, each in labels if each is not None),
         frame=name,
         payload=payload,
         sources=tuple(each.source for each in (*without, *under)),
         of_command=of_command,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    """Hold `[beta, phi]`, 1 / gain (n,) and the noise of each joint's logged torque (n,)."""
-
-    theta: Array
-    inverse: Array
-    sigma: Array
 
 
 class _Problem:
@@ -315,12 +300,9 @@ class _Problem:
     ) -> None:
         base = find_base_parameters(model, drive)
         self._n, self._p = model.n_joints, base.n_base
-        carried = np.arange(10 * link, 10 * link + 10)
-        union = np.union1d(base.columns, carried)
-        where_base, where_payload = (
-            np.searchsorted(union, base.columns),
-            np.searchsorted(union, carried),
-        )
+        of_link = np.arange(10 * link, 10 * link + 10)
+        union = np.union1d(base.columns, of_link)
+        own, carried = (np.searchsorted(union, each) for each in (base.columns, of_link))
         plan = RegressorPlan.of(model, drive, union, spare_rows=1)
         self.blocks: list[list[Array]] = []
         self.times: list[TimeBlock] = []
@@ -329,15 +311,13 @@ class _Problem:
             for part in divide_into_blocks(model, [samples]):
                 growing = [GrowingFactor(len(support) + 1) for support in plan.support]
                 for chunk in part.chunks(plan):
-                    for factor, rows in zip(growing, chunk, strict=True):
-                        factor.append(rows)
+                    for factor, added in zip(growing, chunk, strict=True):
+                        factor.append(added)
                 block = []
                 for support, factor in zip(plan.support, growing, strict=True):
-                    r = factor.factor()
-                    every = np.zeros((len(r), len(union)))
-                    every[:, support] = r[:, :-1]
-                    payload = every[:, where_payload] @ to_link if under else np.zeros((len(r), 10))
-                    block.append(np.hstack([every[:, where_base], payload, r[:, -1:]]))
+                    rows = widen_factor(factor.factor(), support, len(union))
+                    payload = under * rows[:, carried] @ to_link
+                    block.append(np.hstack([rows[:, own], payload, rows[:, -1:]]))
                 self.blocks.append(block)
                 self.times.append(part.time)
                 loads.add(under)
@@ -348,16 +328,19 @@ class _Problem:
                 cure=Cure("record longer, or raise the cutoff"),
             )
 
-    def solve(self, given: Array, known: NDArray[np.bool_]) -> _Solution:
-        """Return gains and payload by reweighted Gauss-Newton on 1 / gain."""
+    def solve(self, given: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Return arm and payload, 1 / gain and noise (n,) by reweighted Gauss-Newton on 1 / gain.
+
+        The first are `[beta, phi]`; the noise is in each joint's logged torque.
+        """
         rows = [
             triangular_factor(np.vstack([block[k] for block in self.blocks]))
             for k in range(self._n)
         ]
         n_samples, p = sum(block.n_samples for block in self.times), self._p
-        free = self._free(known)
+        free = self._select_free(known)
         theta = np.concatenate([np.zeros(p), given])
-        inverse = self._signs(rows, theta, free)
+        inverse = self._find_signs(rows, theta, free)
         sigma = np.ones(self._n)
         for iteration in range(RULES.iterations):
             if iteration == 0:
@@ -366,7 +349,7 @@ class _Problem:
                 theta[free] = _solve_least_squares(
                     every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
                 )
-            matrix, errors = self._linear(rows, _Solution(theta, inverse, sigma), free)
+            matrix, errors = self._linearise(rows, theta, inverse, sigma, free)
             step = _solve_least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
             theta[free] += step[: -self._n]
@@ -381,24 +364,29 @@ class _Problem:
                 "the recordings do not determine the gains",
                 cure=Cure("carry a heavier payload, and move the joints that carry it"),
             )
-        return _Solution(theta, inverse, sigma)
+        return theta, inverse, sigma
 
-    def _free(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _select_free(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.concatenate([np.ones(self._p, dtype=bool), ~known])
 
-    def _linear(
-        self, rows: Sequence[Array], at: _Solution, free: NDArray[np.bool_]
+    def _linearise(
+        self,
+        rows: Sequence[Array],
+        theta: Array,
+        inverse: Array,
+        sigma: Array,
+        free: NDArray[np.bool_],
     ) -> tuple[Array, Array]:
         """Return the matrix of `[beta, free phi, 1 / gain]` about a solution, and the errors."""
         matrix, errors = [], []
-        for k, (r, g, s) in enumerate(zip(rows, at.inverse, at.sigma, strict=True)):
+        for k, (r, g, s) in enumerate(zip(rows, inverse, sigma, strict=True)):
             own = np.zeros((len(r), self._n))
-            own[:, k] = r[:, :-1] @ at.theta
+            own[:, k] = r[:, :-1] @ theta
             matrix.append(np.hstack([g * r[:, :-1][:, free], own]) / s)
             errors.append((r[:, -1] - g * own[:, k]) / s)
         return np.vstack(matrix), np.concatenate(errors)
 
-    def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
+    def _find_signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
         """Return the sign (n,) of each gain by a fit of `-i_k g_k + Y_k beta + P_k phi = 0`."""
         matrix, target = [], []
         for k, r in enumerate(rows):
@@ -407,36 +395,30 @@ class _Problem:
             size = float(np.linalg.norm(r[:, -1])) or 1.0
             matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
             target.append(-r[:, :-1] @ theta / size)
-        return np.where(
-            _solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0,
-            -1.0,
-            1.0,
-        )
+        gains = _solve_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :]
+        return np.where(gains < 0, -1.0, 1.0)
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
         """Return the payload's RMS torque over the RMS torque of the loaded recordings, (n,)."""
-        shares = []
-        for k in range(self._n):
-            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [
-                np.zeros((1, self._p + 11))
-            ]
-            rows = np.vstack(under)
-            total = float(np.linalg.norm(rows[:, -1] * gains[k]))
-            shares.append(
-                float(np.linalg.norm(rows[:, self._p : -1] @ payload)) / total
-                if total > 0.0
-                else 0.0
-            )
-        return np.array(shares)
+        shares = np.zeros(self._n)
+        for k, gain in enumerate(gains):
+            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])]
+            rows = np.vstack([np.zeros((1, self._p + 11)), *under])
+            total = float(np.linalg.norm(rows[:, -1] * gain))
+            if total > 0.0:
+                shares[k] = np.linalg.norm(rows[:, self._p : -1] @ payload) / total
+        return shares
 
-    def std_errors(self, solution: _Solution, known: NDArray[np.bool_]) -> Array:
+    def std_errors(
+        self, theta: Array, inverse: Array, sigma: Array, known: NDArray[np.bool_]
+    ) -> Array:
         """Return standard errors of the gains (n,) from time blocks, infinite if undetermined.
 
-        Those of the fit about the solution, as in `block_uncertainty`: the arm and the unknown part
-        of the payload absorb residuals too.
+        They belong to the fit about the solution, as in `block_uncertainty`: the arm and the
+        unknown part of the payload absorb residuals too.
         """
-        free, p = self._free(known), self._p
-        parts = [self._linear(block, solution, free) for block in self.blocks]
+        free, p = self._select_free(known), self._p
+        parts = [self._linearise(block, theta, inverse, sigma, free) for block in self.blocks]
         whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
         root, lost = _invert_root(whole)
         grams = np.array([matrix.T @ matrix for matrix, _ in parts])
@@ -452,13 +434,12 @@ class _Problem:
         )
         own = root[-self._n :]
         found = np.maximum(estimate_scatter(data, own).variance, variance * np.sum(own**2, axis=1))
-        return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / solution.inverse**2
+        return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / inverse**2
 
 
 def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return L (p, r) with `L L^T = (A^T A)^+` in scaled columns, and which unknowns are lost."""
-    sizes = np.linalg.norm(matrix, axis=0)
-    sizes[sizes == 0.0] = 1.0
+    sizes = _measure_columns(matrix)
     _, s, axes = np.linalg.svd(triangular_factor(matrix / sizes))
     kept = s > RULES.rank_tolerance * s[0]
     # Part of an unknown in directions without information beyond which nothing bounds it.
@@ -468,7 +449,12 @@ def _invert_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 def _solve_least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
-    sizes = np.linalg.norm(matrix, axis=0)
-    sizes[sizes == 0.0] = 1.0
-    solution: Array = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
-    return np.asarray(solution / sizes)
+    sizes = _measure_columns(matrix)
+    solution = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
+    return np.asarray(solution / sizes, dtype=np.float64)
+
+
+def _measure_columns(matrix: Array) -> Array:
+    """Return the lengths of columns, 1 for zero columns."""
+    sizes: Array = np.linalg.norm(matrix, axis=0)
+    return np.where(sizes == 0.0, 1.0, sizes)

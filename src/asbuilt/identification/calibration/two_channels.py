@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,9 +146,7 @@ def identify_two_channels(
     UsageError
         If the instants of the channels differ, or a term depends on load or is not linear.
     """
-    sensors, motors = (
-        list(each) if isinstance(each, Sequence) else [each] for each in (sensor, motor)
-    )
+    sensors, motors = (each if isinstance(each, Sequence) else [each] for each in (sensor, motor))
     if len(sensors) != len(motors) or not sensors:
         raise UsageError(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
@@ -179,10 +178,13 @@ def identify_two_channels(
             )
     if link_side.needs_load or ahead.needs_load:
         raise UsageError("two channels need drive terms that do not depend on load")
-    acting = _find_acting(model, ahead)
-    base = find_base_parameters(model, link_side)
-    joint_fit = _JointFit(model, base, link_side, ahead, acting, tuple(sensors), tuple(motors))
-    scales, errors, (both, information, estimate, uncertainty) = _fit_scales(joint_fit)
+    acting, base = _find_acting(model, ahead), find_base_parameters(model, link_side)
+    links = RegressorPlan.of(model, link_side, base.columns, spare_rows=1)
+    drives = RegressorPlan.of(model, ahead, 10 * model.n_links + acting, spare_rows=1)
+    fit = partial(_fit_channels, base, links, drives, sensors, motors)
+    scales, errors, (both, information, estimate, uncertainty) = _fit_scales(
+        fit, model.n_joints, base.n_base
+    )
     rms = np.sqrt(information.residual_energy(estimate.beta) / information.n_samples)
     n, kept = model.n_joints, base.n_base + len(acting)
     return TwoChannelEstimate(
@@ -206,104 +208,103 @@ def identify_two_channels(
 _Fitted = tuple[BaseParameters, SquareRootInformation, Estimate, Uncertainty]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _JointFit:
-    """Fit both channels, given scales of the motors and the joints whose scale is a parameter."""
+def _fit_channels(
+    base: BaseParameters,
+    links: RegressorPlan,
+    drives: RegressorPlan,
+    sensors: Sequence[Samples],
+    motors: Sequence[Samples],
+    scales: Array,
+    scaled: Sequence[int],
+    beta: Array | None,
+) -> _Fitted:
+    """Fit both channels, given scales of the motors and the joints whose scale is a parameter.
 
-    model: RobotModel
-    base: BaseParameters
-    link_side: DriveSet
-    motor_side: DriveSet
-    acting: Indices
-    sensors: tuple[Samples, ...]
-    motors: tuple[Samples, ...]
+    Such scales multiply the torque of links `beta` (p,).
+    """
+    both = _combine_sides(base, drives, scaled)
+    divided = [replace(each, tau=each.tau / scales) for each in motors]
+    information = _join_channels(both, links, drives, sensors, divided, scaled, beta)
+    estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
+    return both, information, estimate, estimate_block_uncertainty(information, estimate)
 
-    def solved(self, scales: Array, scaled: Sequence[int], links: Array | None) -> _Fitted:
-        both = _combine_sides(self.model, self.base, self.motor_side, self.acting, scaled)
-        divided = [replace(each, tau=each.tau / scales) for each in self.motors]
-        information = self._joined(both, divided, scaled, links)
-        estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
-        return both, information, estimate, estimate_block_uncertainty(information, estimate)
 
-    def _joined(
-        self,
-        both: BaseParameters,
-        motors: Sequence[Samples],
-        scaled: Sequence[int],
-        beta: Array | None,
-    ) -> SquareRootInformation:
-        """Return the information of both channels; scales multiply the torque of links `beta`."""
-        model, sensors, n, p = self.model, self.sensors, self.model.n_joints, self.base.n_base
-        links = RegressorPlan.of(model, self.link_side, both.columns[:p], spare_rows=1)
-        drives = RegressorPlan.of(
-            model, self.motor_side, 10 * model.n_links + self.acting, spare_rows=1
-        )
-        first = p + len(self.acting)
-        own_scale = [[first + scaled.index(k)] if k in scaled else [] for k in range(n)]
-        support = (
-            *links.support,
-            *(
-                np.concatenate([own, p + extra, np.array(scale, dtype=np.intp)])
-                for own, extra, scale in zip(links.support, drives.support, own_scale, strict=True)
-            ),
-        )
-        factors: list[list[Array]] = [[] for _ in support]
-        sums, times = [], []
-        for seen, driven in zip(
-            divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
+def _join_channels(
+    both: BaseParameters,
+    links: RegressorPlan,
+    drives: RegressorPlan,
+    sensors: Sequence[Samples],
+    motors: Sequence[Samples],
+    scaled: Sequence[int],
+    beta: Array | None,
+) -> SquareRootInformation:
+    """Return the information of both channels; scales multiply the torque of links `beta`."""
+    model, n, p = links.model, links.model.n_joints, len(links.columns)
+    first = p + len(drives.columns)
+    own_scale = [[first + scaled.index(k)] if k in scaled else [] for k in range(n)]
+    support = (
+        *links.support,
+        *(
+            np.concatenate([own, p + extra, np.array(scale, dtype=np.intp)])
+            for own, extra, scale in zip(links.support, drives.support, own_scale, strict=True)
+        ),
+    )
+    factors: list[list[Array]] = [[] for _ in support]
+    sums, times = [], []
+    for seen, driven in zip(
+        divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
+    ):
+        growing = [GrowingFactor(len(columns) + 1) for columns in support]
+        total = np.zeros(2 * n)
+        for behind, links_again, ahead in zip(
+            seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
         ):
-            growing = [GrowingFactor(len(columns) + 1) for columns in support]
-            total = np.zeros(2 * n)
-            for behind, links_again, ahead in zip(
-                seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
-            ):
-                for k in range(n):
-                    growing[k].append(behind[k])
-                    again = links_again[k][:-1]
-                    moved = (
-                        [] if beta is None or k not in scaled else [beta[links.support[k]] @ again]
-                    )
-                    growing[n + k].append(np.vstack([again, ahead[k][:-1], *moved, ahead[k][-1:]]))
-                    total[k] += behind[k][-1].sum()
-                    total[n + k] += ahead[k][-1].sum()
-            for kept, grown in zip(factors, growing, strict=True):
-                kept.append(grown.factor())
-            sums.append(total)
-            times.append(seen.time)
-        names = (
-            *(f"{name} sensor" for name in model.joint_names),
-            *(f"{name} motor" for name in model.joint_names),
-        )
-        return SquareRootInformation(
-            both,
-            names,
-            support,
-            tuple(np.array(each) for each in factors),
-            np.array(sums),
-            tuple(times),
-        )
+            for k in range(n):
+                growing[k].append(behind[k])
+                again = links_again[k][:-1]
+                moved = [] if beta is None or k not in scaled else [beta[links.support[k]] @ again]
+                growing[n + k].append(np.vstack([again, ahead[k][:-1], *moved, ahead[k][-1:]]))
+                total[k] += behind[k][-1].sum()
+                total[n + k] += ahead[k][-1].sum()
+        for kept, grown in zip(factors, growing, strict=True):
+            kept.append(grown.factor())
+        sums.append(total)
+        times.append(seen.time)
+    names = (
+        *(f"{name} sensor" for name in model.joint_names),
+        *(f"{name} motor" for name in model.joint_names),
+    )
+    return SquareRootInformation(
+        both,
+        names,
+        support,
+        tuple(np.array(each) for each in factors),
+        np.array(sums),
+        tuple(times),
+    )
 
 
-def _fit_scales(fit: _JointFit) -> tuple[Array, Array, _Fitted]:
+def _fit_scales(
+    fit: Callable[[Array, Sequence[int], Array | None], _Fitted], n: int, first: int
+) -> tuple[Array, Array, _Fitted]:
     """Return scales of the motors, their errors, and the fit in which those that differ are free.
 
     The scale of a motor multiplies the torque behind it, which is linearised about the links of
-    the fit before.
+    the fit before; `first` is the number of their parameters.
     """
-    n, first = fit.model.n_joints, fit.base.n_base
-    found = fit.solved(np.ones(n), (), None)
+    found = fit(np.ones(n), (), None)
     scales, errors = np.ones(n), np.full(n, np.nan)
     scaled: tuple[int, ...] = tuple(range(n))
     for _ in range(SCALE.rounds):
         divisors = np.where(np.isin(np.arange(n), scaled), scales, 1.0)
-        found = fit.solved(divisors, scaled, found[2].beta[:first])
+        found = fit(divisors, scaled, found[2].beta[:first])
         change, error = found[2].beta[-len(scaled) :], found[3].std_errors[-len(scaled) :]
         chosen = list(scaled)
         errors[chosen] = divisors[chosen] * error
         scales[chosen] = divisors[chosen] * (1.0 + change)
         scaled = tuple(k for k in scaled if _differs(scales[k], errors[k]))
         if not scaled:
-            return scales, errors, fit.solved(np.ones(n), (), None)
+            return scales, errors, fit(np.ones(n), (), None)
     return scales, errors, found
 
 
@@ -324,21 +325,17 @@ def _find_acting(model: RobotModel, motor_side: DriveSet) -> Indices:
 
 
 def _combine_sides(
-    model: RobotModel,
-    base: BaseParameters,
-    motor_side: DriveSet,
-    acting: Indices,
-    scaled: Sequence[int],
+    base: BaseParameters, drives: RegressorPlan, scaled: Sequence[int]
 ) -> BaseParameters:
     """Return the base parameters, the independent ones of the motor side, and scales of motors."""
     every = [
-        f"{symbol}m{number}"
-        for number in range(1, model.n_joints + 1)
-        for symbol in motor_side.symbols
+        (f"{symbol}m{number}", unit)
+        for number, joint in enumerate(drives.model.joints, start=1)
+        for symbol, unit in zip(drives.drive.symbols, drives.drive.units(joint.kind), strict=True)
     ]
-    every_unit = [unit for joint in model.joints for unit in motor_side.units(joint.kind)]
-    names = (*(every[j] for j in acting), *(f"scalem{k + 1}" for k in scaled))
-    units = (*(every_unit[j] for j in acting), *("1" for _ in scaled))
+    acting = [every[j] for j in drives.columns - 10 * drives.model.n_links]
+    added = [*acting, *((f"scalem{k + 1}", "1") for k in scaled)]
+    names, units = (tuple(each[i] for each in added) for i in (0, 1))
     first, p, m = base.n_standard, base.n_base, len(names)
     regrouping = np.zeros((p + m, first + m))
     regrouping[:p, :first], regrouping[p:, first:] = base.regrouping, np.eye(m)

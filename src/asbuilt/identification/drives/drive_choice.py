@@ -29,37 +29,6 @@ AUTO = "auto"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gain:
-    """Hold the decrease of the log RMS error on held-out blocks, with standard error over folds."""
-
-    log: float
-    std_error: float
-
-    @classmethod
-    def between(cls, before: Array, after: Array) -> Gain:
-        """Return the gain from squared errors before and after, (folds,) or (folds, n).
-
-        Joints without torque have no error, and no part in it.
-        """
-        seen = np.broadcast_to(np.any(before > 0.0, axis=0), before.shape)
-        ratio = (before[seen] / after[seen]).reshape(len(before), -1)
-        logs = 0.5 * np.log(ratio).mean(axis=1)
-        return cls(float(logs.mean()), float(np.std(logs, ddof=1) / np.sqrt(len(logs))))
-
-    @property
-    def fraction(self) -> float:
-        """Fraction of the error."""
-        return -float(np.expm1(-self.log))
-
-    def exceeds(self, errors: float) -> bool:
-        """Return whether the gain exceeds so many of its standard errors."""
-        return self.log > errors * self.std_error
-
-    def __str__(self) -> str:
-        return f"{100 * self.fraction:.1f} +- {100 * self.std_error * (1.0 - self.fraction):.1f} %"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DriveChoice:
     """Hold drive terms with values of all nonlinear parameters.
 
@@ -69,8 +38,6 @@ class DriveChoice:
         The terms.
     sentences, findings
         Reasons, and what is wrong with the choice.
-    gain
-        Gain by terms with fitted nonlinear parameters; None without any.
     fitted
         Nonlinear parameters that the data determine.
     """
@@ -78,7 +45,6 @@ class DriveChoice:
     drive: DriveSet
     sentences: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
-    gain: Gain | None = None
     fitted: tuple[NonlinearPlace, ...] = ()
 
 
@@ -150,33 +116,31 @@ def settle_nonlinear(model: RobotModel, samples: Sequence[Samples], drive: Drive
         if term.stands_for is not None and term.stands_for not in plain.keys:
             plain = plain.with_term(available_terms()[term.stands_for])
     found = fit_nonlinear(model, drive, samples)
-    findings = found.findings(model.joint_names)
-    both = [_predict_held_out(model, samples, each) for each in (plain, found.drive)]
-    if both[0] is None or both[1] is None:
-        return DriveChoice(
-            found.drive, found.sentences(model.joint_names), findings, fitted=found.places
+    sentences, findings = found.sentences(model.joint_names), found.findings(model.joint_names)
+    before, after = (_predict_held_out(model, samples, each) for each in (plain, found.drive))
+    if before is not None and after is not None:
+        gain = _measure_gain(before, after)
+        change = (
+            f"torque error on held-out blocks {-100 * gain:+.1f} % against {_name_terms(plain)}"
         )
-    gain = Gain.between(both[0], both[1])
-    change = (
-        f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against"
-        f" {_name_terms(plain)}"
-    )
-    if gain.fraction < 0:
-        listed = ", ".join(term.key for term in nonlinear)
-        finding = Finding(
-            "nonlinear_parameters",
-            "warning",
-            f"Fitted {listed} do not lower the torque error: {change}",
-            Cure("leave them out, or state their parameters"),
-        )
-        findings = (*findings, finding)
-    return DriveChoice(
-        found.drive,
-        (*found.sentences(model.joint_names), change),
-        findings,
-        gain,
-        fitted=found.places,
-    )
+        sentences = (*sentences, change)
+        if gain < 0:
+            listed = ", ".join(term.key for term in nonlinear)
+            message = f"Fitted {listed} do not lower the torque error: {change}"
+            cure = Cure("leave them out, or state their parameters")
+            findings = (*findings, Finding("nonlinear_parameters", "warning", message, cure))
+    return DriveChoice(found.drive, sentences, findings, fitted=found.places)
+
+
+def _measure_gain(before: Array, after: Array) -> float:
+    """Return the fraction by which squared errors (folds,) or (folds, n) lower the RMS error.
+
+    Joints without torque have no error, and no part in it.
+    """
+    seen = np.broadcast_to(np.any(before > 0.0, axis=0), before.shape)
+    ratio = (before[seen] / after[seen]).reshape(len(before), -1)
+    logs = 0.5 * np.log(ratio).mean(axis=1)
+    return -float(np.expm1(-float(logs.mean())))
 
 
 def _predict_held_out(

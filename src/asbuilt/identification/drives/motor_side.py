@@ -37,19 +37,14 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
             f"{result.robot} has no gear ratio; add drive = {{gear_ratio = 100.0}} to its links in"
             " the robot file"
         )
-    drive, found = result.base.drive, []
-    alone = {
-        parameter.name for parameter in result.parameters if parameter.expression == parameter.name
-    }
-    known = {
-        parameter.name: parameter for parameter in result.parameters if parameter.name in alone
-    }
+    found = []
+    alone = {each.name: each for each in result.parameters if each.expression == each.name}
     for joint, ratio in ratios.items():
-        for term in drive.at(joint).terms:
+        for term in result.base.drive.at(joint).terms:
             for symbol, unit, power in zip(
                 term.symbols, term.units(revolute=True), term.powers_of_ratio(), strict=True
             ):
-                parameter = known.get(f"{symbol}{joint + 1}")
+                parameter = alone.get(f"{symbol}{joint + 1}")
                 if parameter is None:
                     continue
                 shrunk = float(np.abs(ratio) ** power) * (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -187,14 +187,12 @@ def _fit_one(
     parameter: NonlinearParameter,
     chosen: Sequence[SampleBlock],
 ) -> FittedNonlinear:
-    n = model.n_joints
     remaining = _Remaining(model, others, chosen)
-    braking = term.stands_for not in others.keys
 
     def error(values: Array) -> Array:
-        return remaining.with_term(
-            term.with_nonlinear({parameter.name: tuple(float(value) for value in values)}),
-            positive=braking,
+        return remaining.measure_error(
+            term.with_nonlinear({parameter.name: tuple(values.tolist())}),
+            positive=term.stands_for not in others.keys,
         )
 
     lowest, highest = credible_range(
@@ -208,12 +206,8 @@ def _fit_one(
 
     grid = np.linspace(first, last, SEARCH.grid)
     errors = np.array([error(real(points)) for points in grid])
-    best = errors.argmin(axis=0)
-    every = np.arange(n)
-    low, high = (
-        grid[np.maximum(best - 1, 0), every],
-        grid[np.minimum(best + 1, SEARCH.grid - 1), every],
-    )
+    best, every = errors.argmin(axis=0), np.arange(model.n_joints)
+    low, high = (grid[np.clip(best + side, 0, SEARCH.grid - 1), every] for side in (-1, 1))
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_a, at_b = error(real(a)), error(real(b))
     for _ in range(SEARCH.refinements):
@@ -228,20 +222,19 @@ def _fit_one(
             np.where(left, at_a, at),
         )
     values, least = real(np.where(at_a < at_b, a, b)), np.minimum(at_a, at_b)
-    worse = least > errors.min(axis=0)
-    values = np.where(worse, real(grid[best, every]), values)
-    reduction = 1.0 - np.minimum(least, errors.min(axis=0)) / np.maximum(
-        remaining.energy, np.finfo(np.float64).tiny
-    )
+    of_grid = errors.min(axis=0)
+    values = np.where(least > of_grid, real(grid[best, every]), values)
+    energy = np.maximum(remaining.energy, np.finfo(np.float64).tiny)
+    reduction = 1.0 - np.minimum(least, of_grid) / energy
     margin = SEARCH.at_bound * (last - first)
     placed = np.log(values) if logarithmic else values
     lowers = reduction > SEARCH.least_f / sum(each.n_outputs for each in chosen)
     at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
     determined = lowers & ~at_bound
-    stated = tuple(
-        float(f"{value:.4g}") for value in np.where(determined, values, parameter.default)
+    within = tuple(
+        min(max(float(f"{value:.4g}"), parameter.lower), parameter.upper)
+        for value in np.where(determined, values, parameter.default)
     )
-    within = tuple(min(max(value, parameter.lower), parameter.upper) for value in stated)
     return FittedNonlinear(term.key, parameter, within, determined, at_bound, lowest, highest)
 
 
@@ -278,10 +271,9 @@ class _Remaining:
         self._model, self._chosen = model, chosen
         base = find_base_parameters(model, others)
         plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
-        rows = _stack_rows(plan, chosen)
         self._bases, self._torques = [], []
-        for joint in rows:
-            columns, torque = joint[:-1], joint[-1]
+        for rows in _stack_rows(plan, chosen):
+            columns, torque = rows[:-1], rows[-1]
             sizes = np.linalg.norm(columns, axis=1)
             present = sizes > 1e-12 * sizes.max(initial=0.0)
             _, s, vt = np.linalg.svd(columns[present] / sizes[present, None], full_matrices=False)
@@ -290,13 +282,10 @@ class _Remaining:
             self._torques.append(torque - basis.T @ (basis @ torque))
         self.energy = np.array([float(torque @ torque) for torque in self._torques])
 
-    def with_term(self, term: DriveTerm, *, positive: bool) -> Array:
+    def measure_error(self, term: DriveTerm, *, positive: bool) -> Array:
         """Return the squared error (n,) with this term; without it if not `positive` as asked."""
-        first = 10 * self._model.n_links
-        count = len(term.symbols) * self._model.n_joints
-        plan = RegressorPlan.of(
-            self._model, DriveSet((term,)), first + np.arange(count), spare_rows=1
-        )
+        own = 10 * self._model.n_links + np.arange(len(term.symbols) * self._model.n_joints)
+        plan = RegressorPlan.of(self._model, DriveSet((term,)), own, spare_rows=1)
         left = []
         for rows, basis, torque in zip(
             _stack_rows(plan, self._chosen), self._bases, self._torques, strict=True
@@ -314,7 +303,7 @@ class _Remaining:
 
 
 def _stack_rows(plan: RegressorPlan, chosen: Sequence[SampleBlock]) -> list[Array]:
-    chunks: Iterator[tuple[Array, ...]] = (
+    chunks = [
         tuple(rows.copy() for rows in chunk) for each in chosen for chunk in each.chunks(plan)
-    )
+    ]
     return [np.hstack(parts) for parts in zip(*chunks, strict=True)]

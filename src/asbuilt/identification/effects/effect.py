@@ -1,12 +1,12 @@
-"""Effects: what a description can lack, and the torque that each would add."""
+"""Effects: what a description can lack, the torque that each would add, and what was found."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,16 +14,56 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.torque_prediction import parameter_torque
 from asbuilt.registry import Registry
 from asbuilt.tables import format_plus_minus, round_significant
 
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 CORRECT = Cure("check the log, and correct it in a recording sheet")
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """Hold an effect that the description lacks and the recordings show.
+
+    Parameters
+    ----------
+    effect, joint
+        Key of the effect, and the joint it acts at; None: the whole robot.
+    estimate, std_error, unit
+        Its size; of several parameters the length of their vector.
+    in_model
+        Whether the model of the result has it.
+    torque
+        RMS torque that it adds at its joint, of all joints together without one [N m or N].
+    error_before, error_after
+        Relative torque error on held-out groups of different motion, without and with it.
+    alternatives
+        Other effects that explain the recordings as well: such as `spring at elbow`.
+    text
+        A sentence.
+    """
+
+    effect: str
+    joint: str | None
+    estimate: float
+    std_error: float
+    unit: str
+    in_model: bool
+    torque: float
+    error_before: float
+    error_after: float
+    alternatives: tuple[str, ...]
+    text: str
+
+    @property
+    def improvement(self) -> str:
+        """The torque error without and with it, as text."""
+        before, after = (
+            round_significant(100 * each, 2) for each in (self.error_before, self.error_after)
+        )
+        return f"torque error {before} -> {after} %"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +88,8 @@ class Described:
 class Motion:
     """Hold states (L, n) of a robot on a span of samples, and what its model makes of them.
 
-    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end; `rate` is that of
-    the samples [Hz], which are without gaps.
+    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end; the samples, at
+    `rate` [Hz], are without gaps.
     """
 
     robot: Described
@@ -119,8 +159,8 @@ class Effect(ABC):
     positive: ClassVar[bool] = False
     """Whether only positive values are physical."""
     removable: ClassVar[bool] = False
-    """Whether robot or log can be had without it (`without`): it is then sought by Newton's steps,
-    for its columns are those of small values."""
+    """Whether robot or log can be had without it (`without`): Newton's steps then find its values,
+    since its columns hold for small ones alone."""
     of_shares: ClassVar[bool] = False
     """Whether its value is a share, so that steps multiply."""
     settled: ClassVar[float] = 1e-3
@@ -128,11 +168,13 @@ class Effect(ABC):
     farthest: ClassVar[float] = np.inf
     """Largest size that a robot in use can have."""
     shown: ClassVar[float] = 0.0
-    """Size that every log should show; 0: none need be said to be unseen."""
+    """Size that every log should show; 0: no finding reports that it is unseen."""
     by_span: ClassVar[bool] = False
     """Whether its columns at an instant depend on the samples of the span around it."""
     starts: ClassVar[tuple[float, ...]] = ()
-    """Values from which on it may be sought, too, where it can be off by factors."""
+    """Further values from which it is searched, where it can be off by factors."""
+    units: ClassVar[tuple[str, str]] = ("", "")
+    """Unit of its size at a revolute and at a prismatic joint."""
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return size, standard error and unit of its values (m,) with their covariance."""
@@ -140,6 +182,27 @@ class Effect(ABC):
         slope = values / size if size else np.ones(len(values)) / len(values)
         variance = max(float(slope @ covariance @ slope), 0.0)
         return size, float(np.sqrt(variance)), self.unit(revolute)
+
+    def found(
+        self,
+        joint: str | None,
+        values: Array,
+        covariance: Array,
+        *,
+        revolute: bool,
+        in_model: bool,
+        torque: float,
+        errors: tuple[float, float],
+        alternatives: tuple[str, ...] = (),
+    ) -> FoundEffect:
+        """Return what was found of it; `errors` are torque errors without and with it."""
+        size = self.size(values, covariance, revolute=revolute)
+        found = FoundEffect(
+            self.key, joint, *size, in_model, torque, *errors, alternatives, text=""
+        )
+        where = f"{self.title} at {joint}" if joint else self.title
+        text = self.size_text(values, covariance, revolute=revolute)
+        return replace(found, text=f"{where} {text}: {found.improvement}")
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the size with its standard error and unit as text."""
@@ -156,12 +219,12 @@ class Effect(ABC):
         return f"{text} {unit}".rstrip()
 
     def shown_in(self, revolute: bool) -> tuple[float, str]:
-        """Return the factor and the unit in which its size is read."""
-        return 1.0, self.unit(revolute)
+        """Return the factor and the unit in which its size is read: shares in percent."""
+        return (100.0, "%") if self.of_shares else (1.0, self.unit(revolute))
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of its size at a revolute or prismatic joint."""
-        return ""
+        return self.units[not revolute]
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether a robot in use can have these values, large enough to matter."""
@@ -177,9 +240,7 @@ class Effect(ABC):
 
     def advanced(self, values: Array, step: Array) -> Array:
         """Return the values after a step about what they leave."""
-        if self.of_shares:
-            return np.asarray((1.0 + values) * (1.0 + step) - 1.0)
-        return np.asarray(values + step)
+        return np.asarray((1.0 + values) * (1.0 + step) - 1.0 if self.of_shares else values + step)
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding | None:
         """Return what can be done about the effect where a model cannot have it, if anything."""
@@ -189,7 +250,7 @@ class Effect(ABC):
         return Finding("effect_found", "warning", message, CORRECT, joint=found.joint)
 
     def unseen(self, sizes: str) -> Finding:
-        """Return what is said where a log does not show it below some sizes."""
+        """Return the finding that a log does not show it below some sizes."""
         raise NotImplementedError
 
     @abstractmethod

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,12 +13,10 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant
+from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.information.rows import ROWS, SampleBlock, divide_into_blocks
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 At = tuple[str, int | None]
 """Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
@@ -29,7 +26,7 @@ At = tuple[str, int | None]
 class Candidate:
     """Name an effect at a joint (from 0; None: of the whole robot) and its parameters.
 
-    `places` are its positions among all parameters, those of the model first; `replaces` those of
+    `places` are its positions among all parameters, the model's first; `replaces` are positions of
     the model's parameters in whose place it comes.
     """
 
@@ -65,7 +62,7 @@ class Candidate:
 class EffectEquations:
     """Hold the normal equations of `[W_k | E_k | tau_k]` by time block, joint by joint.
 
-    W are the columns of the base parameters (p), E those of all candidates (m). Joint k has the
+    W are the columns of the base parameters (p), E of all candidates (m). Joint k has the
     parameters `support[k]` and `grams[k]` (B, s_k + 1, s_k + 1). `counts` (B,) are the samples of a
     block.
     """
@@ -83,23 +80,13 @@ class EffectEquations:
         """Number of the model's own parameters."""
         return self.base.n_base
 
-    @property
-    def n_blocks(self) -> int:
-        """Number of time blocks."""
-        return len(self.counts)
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return len(self.support)
-
     @cached_property
     def of_joints(self) -> tuple[Array, ...]:
         """Normal equations of each joint over all blocks."""
         return tuple(gram.sum(axis=0) for gram in self.grams)
 
     def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
-        """Return those of all joints together, (P + 1, P + 1), joint k times `weights[k]`^2."""
+        """Return the sum over joints, (P + 1, P + 1), of joint k times `weights[k]`^2."""
         total = np.zeros((self.n_parameters + 1,) * 2)
         for k, support in enumerate(self.support):
             gram = self.of_joints[k] if blocks is None else self.grams[k][blocks].sum(axis=0)
@@ -107,19 +94,13 @@ class EffectEquations:
             total[np.ix_(places, places)] += weights[k] ** 2 * gram
         return total
 
-    def residuals(self, values: Array) -> Array:
-        """Return the squared residual of each joint with all parameters (P,) given, (n,)."""
-        ends = [np.append(-values[s], 1.0) for s in self.support]
-        return np.array([x @ gram @ x for x, gram in zip(ends, self.of_joints, strict=True)])
-
 
 def gather_equations(
     robot: Described,
     base: BaseParameters,
     samples: Iterable[Samples],
-    *,
-    effects: Iterable[Effect] | None = None,
-    block_seconds: float | None = None,
+    effects: Iterable[Effect],
+    block_seconds: float,
 ) -> EffectEquations:
     """Reduce samples to the normal equations of a model and of effects, in one pass.
 
@@ -132,21 +113,18 @@ def gather_equations(
     samples
         Samples of one or more recordings.
     effects
-        The effects; None: all that are registered.
+        The effects.
     block_seconds
         Length of a time block [s].
     """
-    n = robot.model.n_joints
-    found = EFFECTS.values() if effects is None else effects
-    variants = [each for effect in found for each in effect.variants(robot)]
+    variants = [each for effect in effects for each in effect.variants(robot)]
     variants.sort(key=lambda each: not each.local)  # local columns first
-    slots = [variant for variant in variants for _ in range(variant.n_columns)]
-    plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=len(slots) + 1)
-    candidates, own, size = _place_candidates(variants, n, base)
-    support = [np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n)]
+    candidates, own, size = _place_candidates(variants, robot.model.n_joints, base)
+    plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=own.shape[1] + 1)
+    support = [np.concatenate(each) for each in zip(plan.support, own, strict=True)]
     # a joint has not every slot, but torque
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
-    grams: list[list[Array]] = [[] for _ in range(n)]
+    grams: list[tuple[Array, ...]] = []
     counts: list[int] = []
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
@@ -155,15 +133,16 @@ def gather_equations(
             for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):
                     block[k] += rows @ rows.T
-            for gram, kept, every in zip(grams, there, block, strict=True):
-                gram.append(every[np.ix_(kept, kept)])
+            grams.append(
+                tuple(gram[np.ix_(kept, kept)] for gram, kept in zip(block, there, strict=True))
+            )
             counts.append(part.n_outputs)
     return EffectEquations(
         robot,
         base,
         tuple(candidates),
         tuple(s[s >= 0] for s in support),
-        tuple(np.array(each) for each in grams),
+        tuple(map(np.array, zip(*grams, strict=True))),
         np.array(counts, dtype=np.int64),
         size,
     )
@@ -171,41 +150,21 @@ def gather_equations(
 
 def _place_candidates(
     variants: Sequence[Variant], n: int, base: BaseParameters
-) -> tuple[list[Candidate], list[Indices], int]:
-    """Return the candidates, and the parameter of each slot at each joint (-1: none)."""
-    candidates: list[Candidate] = []
-    own = [list[int]() for _ in range(n)]
-    size = base.n_base
+) -> tuple[list[Candidate], Indices, int]:
+    """Return candidates, the parameter in each slot of each joint (-1: none), and the number."""
+    own = np.full((n, sum(each.n_columns for each in variants)), -1)
+    candidates, first, size = list[Candidate](), 0, base.n_base
     for variant in variants:
-        m = variant.n_columns
-        if not variant.local:
-            places = np.arange(size, size + m)
-            candidates.append(Candidate(variant.effect, variant.joint, places, variant.term))
-            for each in own:
-                each.extend(places.tolist())
-            size += m
-            continue
-        for k in range(n):
-            if k in variant.joints:
-                places = np.arange(size, size + m)
-                simpler = variant.term.stands_for if variant.term else None
-                candidates.append(
-                    Candidate(
-                        variant.effect, k, places, variant.term, find_places(base, simpler, k)
-                    )
-                )
-                own[k].extend(places.tolist())
-                size += m
-            else:
-                own[k].extend([-1] * m)
-    return candidates, [np.array(each, dtype=np.int64) for each in own], size
-
-
-def find_places(base: BaseParameters, key: str | None, k: int) -> Indices:
-    """Return the positions of a drive term's base parameters at a joint."""
-    symbols = [s for term in base.drive.terms if term.key == key for s in term.symbols]
-    names = {f"{symbol}{k + 1}" for symbol in symbols}
-    return np.array([j for j, name in enumerate(base.names) if name in names], dtype=np.int64)
+        slots = slice(first, first + variant.n_columns)
+        first = slots.stop
+        for k in variant.joints if variant.local else (variant.joint,):
+            places = np.arange(size, size + variant.n_columns)
+            size += variant.n_columns
+            own[k if variant.local else slice(None), slots] = places
+            simpler = variant.term.stands_for if variant.local and variant.term else None
+            replaced = find_places(base, simpler, k or 0)
+            candidates.append(Candidate(variant.effect, k, places, variant.term, replaced))
+    return candidates, own, size
 
 
 class _Columns:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from asbuilt.arrays import Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.identification.effects.effect import EFFECTS
@@ -30,11 +33,16 @@ def find_group(term: DriveTerm) -> str:
     return term.cause or (term.key if term.by_position else "friction")
 
 
+def find_places(base: BaseParameters, key: str | None, k: int) -> Indices:
+    """Return the positions of a drive term's base parameters at a joint (from 0)."""
+    symbols = [s for term in base.drive.terms if term.key == key for s in term.symbols]
+    names = {f"{symbol}{k + 1}" for symbol in symbols}
+    return np.array([j for j, name in enumerate(base.names) if name in names], dtype=np.int64)
+
+
 def locate_drive_parameters(base: BaseParameters, joint: int) -> dict[str, list[int]]:
     """Return where the drive parameters of a joint (from 0) are among the base parameters."""
-    names = {name: i for i, name in enumerate(base.names)}
     groups: dict[str, list[int]] = {}
     for term in base.drive.terms:
-        found = [names.get(f"{symbol}{joint + 1}") for symbol in term.symbols]
-        groups.setdefault(find_group(term), []).extend(j for j in found if j is not None)
+        groups.setdefault(find_group(term), []).extend(find_places(base, term.key, joint).tolist())
     return {group: places for group, places in groups.items() if places}

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 class Lacking:
     """Hold effects (m columns) that are not parameters of a model.
 
-    `values` (m,) and `covariance` are beside each other and all that is in the model. Effects that
-    are in the model as constants, such as a tilt, have the value 0: only their error counts.
-    `names` (P,) are those of the parameters in the equations, empty where a column has none.
+    `values` (m,) and `covariance` are from one fit with all that is in the model. Effects that are
+    in the model as constants, such as a tilt, have the value 0: only their error counts. `names`
+    (P,) name the parameters in the equations, empty where a column has none.
     """
 
     equations: EffectEquations
@@ -53,12 +53,10 @@ class Lacking:
         if not own:
             return None
         values, covariance = selection.values_of(own)
-        start = 0
-        for each in own:
-            span = slice(start, start + each.places.size)
-            start = span.stop
-            if each.at in removed:
-                values[span] = 0.0 if _is_constant(each, selection) else removed[each.at]
+        ends = np.cumsum([each.places.size for each in own])
+        for each, part in zip(own, np.split(values, ends[:-1]), strict=True):
+            if each.at in removed:  # a part is a view of the values
+                part[:] = 0.0 if _is_constant(each, selection) else removed[each.at]
         text = _word_candidates([e for e in own if not _is_constant(e, selection)], selection)
         return cls(
             selection.equations,
@@ -78,15 +76,16 @@ class Lacking:
         """
         if fit.uncertainty.basis.asked == "textbook":
             return None
-        mean, spread = self._shrunken()
+        mean, spread = shrink_effects(self.values, self.covariance, np.abs(self.values))
+        constant = np.ix_(self.values == 0.0, self.values == 0.0)
+        spread[constant] = self.covariance[constant]  # constants in the model keep their errors
         own = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
             fit, fit.estimate.weights
         )
         plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
         free = self._follows(fit, plain.weights)
-        bias = own @ mean
+        bias, free_bias = own @ mean, free @ mean
         covariance = np.outer(bias, bias) + own @ spread @ own.T
-        free_bias = free @ mean
         return OmittedBias(
             bias=bias,
             covariance=0.5 * (covariance + covariance.T),
@@ -108,20 +107,13 @@ class Lacking:
         follows[kept] = inverse @ across / size[:, None]
         return follows
 
-    def _shrunken(self) -> tuple[Array, Array]:
-        """Return mean and covariance of the values; constants in the model keep their errors."""
-        mean, spread = shrink_effects(self.values, self.covariance, np.abs(self.values))
-        constant = self.values == 0.0
-        spread[np.ix_(constant, constant)] = self.covariance[np.ix_(constant, constant)]
-        return mean, spread
-
 
 def _is_constant(candidate: Candidate, selection: Selection) -> bool:
     return candidate.effect.removable and candidate.effect.key in selection.applied
 
 
 def _list_names(selection: Selection) -> tuple[str, ...]:
-    """Return the names of the model's parameters in the equations, with those of terms added."""
+    """Return the names of the model's parameters in the equations, and of terms added to it."""
     equations = selection.equations
     names = [*equations.base.names, *[""] * (equations.n_parameters - equations.n_base)]
     for each in selection.taken:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import chdtrc
@@ -13,27 +13,24 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
-from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
-from asbuilt.identification.effects.families.drive_terms import DriveEffect
-from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
+from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, FoundEffect
+from asbuilt.identification.effects.families.drive_terms import with_terms
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
 from asbuilt.identification.effects.lacking import Lacking
-from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial
+from asbuilt.identification.effects.selection import Selection
+from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate_stream
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,20 +132,6 @@ def find_effects(
         return Effects(model, drive, problem=str(problem))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Removed:
-    """Hold an effect taken out at values, its column staying, and held-out errors around it."""
-
-    at: At
-    values: Array
-    errors: tuple[float, float]
-    alternatives: tuple[Candidate, ...] = ()
-
-    @property
-    def effect(self) -> Effect:
-        return EFFECTS[self.at[0]]
-
-
 class _Search:
     """Search the effects of one robot."""
 
@@ -170,60 +153,47 @@ class _Search:
 
     def run(self) -> Effects:
         """Return the effects, found on robot and log without those that can be taken out."""
-        start = self._given if self.stated else self._far_off
-        removed, selection = start(self._selection(()))
-        path = selection.run()
+        start = self._take_out_stated if self.stated else self._take_out_factor
+        removed, selection = start(self._begin_selection(()))
+        path = _select_further(selection, removed)
         if self.held and selection.refutes_cad():
             self.held = selection.held = False
-            selection.taken = [selection.own(each.at) for each in removed]
-            path = selection.run()
-        while (first := self._to_remove(path, removed)) is not None:
-            own = first.candidate
-            if own.effect.in_model and not selection.holds(own):
-                self.impossible.add(own.at)
-                selection.taken = [selection.own(each.at) for each in removed]
-                path = selection.run()
-                continue
-            values, around = (
-                _expand_values(first.values, own, selection),
-                _collect_errors(selection, path)[own.at],
-            )
-            new = _Removed(own.at, values, around, first.alternatives)
-            settled, beside = self._settled([*removed, new])
+            path = _select_further(selection, removed)
+        while (first := self._next_removed(path, removed)) is not None:
+            own, settled = first.candidate, list[Trial]()
+            if not own.effect.in_model or selection.holds(own):
+                new = replace(first, values=_expand_values(first.values, own, selection))
+                settled, further = self._settle([*removed, new])
             robot = selection.equations.robot
-            if own.effect.is_possible(settled[-1].values, own.joint, robot):
-                removed, selection = settled, beside
+            if settled and own.effect.is_possible(settled[-1].values, own.joint, robot):
+                removed, selection = settled, further
             else:
                 self.impossible.add(own.at)
-                selection.taken = [selection.own(each.at) for each in removed]
-            path = selection.run()
-        errors = _collect_errors(selection, path)
-        removed = [_advance_values(each, selection) for each in removed]
-        taken = [(_make_trial(each, selection), each.errors) for each in removed]
-        taken += [(each, errors[each.candidate.at]) for each in path]
+            path = _select_further(selection, removed)
+        removed = [_conclude(_advance_values(each, selection), selection) for each in removed]
         added = [each.candidate for each in path if each.candidate.effect.key in self.applied]
-        turned, _ = self._without([each for each in removed if each.at[0] in self.applied])
-        drive, fitted, undetermined = self._fitted(turned, added)
-        right = not any(each.effect.of_log for each in removed)
+        turned, _ = self._take_out(
+            [each for each in removed if each.candidate.effect.key in self.applied]
+        )
+        drive, fitted, undetermined = self._fit_terms(turned, added)
+        right = not any(each.candidate.effect.of_log for each in removed)
         found = tuple(
-            self._found(trial, selection, of_trial)
-            for trial, of_trial in taken
-            if trial.candidate.at not in undetermined
-            and self._matters(trial, of_trial, selection, right)
+            self._describe_found(each, selection)
+            for each in (*removed, *path)
+            if each.candidate.at not in undetermined and self._matters(each, selection, right)
         )
         out = [each for each in selection.taken if each not in added]
-        known = {each.at: _select_acting(each, selection) for each in removed}
-        lacking = Lacking.of(selection, out, known)
+        known = {each.candidate.at: _select_acting(each, selection) for each in removed}
         unseen = {
             each.at: max(selection.smallest_seen(each), each.effect.least)
             for each in selection.equations.candidates
             if each.effect.shown
         }
-        return Effects(turned, drive, found, fitted, lacking, unseen)
+        return Effects(turned, drive, found, fitted, Lacking.of(selection, out, known), unseen)
 
-    def _to_remove(self, path: Sequence[Trial], removed: Sequence[_Removed]) -> Trial | None:
+    def _next_removed(self, path: Sequence[Trial], removed: Sequence[Trial]) -> Trial | None:
         """Return what is taken out next: what the model can have, or what the log shows first."""
-        done = {each.at for each in removed}
+        done = {each.candidate.at for each in removed}
         return next(
             (
                 each
@@ -235,17 +205,14 @@ class _Search:
             None,
         )
 
-    def _matters(
-        self, trial: Trial, errors: tuple[float, float], selection: Selection, right: bool
-    ) -> bool:
+    def _matters(self, trial: Trial, selection: Selection, right: bool) -> bool:
         """Return whether an effect is named: in the model, or surely much of the torque error.
 
         Surely: by the fall of the cost, too, as no prediction tests what is only named. At a joint
         any such fall is much, however small its torques are, on a `right` log: with an error of the
         log, what that leaves would be named.
         """
-        before, after = errors
-        effect = trial.candidate.effect
+        (before, after), effect = trial.errors, trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
         asked = trial.candidate.joint is not None and (right or effect.of_log)
         # What is taken out of robot or log has no relief.
@@ -254,54 +221,54 @@ class _Search:
         )
         return effect.key in self.applied or (sure and (falls or asked))
 
-    def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
-        """Return the stated effects that are sure and large enough, and the selection beside them.
+    def _take_out_stated(self, selection: Selection) -> tuple[list[Trial], Selection]:
+        """Return stated effects that are sure and large enough, and the selection without them.
 
         Raises `UsageError` for effects that this robot cannot have.
         """
-        none = np.zeros(0)
-        own = [_Removed((key, None), none, (0.0, 0.0)) for key in self.stated]
-        acting = {each.at: len(each.places) for each in selection.equations.candidates}
-        if missing := [each.effect.title for each in own if each.at not in acting]:
+        own = {each.at: each for each in selection.equations.candidates}
+        if missing := [EFFECTS[key].title for key in self.stated if (key, None) not in own]:
             raise UsageError(
                 f"{self.model.name} can have no {join_names(missing)}: its gravity is"
                 f" {self.model.gravity}"
             )
-        found, beside = self._settled(
-            [replace(each, values=np.zeros(acting[each.at])) for each in own]
-        )
-        around = selection.held_out_error([]), beside.held_out_error(beside.taken)
-        kept = [replace(each, errors=around) for each in found if self._is_sure(each, beside)]
-        return (kept, beside) if len(kept) == len(found) else self._settled(kept)
+        stated = [own[key, None] for key in self.stated]
+        found, without = self._settle([Trial(each, np.zeros(len(each.places))) for each in stated])
+        errors = selection.held_out_error([]), without.held_out_error(without.taken)
+        kept = [replace(each, errors=errors) for each in found if self._is_sure(each, without)]
+        return (kept, without) if len(kept) == len(found) else self._settle(kept)
 
-    def _is_sure(self, removed: _Removed, selection: Selection) -> bool:
+    def _is_sure(self, removed: Trial, selection: Selection) -> bool:
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
-        own = selection.own(removed.at)
+        own = selection.own(removed.candidate.at)
         values, covariance = _select_acting(removed, selection), selection.values_of([own])[1]
         square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-        possible = removed.effect.is_possible(removed.values, None, selection.equations.robot)
+        possible = own.effect.is_possible(removed.values, None, selection.equations.robot)
         return possible and float(chdtrc(len(values), square)) < RULES.level
 
-    def _far_off(self, selection: Selection) -> tuple[list[_Removed], Selection]:
-        """Return the effect that is off by a factor, if one is, and the selection beside it.
+    def _take_out_factor(self, selection: Selection) -> tuple[list[Trial], Selection]:
+        """Return the effect that is off by a factor, if one is, and the selection without it.
 
         The robot is fitted better from there on, and the value settles near that factor.
         """
-        start = self._best_start()
+        start = self._find_best_start()
         if start is None:
             return [], selection
+        key, value = start
         try:
-            (found,), beside = self._settled([start])
+            (found,), without = self._settle(
+                [Trial(selection.candidate((key, None)), np.array([value]))]
+            )
         except (AsbuiltError, np.linalg.LinAlgError):
             return [], selection
-        before, after = selection.held_out_error([]), beside.held_out_error(beside.taken)
-        possible = found.effect.is_possible(found.values, None, selection.equations.robot)
+        before, after = selection.held_out_error([]), without.held_out_error(without.taken)
+        possible = EFFECTS[key].is_possible(found.values, None, selection.equations.robot)
         if not possible or after > before:
             return [], selection
-        return [replace(found, errors=(before, after))], beside
+        return [replace(found, errors=(before, after))], without
 
-    def _best_start(self) -> _Removed | None:
-        """Return the effect at the start that fits some of the samples best, if it does better."""
+    def _find_best_start(self) -> tuple[str, float] | None:
+        """Return effect and start that fit some samples best, if they do better than none."""
         few = _thin_samples(self.samples, LIMITS.tried)
         base = find_base_parameters(self.model, self.drive)
         bound = min(each.clock_bound for each in self.samples)
@@ -320,33 +287,35 @@ class _Search:
         if not tried:
             return None
         residual, key, start = min(tried)
-        if left(few) - residual < LIMITS.far_off:
-            return None
-        return _Removed((key, None), np.array([start]), (0.0, 0.0))
+        return None if left(few) - residual < LIMITS.far_off else (key, start)
 
-    def _settled(self, removed: Sequence[_Removed]) -> tuple[list[_Removed], Selection]:
+    def _settle(self, removed: Sequence[Trial]) -> tuple[list[Trial], Selection]:
         """Return effects with values that leave next to nothing, and the selection about these.
 
-        All others are asked again beside columns that stay free, so that none takes what the first
-        linearisation has left. The last step, about the same values, is for `_advance_values`.
+        All others are searched again next to columns that stay free, so that none takes what the
+        first linearisation has left. The last step, about the same values, is for
+        `_advance_values`.
         """
         nearer = list(removed)
         for _ in range(LIMITS.rounds):
-            own, selection = nearer, self._selection(nearer)
+            own, selection = nearer, self._begin_selection(nearer)
             nearer = [_advance_values(each, selection) for each in own]
-            moved = [np.linalg.norm(a.values - b.values) for a, b in zip(nearer, own, strict=True)]
-            if all(step < each.effect.settled for step, each in zip(moved, own, strict=True)):
+            if all(
+                np.linalg.norm(new.values - old.values) < old.candidate.effect.settled
+                for new, old in zip(nearer, own, strict=True)
+            ):
                 break
         return own, selection
 
-    def _without(self, removed: Sequence[_Removed]) -> tuple[RobotModel, list[Samples]]:
+    def _take_out(self, removed: Sequence[Trial]) -> tuple[RobotModel, list[Samples]]:
         """Return the robot and its samples without effects."""
         model, samples = self.model, list(self.samples)
         for each in removed:
-            model, samples = each.effect.without(model, samples, each.at[1], each.values)
+            own = each.candidate
+            model, samples = own.effect.without(model, samples, own.joint, each.values)
         return model, samples
 
-    def _fitted(
+    def _fit_terms(
         self, model: RobotModel, taken: Sequence[Candidate]
     ) -> tuple[DriveSet, tuple[NonlinearPlace, ...], set[At]]:
         """Return drive terms with nonlinear parameters, those fitted, and what had none."""
@@ -363,8 +332,7 @@ class _Search:
             and each.joint is not None
             and not own.determined[each.joint]
         }
-        kept = [each for each in taken if each.at not in undetermined]
-        drive = with_terms(self.drive, kept, n)
+        drive = with_terms(self.drive, [each for each in taken if each.at not in undetermined], n)
         for own in fit.nonlinear:
             term = next((each for each in drive.terms if each.key == own.term), None)
             if term is not None:
@@ -372,9 +340,9 @@ class _Search:
         places = tuple(each for each in fit.places if (each.term, each.joint) not in undetermined)
         return drive, places, undetermined
 
-    def _selection(self, removed: Sequence[_Removed]) -> Selection:
+    def _begin_selection(self, removed: Sequence[Trial]) -> Selection:
         """Return the selection on a robot without effects, whose columns are taken."""
-        model, samples = self._without(removed)
+        model, samples = self._take_out(removed)
         base, prior = find_base_parameters(model, self.drive), build_cad_prior(model, self.drive)
         seen = accumulate_stream(model, base, samples, block_seconds=self.seconds)
         fit = fit_consistent(seen, prior)
@@ -385,65 +353,46 @@ class _Search:
             )
         effect = design_effect(seen, fit)
         robot = _describe_robot(model, self.drive, fit.standard, samples)
-        equations = gather_equations(
-            robot, base, samples, effects=self.wanted, block_seconds=self.seconds
-        )
+        equations = gather_equations(robot, base, samples, self.wanted, self.seconds)
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
         selection = Selection(equations, cad, fit.weights, groups, self.applied)
-        selection.taken = [selection.candidate(each.at) for each in removed]
+        selection.taken = [selection.candidate(each.candidate.at) for each in removed]
         selection.impossible, selection.held = self.impossible, self.held
         return selection
 
-    def _found(
-        self, trial: Trial, selection: Selection, errors: tuple[float, float]
-    ) -> FoundEffect:
-        candidate, names = trial.candidate, self.model.joint_names
-        effect, k = candidate.effect, candidate.joint
-        joint = None if k is None else names[k]
-        revolute = k is None or self.model.joints[k].is_revolute
-        size, error, unit = effect.size(trial.values, trial.covariance, revolute=revolute)
-        before, after = errors
-        others = tuple(
-            each.effect.key + ("" if each.joint is None else f" at {names[each.joint]}")
-            for each in trial.alternatives
-        )
-        return FoundEffect(
-            effect=effect.key,
-            joint=joint,
-            estimate=size,
-            std_error=error,
-            unit=unit,
-            in_model=effect.key in self.applied,
+    def _describe_found(self, trial: Trial, selection: Selection) -> FoundEffect:
+        own, names = trial.candidate, self.model.joint_names
+        return own.effect.found(
+            None if own.joint is None else names[own.joint],
+            trial.values,
+            trial.covariance,
+            revolute=own.joint is None or self.model.joints[own.joint].is_revolute,
+            in_model=own.effect.key in self.applied,
             torque=selection.torque_of(trial),
-            error_before=before,
-            error_after=after,
-            alternatives=others,
-            text=describe_found_effect(
-                effect.title,
-                joint,
-                effect.size_text(trial.values, trial.covariance, revolute=revolute),
-                before,
-                after,
+            errors=trial.errors,
+            alternatives=tuple(
+                each.effect.key + ("" if each.joint is None else f" at {names[each.joint]}")
+                for each in trial.alternatives
             ),
         )
 
 
-def _collect_errors(selection: Selection, path: Sequence[Trial]) -> dict[At, tuple[float, float]]:
-    """Return the held-out errors before and after each effect was taken."""
+def _select_further(selection: Selection, removed: Sequence[Trial]) -> list[Trial]:
+    """Return the effects taken after those removed, with held-out errors before and after each."""
+    selection.taken = [selection.candidate(each.candidate.at) for each in removed]
+    given, path = list(selection.taken), selection.run()
     added = [each.candidate for each in path]
-    given = [each for each in selection.taken if each not in added]
     steps = [selection.held_out_error([*given, *added[:k]]) for k in range(len(added) + 1)]
-    return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(added)}
+    return [replace(each, errors=both) for each, both in zip(path, pairwise(steps), strict=True)]
 
 
-def _advance_values(removed: _Removed, selection: Selection) -> _Removed:
+def _advance_values(removed: Trial, selection: Selection) -> Trial:
     """Return an effect with the values that leave nothing of it, to first order."""
-    own = selection.own(removed.at)
+    own, effect = selection.own(removed.candidate.at), removed.candidate.effect
     step = _expand_values(selection.values()[own.places], own, selection)
-    found = replace(removed, values=removed.effect.advanced(removed.values, step))
-    effect = removed.effect
+    found = replace(removed, values=effect.advanced(removed.values, step))
     if effect.in_model and np.linalg.norm(found.values) > effect.farthest:
         most, _, unit = effect.size(np.array([effect.farthest]), np.zeros((1, 1)), revolute=True)
         raise IdentifiabilityError(
@@ -454,24 +403,25 @@ def _advance_values(removed: _Removed, selection: Selection) -> _Removed:
     return found
 
 
-def _select_acting(removed: _Removed, selection: Selection) -> Array:
+def _select_acting(removed: Trial, selection: Selection) -> Array:
     """Return the values of an effect that act on this robot."""
-    own = selection.own(removed.at)
+    own = selection.own(removed.candidate.at)
     return removed.values[np.isin(selection.every_place(own), own.places)]
 
 
-def _make_trial(removed: _Removed, selection: Selection) -> Trial:
-    """Return an effect that is taken out, with its errors as beside all others."""
-    own = selection.own(removed.at)
+def _conclude(removed: Trial, selection: Selection) -> Trial:
+    """Return an effect that is taken out, with its errors as next to all others."""
+    own = selection.own(removed.candidate.at)
     covariance = np.zeros((len(removed.values),) * 2)
     acts = np.flatnonzero(_expand_values(np.ones(len(own.places)), own, selection))
-    slope = 1.0 + float(removed.values[0]) if removed.effect.of_shares else 1.0
+    slope = 1.0 + float(removed.values[0]) if own.effect.of_shares else 1.0
     covariance[np.ix_(acts, acts)] = slope**2 * selection.values_of([own])[1]
     return Trial(
         replace(own, places=selection.every_place(own)),
         removed.values,
         covariance,
         alternatives=removed.alternatives,
+        errors=removed.errors,
     )
 
 
@@ -497,40 +447,6 @@ def _describe_robot(
         np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), np.finfo(np.float64).tiny),
         min(each.clock_bound for each in samples),
     )
-
-
-def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
-    """Return drive terms with those of candidates, in place of the simpler terms they replace."""
-    for effect in dict.fromkeys(each.effect for each in candidates):
-        assert isinstance(effect, DriveEffect)
-        found = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}
-        own = set(found)
-        term = effect.term
-        had = next((each for each in drive.terms if each.key == term.key), None)
-        joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
-        drive = drive.with_term(
-            _place_term(_formed(had or term, found, n_joints), joints, n_joints)
-        )
-        simple = next((each for each in drive.terms if each.key == term.stands_for), None)
-        if simple is not None:
-            left = {k for k in range(n_joints) if simple.is_at(k)} - own
-            drive = drive.without(simple.key)
-            drive = drive.with_term(_place_term(simple, left, n_joints)) if left else drive
-    return drive
-
-
-def _formed(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: int) -> DriveTerm:
-    """Return a term in the form in which it was found at each joint."""
-    for each in term.nonlinear:
-        there = [(found.get(k) or term).at(k).value(each.name) for k in range(n_joints)]
-        if not each.fitted and set(there) != {each.default}:
-            term = term.with_nonlinear({each.name: tuple(there)})
-    return term
-
-
-def _place_term(term: DriveTerm, joints: Collection[int], n_joints: int) -> DriveTerm:
-    numbers = tuple(sorted(k + 1 for k in joints))
-    return replace(term, joints=None if len(numbers) == n_joints else numbers)
 
 
 def _thin_samples(samples: Sequence[Samples], most: int) -> list[Samples]:

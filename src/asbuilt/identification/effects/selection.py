@@ -3,165 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
-from asbuilt.identification.statistics import estimate_mean_error, exceeds
+from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
+from asbuilt.identification.statistics import exceeds
 
 
-@dataclass(frozen=True, slots=True)
-class SelectionRules:
-    """Say when an effect is taken."""
-
-    level: float = 0.05
-    """Probability that chance takes any, over all candidates (Bonferroni)."""
-    certain: float = 1.0
-    """Standard errors over groups of different motion by which the held-out error must fall."""
-    unheld: float = 2.0
-    """The same where the description has no masses, or masses that the data refute: then nothing
-    but the data holds the bodies, and the model's will not be those of this fit."""
-    form: float = 2.0
-    """Standard errors by which another form, such as a spring between points for a torsion spring,
-    must predict other motion better than the one that lowers the cost most for its columns."""
-    worth: float = 0.02
-    """Share of the squared torque error on other motion that an effect must take away: 1 % of the
-    torque error."""
-    sure: float = 2.0
-    """Fall of the cost for each column, in half squares of independent standard errors: two."""
-    felt: float = 1e-3
-    """Share of the torque of some joint below which nothing is worth a term: models of arms are
-    not more exact."""
-    named: float = 0.06
-    """Fall of the logarithm of the squared error on other motion, mean over joints, from which on
-    an effect of the whole robot that the model has not is named: 3 % of the torque error."""
-    imitated: float = 10.0
-    """Fall of the cost, in its unit, that bodies nearer to CAD must be worth where the held-out
-    error does not fall: they imitated the effect. 4.5 standard errors."""
-    alike: float = 0.5
-    """Share of the worth from which on another effect is a look-alike."""
-    shown: float = 1e-3
-    """Squared part of a column outside all others below which a log does not show an effect."""
-    separate: float = 1e-6
-    """Squared part of a column outside all others below which nothing can be said of it."""
-    acting: float = 1e-18
-    """Squared length of a column, in the largest, below which it does not act on this robot."""
-    most: int = 20
-    """Effects taken."""
-    ridge: float = 1e-9
-    """Added to the unit diagonal of parameters without a prior."""
-
-
-RULES = SelectionRules()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """Hold the mean (p,) and information (p, p) of the model's own parameters by CAD.
-
-    `effect` is the number of samples that count as one, by which costs are divided.
-    """
-
-    mean: Array
-    information: Array
-    effect: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """Hold what a candidate would do beside those taken.
-
-    `values` (m,) and `covariance` are of its parameters, by the scatter of time blocks, `p_value`
-    that of their all being zero. `relief` (groups,) is the logarithm of the fall of the squared
-    error on each held-out group. `gain` is the fall of the cost in half squares of independent
-    standard errors, by the logarithm of its ratio; `nearer` how much nearer to CAD bodies come, in
-    the same unit; `felt` its torque in that of the joint where this share is largest.
-    `alternatives` would explain as much, and are needless beside it.
-    """
-
-    candidate: Candidate
-    values: Array
-    covariance: Array
-    p_value: float = 0.0
-    relief: Array = field(default_factory=lambda: np.zeros(0))
-    gain: float = 0.0
-    nearer: float = 0.0
-    felt: float = 0.0
-    alternatives: tuple[Candidate, ...] = ()
-
-    @property
-    def relief_error(self) -> float:
-        """Standard error of the mean relief."""
-        return estimate_mean_error(self.relief)
-
-    @property
-    def chance(self) -> float:
-        """Probability of such a fall of the cost by chance."""
-        return float(chdtrc(len(self.values), 2.0 * self.gain))
-
-    @property
-    def worth(self) -> float:
-        """Fall of the cost less what as many columns take away by chance."""
-        return evaluate_worth(self.gain, len(self.values))
-
-    def is_sure(self, n_candidates: int, robot: Described) -> bool:
-        """Return whether the effect is no chance, is felt, and has a size that robots have."""
-        sure = self.p_value * n_candidates <= RULES.level and self.felt >= RULES.felt
-        own = self.candidate
-        return sure and own.effect.is_possible(self.values, own.joint, robot)
-
-    def is_taken(self, n_candidates: int, robot: Described, held: bool) -> bool:
-        """Return whether the effect is sure, and lowers the error on other motion or is imitated.
-
-        Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
-        motion is predicted no worse. Where CAD does not hold the bodies, that is no reason.
-        """
-        if not self.is_sure(n_candidates, robot):
-            return False
-        mean, error = float(self.relief.mean()), self.relief_error
-        certain = RULES.certain if held else RULES.unheld
-        predicts = mean > certain * error and mean > RULES.worth
-        imitated = held and self.nearer > RULES.imitated and mean > -error
-        return predicts or imitated
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """Hold a fit without some columns c: parameters, and how a unit of each column moves them.
-
-    `residual` (P + 1,) are the coefficients of the residual, `moves` (P + 1, c) its change.
-    """
-
-    residual: Array
-    moves: Array
-    schur: Array
-    score: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _HeldOut:
-    """Hold a fit without a group, its squared error there (n,), and how columns change that.
-
-    A change d of the columns adds `2 gradient @ d + d @ gram @ d`, with (n, c) and (n, c, c).
-    """
-
-    fit: _Fit
-    error: Array
-    gradient: Array
-    gram: Array
-
-
-class Selection:
-    """Fit a model with effects toward CAD on groups of time blocks, and choose effects.
-
-    The cost is `sum_k w_k^2 |tau_k - W_k beta - E_k x|^2 + (beta - beta_0)^T P (beta - beta_0)`,
-    the quadratic form of a fit toward CAD; effects have no prior but a ridge for collinear columns.
-    """
+class Selection(Trials):
+    """Choose effects one at a time, by trials."""
 
     def __init__(
         self,
@@ -171,101 +24,60 @@ class Selection:
         groups: Sequence[Indices],
         applied: Collection[str],
     ) -> None:
-        """Take the equations, the prior, weights of the joints (n,), groups of blocks, and keys.
-
-        `applied` are the keys of effects that may become part of the model.
-        """
-        self.equations, self.prior, self.weights = equations, prior, weights
-        self._total = equations.stacked(weights)
-        self._without = [self._total - equations.stacked(weights, group) for group in groups]
-        self._of_joints = [
-            [
-                (np.append(support, equations.n_parameters), gram[group].sum(axis=0))
-                for support, gram in zip(equations.support, equations.grams, strict=True)
-            ]
-            for group in groups
-        ]
-        self._blocks = np.empty((equations.n_blocks, *self._total.shape))
-        for b, own in enumerate(self._blocks):
-            own[:] = equations.stacked(weights, [b])
-        self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
-        self._place = np.full((equations.n_joints, equations.n_parameters), -1)
-        for place, support in zip(self._place, equations.support, strict=True):
-            place[support] = np.arange(len(support))
-        self.taken: list[Candidate] = []
+        """Take what `Trials` takes, and the keys of effects that may become part of the model."""
+        super().__init__(equations, prior, weights, groups)
         self.held = equations.robot.model.has_masses
         """Whether CAD holds the bodies."""
         self.applied = applied
         self.impossible: Collection[At] = ()
         """Effects that turned out to have no size that robots have."""
         self.unsure: list[Trial] = []
-        """Effects that are sure, but not beside CAD and on other motion."""
-        torque = np.array([gram[-1, -1] for gram in equations.of_joints])
-        self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
-        self._apart = self._parts_outside()
-        self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
-
-    def _parts_outside(self) -> Array:
-        """Return the squared part of each column outside the model's own, in its length, (P,)."""
-        gram, own = self._total[:-1, :-1], self._inside(())
-        size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
-        scaled = gram / np.outer(size, size)
-        inverse = np.linalg.pinv(scaled[np.ix_(own, own)], rcond=RULES.separate, hermitian=True)
-        across = scaled[own]
-        return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
-
-    def _is_shown(self, candidate: Candidate) -> bool:
-        """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
-        return bool(np.all(self._apart[self.acting(candidate).places] >= RULES.shown))
+        """Effects that are sure, but do not lower the error on other motion."""
 
     def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
-        path: list[Trial] = []
-        before: list[Trial] = []
-        exchanged = False
+        path, before, swapped = list[Trial](), list[Trial](), False
         while True:
             busy = {slot for each in self.taken for slot in each.busy}
-            every = self.equations.candidates
             left = [
                 each
-                for each in every
+                for each in self.equations.candidates
                 if each.slot not in busy
                 and each.at not in self.impossible
                 and (not each.effect.of_log or self._is_shown(each))
             ]
-            n = len({each.at for each in left})
-            robot = self.equations.robot
+            n, robot = len({each.at for each in left}), self.equations.robot
             sure = [each for each in self.trials(left) if each.is_sure(n, robot)]
             trials = [each for each in sure if each.is_taken(n, robot, self.held)]
             if path:
-                path[-1] = _with_alternatives(path[-1], before, trials)
-            if not trials or len(path) == RULES.most:
-                if exchanged or not self._exchange(path):
-                    self.unsure = sure
-                    return path
-                exchanged = True
-                continue
-            best = self._preferred(max(trials, key=lambda each: each.worth), trials)
-            path.append(best)
-            self.taken.append(best.candidate)
-            before = trials
+                path[-1] = _add_alternatives(path[-1], before, trials)
+            if trials and len(path) < RULES.most:
+                best = self._prefer(max(trials, key=lambda each: each.worth), trials)
+                path.append(best)
+                self.taken.append(best.candidate)
+                before = trials
+            elif swapped or not self._swap_forms(path):
+                self.unsure = sure
+                return path
+            else:
+                swapped = True
 
-    def _exchange(self, path: list[Trial]) -> bool:
-        """Give effects of the path up for those of their kind that predict other motion better.
+    def _swap_forms(self, path: list[Trial]) -> bool:
+        """Give effects of the path up for others of their kind that predict other motion better.
 
         What was worthiest when it was taken need not be so after what came later (Miller, Subset
         Selection in Regression, 2002, section 3.4). Returns whether any was.
         """
         changed = False
         for k, old in enumerate(path):
-            best = self._best_of_kind(old.candidate)
+            best = self._find_best_of_kind(old.candidate)
             if best is not None:
                 self.taken = [best.candidate if e is old.candidate else e for e in self.taken]
                 path[k] = replace(best, alternatives=old.alternatives)
                 changed = True
         return changed
 
-    def _best_of_kind(self, own: Candidate) -> Trial | None:
+    def _find_best_of_kind(self, own: Candidate) -> Trial | None:
         """Return what of an effect's kind predicts other motion best and surely better, or None."""
         alike = [
             each
@@ -277,7 +89,7 @@ class Selection:
         ]
         if own.has_trial_values or len({each.at for each in alike}) < 2:
             return None
-        trials = self._trials_beside([each for each in self.taken if each is not own], alike)
+        trials = self._try_with([each for each in self.taken if each is not own], alike)
         n, robot = self.n_asked, self.equations.robot
         now = next(
             (
@@ -292,9 +104,8 @@ class Selection:
             for each in trials
             if each.candidate.at != own.at and each.is_taken(n, robot, self.held)
         ]
-        if now is None:
-            return max(taken, key=_predicts, default=None)
-        return _find_better(taken, now, RULES.certain)
+        best = max(taken, key=_predicts, default=None)
+        return best if now is None else _find_better(taken, now, RULES.certain)
 
     @property
     def n_asked(self) -> int:
@@ -308,276 +119,42 @@ class Selection:
         than the number of parameters that the data determine, p - tr((A + P)^-1 P) (MacKay, Neural
         Computation 4, 1992, eq. 4.8).
         """
-        inside, base = self._inside(self.taken), self.equations.base
+        inside, base = self._list_inside(self.taken), self.equations.base
         links = np.flatnonzero(base.columns[inside[inside < base.n_base]] < 10 * base.n_links)
-        A, P = self._normal(self._total, inside)
+        A, P = self._build_normal(self._total, inside)
         free = float(np.trace(np.linalg.solve(A, P)[np.ix_(links, links)]))
-        fit = self._fit(self._total, inside, np.zeros(0, dtype=np.int64))
-        return self._distance(fit.residual) / self.prior.effect > len(links) - free
+        distance = self._measure_distance(self._fit(self._total, inside).residual)
+        return distance / self.prior.effect > len(links) - free
 
     def holds(self, candidate: Candidate) -> bool:
-        """Return whether an effect taken is so beside those alone that the model can have, too.
+        """Return whether an effect is taken with only such others as the model can have, too.
 
         What is only named is not in the model by which other motion is predicted: on the dVRK MTM a
-        tilt was worth its torque beside a gain of 1.5 and a zero position, and alone tripled the
+        tilt was worth its torque with a gain of 1.5 and a zero position, and alone tripled the
         error.
         """
-        beside = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
-        trials = self._trials_beside(beside, [candidate])
+        others = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
+        trials = self._try_with(others, [candidate])
         return any(each.is_taken(self.n_asked, self.equations.robot, self.held) for each in trials)
 
-    def _trials_beside(
-        self, taken: list[Candidate], candidates: Iterable[Candidate]
-    ) -> list[Trial]:
-        """Try candidates beside other effects than those taken."""
+    def _try_with(self, taken: list[Candidate], candidates: Iterable[Candidate]) -> list[Trial]:
+        """Try candidates with other effects in place of the ones taken."""
         own, self.taken = self.taken, taken
         trials = self.trials(candidates)
         self.taken = own
         return trials
 
-    def _preferred(self, best: Trial, trials: Sequence[Trial]) -> Trial:
+    def _prefer(self, best: Trial, trials: Sequence[Trial]) -> Trial:
         """Return the best form at its joint, or a look-alike where the model may not have it."""
-        best = _best_form(best, trials)
+        best = _find_best_form(best, trials)
         own = [each for each in trials if each.candidate.effect.key in self.applied]
-        alike = [each for each in own if _look_alike(best, each)]
+        alike = [each for each in own if _is_alike(best, each)]
         if best in own or not alike:
             return best
         return max(alike, key=lambda each: each.worth)
 
-    def own(self, at: At) -> Candidate:
-        """Return the effect at a joint that is taken."""
-        return next(each for each in self.taken if each.at == at)
 
-    def every_place(self, candidate: Candidate) -> Indices:
-        """Return the positions of all parameters of a candidate, whether they act or not."""
-        return next(each for each in self.equations.candidates if each.at == candidate.at).places
-
-    def candidate(self, at: At) -> Candidate:
-        """Return the first candidate of an effect at a joint, with what acts of it."""
-        return self.acting(next(each for each in self.equations.candidates if each.at == at))
-
-    def acting(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with those of its parameters that act on this robot."""
-        length = np.diag(self._total)
-        acts = length > RULES.acting * length.max(initial=0.0)
-        return replace(candidate, places=candidate.places[acts[candidate.places]])
-
-    def held_out_error(self, taken: Sequence[Candidate]) -> float:
-        """Return the relative torque error with these effects, the geometric mean of groups.
-
-        So a group that the others hardly determine counts no more than others.
-        """
-        none = np.zeros(0, dtype=np.int64)
-        squares = []
-        for without, joints in zip(self._without, self._of_joints, strict=True):
-            z = self._fit(without, self._inside(taken), none).residual
-            error = sum(float(z[places] @ own @ z[places]) for places, own in joints)
-            torque = sum(float(own[-1, -1]) for _, own in joints)
-            if torque > 0.0:
-                squares.append(max(error / torque, float(np.finfo(np.float64).eps) ** 2))
-        return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares else 0.0
-
-    def values(self) -> Array:
-        """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
-        fit = self._fit(self._total, self._inside(self.taken), np.zeros(0, dtype=np.int64))
-        return -fit.residual[:-1]
-
-    def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-        """Return values of candidates beside all others taken, and their covariance.
-
-        The covariance is that by the scatter of time blocks.
-        """
-        beside = [each for each in self.taken if all(each is not own for own in candidates)]
-        places = np.concatenate([each.places for each in candidates])
-        whole = self._fit(self._total, self._inside(beside), places)
-        d = np.asarray(np.linalg.solve(whole.schur, whole.score))
-        both = np.column_stack([whole.residual, whole.moves])
-        blocks = [whole.moves.T @ gram @ both for gram in self._blocks]
-        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
-        return d, _estimate_scatter(whole.schur, left, d)[0]
-
-    def smallest_seen(self, candidate: Candidate) -> float:
-        """Return the value from which on one parameter would be sure, infinite if none would."""
-        own = self.acting(candidate)
-        if not own.places.size:
-            return 0.0
-        if not self._is_shown(own):
-            return np.inf
-        fit = self._fit(self._total, self._inside(self.taken), own.places)
-        n = int(np.sum(self.weights > 0.0))
-        of_joint = float(fit.residual @ self._total @ fit.residual) / n
-        felt = of_joint * np.expm1(n * RULES.named)
-        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
-
-    def torque_of(self, trial: Trial) -> float:
-        """Return the RMS torque of a trial at its joint, of all joints together without one."""
-        return float(np.linalg.norm(self._torques(trial.candidate, trial.values)))
-
-    def _torques(self, candidate: Candidate, values: Array) -> Array:
-        """Return the RMS torque (n,) of a candidate with these values."""
-        c, eq = candidate.places, self.equations
-        energy = np.zeros(eq.n_joints)
-        for k, gram in enumerate(eq.of_joints):
-            own = self._place[k, c]
-            if np.any(acts := own >= 0):
-                own, x = own[acts], values[acts]
-                energy[k] = x @ gram[np.ix_(own, own)] @ x
-        return np.sqrt(np.maximum(energy, 0.0) / max(int(eq.counts.sum()), 1))
-
-    def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
-        """Try each candidate alone beside those taken; what it replaces is left out then.
-
-        Those that do not lower the cost surely have no trial.
-        """
-        groups: dict[tuple[int, ...], list[Candidate]] = {}
-        for each in candidates:
-            groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
-        self._factored.clear()
-        start = self._cost(self._inside(self.taken))
-        return [trial for own in groups.values() for trial in self._tried(own, start)]
-
-    def _inside(self, taken: Sequence[Candidate]) -> Indices:
-        left = np.setdiff1d(
-            np.arange(self.equations.n_base),
-            np.concatenate([np.zeros(0), *(c.replaces for c in taken)]),
-        )
-        return np.concatenate([left, *(each.places for each in taken)]).astype(np.int64)
-
-    def _fit(self, gram: Array, inside: Indices, columns: Indices) -> _Fit:
-        """Fit the parameters inside to the normal equations of all blocks, or without a group."""
-        P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
-        if key not in self._factored:
-            factor, b = cho_factor(self._normal(gram, inside)[0]), gram[inside, -1].copy()
-            own = np.flatnonzero(inside < self.equations.n_base)
-            b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
-            self._factored[key] = factor, cho_solve(factor, b)
-        factor, solution = self._factored[key]
-        residual, moves = np.zeros(P + 1), np.zeros((P + 1, len(columns)))
-        residual[inside], residual[-1] = -solution, 1.0
-        moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
-        moves[columns, np.arange(len(columns))] -= 1.0
-        return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
-
-    def _normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
-        """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        own, prior = np.flatnonzero(inside < self.equations.n_base), np.zeros((len(inside),) * 2)
-        prior[np.ix_(own, own)] = self.prior.information[np.ix_(inside[own], inside[own])]
-        A = gram[np.ix_(inside, inside)] + prior
-        A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
-        return A, prior
-
-    def _cost(self, inside: Indices) -> tuple[Array, float, float]:
-        """Return squared errors of held-out groups (groups, n), and error and distance of all."""
-        none = np.zeros(0, dtype=np.int64)
-        held = np.array(
-            [
-                [x[places] @ own @ x[places] for places, own in joints]
-                for without, joints in zip(self._without, self._of_joints, strict=True)
-                for x in (self._fit(without, inside, none).residual,)
-            ]
-        )
-        x = self._fit(self._total, inside, none).residual
-        return held, float(x @ self._total @ x), self._distance(x)
-
-    def _distance(self, residual: Array) -> float:
-        away = -residual[: self.equations.n_base] - self.prior.mean
-        return float(away @ self.prior.information @ away)
-
-    def _tried(
-        self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
-    ) -> list[Trial]:
-        """Try candidates that replace the same parameters; those of no gain have no trial."""
-        held_before, error_before, distance_before = start
-        inside = np.setdiff1d(self._inside(self.taken), candidates[0].replaces)
-        gaining = self._gaining(candidates, inside, error_before + distance_before)
-        if not gaining:
-            return []
-        columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
-        whole = self._fit(self._total, inside, columns)
-        # All other parameters are zero, and stay so.
-        moving = np.zeros(self.equations.n_parameters + 1, dtype=np.bool_)
-        moving[inside], moving[columns], moving[-1] = True, True, True
-        parts: list[_HeldOut] = []
-        for without, joints in zip(self._without, self._of_joints, strict=True):
-            fit = self._fit(without, inside, columns)
-            H = []
-            for places, gram in joints:
-                kept = moving[places]
-                p, own = places[kept], gram[np.ix_(kept, kept)]
-                H.append((fit.residual[p], fit.moves[p], own @ fit.moves[p], own))
-            error = np.array([x @ own @ x for x, _, _, own in H])
-            gradient = np.array([x @ own for x, _, own, _ in H])
-            parts.append(
-                _HeldOut(fit, error, gradient, np.array([m.T @ own for _, m, own, _ in H]))
-            )
-        residual, moves, own = whole.residual[moving], whole.moves[moving], np.ix_(moving, moving)
-        felt_by = [moves.T @ gram[own] for gram in self._blocks]
-        by_block = np.array([each @ residual for each in felt_by])
-        of_block = np.array([each @ moves for each in felt_by])
-        size = np.sqrt(np.diag(self._total))
-        floor = np.finfo(np.float64).eps * np.array(
-            [[own[-1, -1] for _, own in joints] for joints in self._of_joints]
-        )
-        floor = floor + np.finfo(np.float64).tiny
-        found = []
-        for each, gain in gaining:
-            c = np.searchsorted(columns, each.places)
-            own = whole.schur[np.ix_(c, c)]
-            d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
-            left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
-            covariance, p_value = _estimate_scatter(own, left, d)
-            if len(each.replaces):
-                # That a term in place of another one is zero is no question: its gain is one.
-                p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
-            held_after = np.array([_score_left_out(part, c, size[each.places]) for part in parts])
-            ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
-            relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
-            distance = self._distance(whole.residual + whole.moves[:, c] @ d)
-            nearer = (distance_before - distance) / (2.0 * self.prior.effect)
-            felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
-            if len(each.replaces):  # nearly all of its torque is that of what it replaces
-                felt = float(
-                    np.sqrt(2.0 * self.prior.effect * max(gain, 0.0) / self._total[-1, -1])
-                )
-            found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
-        return found
-
-    def _gaining(
-        self, candidates: Sequence[Candidate], inside: Indices, cost: float
-    ) -> list[tuple[Candidate, float]]:
-        """Return the candidates that lower the cost surely, with their gain.
-
-        Without what they replace the cost is another one; a column with score s and Schur
-        complement S lowers it by `s^T S^-1 s`.
-        """
-        acting = [each for each in map(self.acting, candidates) if each.places.size]
-        if not acting:
-            return []
-        columns = np.unique(np.concatenate([each.places for each in acting]))
-        fit = self._fit(self._total, inside, columns)
-        x, size = fit.residual, np.sqrt(np.diag(self._total))
-        lost = float(x @ self._total @ x) + self._distance(x) - cost
-        found = []
-        for each in acting:
-            c = np.searchsorted(columns, each.places)
-            own, scale = fit.schur[np.ix_(c, c)], size[each.places]
-            if np.linalg.eigvalsh(own / np.outer(scale, scale))[0] < RULES.separate:
-                continue
-            fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
-            # The logarithm: what an effect explains is no noise of the fit with it.
-            left = max(1.0 - fall / cost, np.finfo(np.float64).eps) if cost > 0.0 else 1.0
-            gain = -0.5 * cost / self.prior.effect * float(np.log(left))
-            if gain >= RULES.sure * len(c):
-                found.append((each, gain))
-        return found
-
-
-def evaluate_worth(gain: float, n_columns: int) -> float:
-    """Return a fall of the cost less what as many columns take away by chance."""
-    return gain - n_columns * float(np.log(max(gain, 1.0)))
-
-
-def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
+def _find_best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     """Return the trial of the same kind and joint that surely predicts other motion better."""
     forms = (each for each in trials if each.candidate.slot == best.candidate.slot)
     return _find_better(forms, best, RULES.form) or best
@@ -594,7 +171,7 @@ def _predicts(trial: Trial) -> float:
     return float(trial.relief.mean())
 
 
-def _look_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> bool:
+def _is_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> bool:
     """Return whether another effect predicts other motion as well, for half the worth.
 
     As well: within so many standard errors of the paired differences.
@@ -603,7 +180,7 @@ def _look_alike(taken: Trial, other: Trial, standard_errors: float = 1.0) -> boo
     return not exceeds(lag, standard_errors) and other.worth > RULES.alike * taken.worth
 
 
-def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
+def _add_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
     """Return a trial with the look-alikes among those that were taken `before` and not `after`.
 
     Another form at the same joint is one unless it predicts worse by as much as chooses a form.
@@ -613,29 +190,6 @@ def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Tr
     for each in before:
         own = each.candidate
         margin = RULES.form if own.slot == taken.candidate.slot else 1.0
-        if own.at not in still and _look_alike(taken, each, margin):
+        if own.at not in still and _is_alike(taken, each, margin):
             found.setdefault(own.at, own)
     return replace(taken, alternatives=tuple(found.values()))
-
-
-def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
-    """Return the covariance by scores of blocks (B, m), and the p value of all values being 0.
-
-    Hotelling's T^2 of m values with B - 1 degrees of freedom.
-    """
-    B, m = left.shape
-    inverse = np.linalg.inv(own)
-    covariance = inverse @ (left.T @ left * B / max(B - 1, 1)) @ inverse
-    try:
-        square = float(d @ np.linalg.solve(covariance, d))
-    except np.linalg.LinAlgError:
-        return covariance, 1.0
-    freedom = max(B - m, 1)
-    return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
-
-
-def _score_left_out(part: _HeldOut, c: Indices, size: Array) -> Array:
-    """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
-    own = part.fit.schur[np.ix_(c, c)]
-    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), part.fit.score[c])
-    return np.asarray(part.error + 2.0 * part.gradient[:, c] @ d + part.gram[:, c][:, :, c] @ d @ d)

@@ -19,8 +19,8 @@ class EffectsWanted:
     Parameters
     ----------
     choice
-        Those that the recordings show ("auto"), none but these are named ("find"), none ("none"),
-        or those of a list ("list").
+        All that the recordings show ("auto"), none but these are named ("find"), none ("none"), or
+        what is listed ("list").
     drive
         Drive terms of a list.
     tilt
@@ -64,9 +64,8 @@ class EffectsWanted:
         return cls("list", DriveSet.parse(terms) if terms else DriveSet(), TILT in parts)
 
     def __str__(self) -> str:
-        if self.choice != "list":
-            return self.choice
-        return ",".join((*self.drive.specifications, *([TILT] if self.tilt else [])))
+        listed = (*self.drive.specifications, *([TILT] if self.tilt else []))
+        return ",".join(listed) if self.choice == "list" else self.choice
 
 
 def _refuse_without_place(key: str) -> None:

@@ -26,7 +26,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.errors.block_scatter import BlockScatter, ErrorBasis
 from asbuilt.identification.errors.uncertainty import FreeValues
 from asbuilt.identification.information.cause_data import CauseData

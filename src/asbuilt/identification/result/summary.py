@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.calibration.encoders import describe_encoders
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter

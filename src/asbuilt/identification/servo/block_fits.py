@@ -52,7 +52,7 @@ def refine_minimum(
 def logarithmic_error(costs: Callable[[float], Array], value: float, rows: ServoRows) -> float:
     """Return the standard error of the logarithm of a value, from the scores of the blocks.
 
-    `costs` returns those of the blocks, (B,) or (joints, B).
+    `costs` returns the costs of the blocks, (B,) or (joints, B).
     """
     step = 0.05
     up, here, down = (

@@ -26,12 +26,12 @@ class ServoErrors:
     delay
         Standard error of the delay [s], 0 where it was given.
     lead
-        Standard error of the lead [s], 0 where it was given or none was sought.
+        Standard error of the lead [s], 0 where it was given or none was searched.
     goal_acceleration
         Standard error of the limit of the goal's acceleration [rad/s^2 or m/s^2], 0 where it was
         given or not found in every recording.
     goal_sought
-        Whether the limit of each joint was sought in the recordings.
+        Whether the limit of each joint was searched in the recordings.
     deadband
         Standard error of the deadband [rad or m], 0 where it was given or none was found.
     shared

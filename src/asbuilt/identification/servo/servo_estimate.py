@@ -19,28 +19,34 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.errors.pose_noise import ExpectedScores, with_equation_noise
 from asbuilt.identification.information.rows import TimeBlock
-from asbuilt.identification.servo.deadband import estimate_deadband, with_deadband
-from asbuilt.identification.servo.goal_limit import (
+from asbuilt.identification.servo.deviations import (
     GoalLimit,
     average_limits,
+    estimate_deadband,
+    fill_unknown,
     find_goal_limit,
-    limit_goal,
 )
-from asbuilt.identification.servo.servo_delay import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
+from asbuilt.identification.servo.servo_fits import (
+    DelayFit,
+    DelaySlopes,
+    ServoScale,
+    find_scale,
+    fit_delay,
+)
+from asbuilt.identification.servo.servo_replay import Replay, replay
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
     ServoRows,
     reduce_servo_recordings,
 )
-from asbuilt.identification.servo.settling import Settling
 
 UNEXPLAINED = 3.0
-"""Residual of a second, in those of the median second, from which it has another cause than those
-of the model: contact, or a limit of the servo. Residuals of friction stay below."""
+"""Residual of a second, in residuals of the median second, from which the model lacks its cause:
+contact, or a limit of the servo. Residuals of friction stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +55,7 @@ class ServoEstimate:
 
     `goals` are the limits of the acceleration of its goal that the recordings show, None for one
     that shows none. The servo has a limit if all of them show one. `slopes` are how the torque
-    follows the delay. `currents` are the laws of magnitudes that were logged beside the commands,
+    follows the delay. `currents` are the laws of magnitudes that were logged with the commands,
     one per joint, empty if none were. `expected` is what does not average out of the recordings,
     None if the replay that measures it diverged.
     """
@@ -64,8 +70,9 @@ class ServoEstimate:
 
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
-        goal = self.goals[number]
-        return limit_goal(self._sought, np.inf if goal is None else goal.acceleration)
+        limit, servo = _read_limit(self.goals[number]), self.servo
+        found = np.where(self.errors.goal_sought, limit, servo.goal_acceleration)
+        return replace(servo, goal_acceleration=tuple(found.tolist()))
 
     @property
     def precedes_command(self) -> bool:
@@ -74,11 +81,9 @@ class ServoEstimate:
         # 1e-3: time [s] by which a torque may precede its command for reasons of sampling.
         return bool(error > 0.0 and (self.servo.delay or 0.0) + 3.0 * error < -1e-3)
 
-    @property
-    def _sought(self) -> PositionServo:
-        """The servo, its limit NaN where it was sought."""
-        found = np.where(self.errors.goal_sought, np.nan, self.servo.goal_acceleration)
-        return replace(self.servo, goal_acceleration=tuple(found.tolist()))
+
+def _read_limit(goal: GoalLimit | None) -> float:
+    return np.inf if goal is None else goal.acceleration
 
 
 def _refuse_stiffness(model: RobotModel, servo: PositionServo, shared: bool) -> None:
@@ -136,16 +141,15 @@ def estimate_servo(
     filters
         What filters motions, once for all who share it; None: of its own.
     """
-    first = recordings[0].servo
-    if first is None:
+    stated = recordings[0].servo
+    if stated is None:
         raise ValueError("the recordings have no servo")
     base, design = find_base_parameters(model, drive), build_cad_prior(model, drive)
-    unknown = np.isnan(np.array(first.kp))
-    _refuse_stiffness(model, first, shared)
-    stated, late = first, 0.0 if delay is None else delay
+    unknown, late = np.isnan(np.array(stated.kp)), 0.0 if delay is None else delay
+    _refuse_stiffness(model, stated, shared)
 
     filters = filters or MotionFilters()
-    driven = [drive_by_command(each, first) for each in recordings]
+    driven = [drive_by_command(each, stated) for each in recordings]
     samples = [filters.prepare(each, chain).samples() for each in driven]
     noise = samples if unknown.any() else with_equation_noise(model, samples)
     motions = [
@@ -154,7 +158,7 @@ def estimate_servo(
     ]
 
     def goal_of(motion: CommandedMotion, recording: Recording) -> GoalLimit | None:
-        plain = replace(recording, servo=limit_goal(stated, np.inf))
+        plain = replace(recording, servo=fill_unknown(stated, goal_acceleration=np.inf))
         rate = functools.cache(lambda: motion.rate(plain, late))
 
         def rows(servo: PositionServo) -> ServoRows:
@@ -166,56 +170,177 @@ def estimate_servo(
         return find_goal_limit(recording, stated, reached, rows)
 
     goals = tuple(map(goal_of, motions, recordings))
-    recordings = [
-        replace(each, servo=limit_goal(first, np.inf if goal is None else goal.acceleration))
-        for each, goal in zip(recordings, goals, strict=True)
+    with_goals = [fill_unknown(stated, goal_acceleration=_read_limit(goal)) for goal in goals]
+    limited = [
+        replace(each, servo=servo) for each, servo in zip(recordings, with_goals, strict=True)
     ]
-    dead = estimate_deadband(motions, recordings, late)
-    stated = first = with_deadband(first, 0.0 if dead is None else dead.width)
-    recordings = [
-        replace(each, servo=with_deadband(each.servo, 0.0 if dead is None else dead.width))
-        for each in recordings
-        if each.servo is not None
+    dead, dead_error = estimate_deadband(motions, limited, late)
+    driven = [
+        replace(each, servo=fill_unknown(servo, deadband=dead))
+        for each, servo in zip(recordings, with_goals, strict=True)
     ]
-    at, replayed = Settling(
-        model=model,
-        base=base,
-        design=design,
-        motions=motions,
-        recordings=recordings,
-        servo=stated,
-        chain=chain,
+    at, replayed = _settle_servo(
+        design,
+        motions,
+        driven,
+        fill_unknown(stated, deadband=dead),
+        late,
         free_delay=delay is None,
         shared=shared,
-        holdout=holdout,
-    ).settle(late)
-    scale, found = at.scale, at.found
+    )
+    scale, excess = at.scale, at.found.excess
     limit, limit_error = average_limits(goals)
     errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
+    sources = ("given",) * model.n_joints if scale is None else scale.source
     return ServoEstimate(
-        limit_goal(at.servo, limit),
+        fill_unknown(at.servo, goal_acceleration=limit),
         ServoErrors(
             kp=tuple(errors.tolist()),
             delay=at.error,
             goal_acceleration=limit_error,
-            deadband=0.0 if dead is None else dead.std_error,
-            goal_sought=tuple(bool(each) for each in np.isnan(np.array(first.goal_acceleration))),
+            deadband=dead_error,
+            goal_sought=tuple(np.isnan(np.array(stated.goal_acceleration)).tolist()),
             shared=scale is not None and scale.shared,
-            scale=tuple(
-                "given" if scale is None or not each else name
-                for each, name in zip(
-                    unknown, ("",) * len(unknown) if scale is None else scale.source, strict=True
-                )
-            ),
-            kd_unknown=tuple(bool(each) for each in np.isnan(np.array(first.kd))),
+            scale=tuple(np.where(unknown, sources, "given").tolist()),
+            kd_unknown=tuple(np.isnan(np.array(stated.kd)).tolist()),
         ),
-        tuple(
-            block
-            for block, excess in zip(at.rows.times, found.excess, strict=True)
-            if excess > UNEXPLAINED
-        ),
+        tuple(block for block, own in zip(at.rows.times, excess, strict=True) if own > UNEXPLAINED),
         goals,
-        DelaySlopes.of(at.rows, base, (found.excess <= UNEXPLAINED).tolist(), at.kp),
-        fit_logged_magnitude_laws(recordings),
+        DelaySlopes.of(at.rows, base, (excess <= UNEXPLAINED).tolist(), at.kp),
+        fit_logged_magnitude_laws(driven),
         None if replayed is None else replayed.scores,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class ServoIterations:
+    """Say when the delay has settled: at most so many steps, each below `convergence` [s].
+
+    The recordings are replayed so many times, each with the servo that followed from the last.
+    """
+
+    most: int = 12
+    replays: int = 2
+    convergence: float = 2e-5
+    longest: float = 0.2
+
+
+ITERATIONS = ServoIterations()
+USUAL_SLOPES = (0.3, 3.0)
+"""Range of the slope by which steps fall per delay, 1 if they lead to the best one at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settled:
+    """Hold a servo with the standard error of its delay, and the fit that it rests on.
+
+    `kp` (n,) multiply the signals of the rows: stiffnesses, or 1 where the rows hold them.
+    """
+
+    servo: PositionServo
+    error: float
+    rows: ServoRows
+    scale: ServoScale | None
+    found: DelayFit
+    kp: tuple[float, ...]
+
+
+def _settle_servo(
+    design: CadPrior,
+    motions: Sequence[CommandedMotion],
+    recordings: Sequence[Recording],
+    servo: PositionServo,
+    late: float,
+    *,
+    free_delay: bool,
+    shared: bool,
+) -> tuple[_Settled, Replay | None]:
+    """Return servo and fit from a first delay [s], and the last replay; None if it diverged.
+
+    Each replay moves the robot and servo found before, with physically consistent links: a fit
+    without bounds may have others.
+
+    Parameters
+    ----------
+    design
+        CAD.
+    motions, recordings
+        Recordings with the servo that each had, but for its gains and delay.
+    servo
+        What is stated or was found of the servo; an unknown stiffness is NaN.
+    free_delay
+        Whether the delay is identified.
+    shared
+        Whether all unknown stiffnesses are one.
+    """
+    motion, replayed = motions[0], None
+    at = _alternate(design, motions, recordings, servo, late, None, free_delay, shared)
+    for last in (False,) * (ITERATIONS.replays - 1) + (True,):
+        # Smallest eigenvalue of the inertia of a link that is replayed, in CAD's: own choice.
+        links = design.made_consistent(at.found.parameters, 0.1)
+        replayed = replay(
+            motion.model,
+            motion.base,
+            recordings,
+            at.servo,
+            motion.chain,
+            links,
+            motion.holdout,
+            roughly=not last,
+        )
+        if replayed is None:
+            break
+        late = at.servo.delay or 0.0
+        at = _alternate(design, motions, recordings, servo, late, replayed, free_delay, shared)
+    return at, replayed
+
+
+def _alternate(
+    design: CadPrior,
+    motions: Sequence[CommandedMotion],
+    recordings: Sequence[Recording],
+    servo: PositionServo,
+    late: float,
+    replayed: Replay | None,
+    free_delay: bool,
+    shared: bool,
+) -> _Settled:
+    """Return the gains and the delay that are found in turn from a start."""
+    model, base = motions[0].model, motions[0].base
+    unknown = np.isnan(np.array(servo.kp))
+    kd, error = np.nan_to_num(np.array(servo.kd)).tolist(), 0.0
+    before: tuple[float, float] | None = None
+    for _ in range(ITERATIONS.most):
+        rows = reduce_servo_recordings(motions, recordings, late)
+        kp, scale = np.array(servo.kp), None
+        if np.any(unknown):
+            links = design.parameters.copy()
+            links[10 * model.n_links :] = 0.0
+            own_kd = (1.0,) * unknown.size if model.contacts else servo.kd
+            scale = find_scale(rows, base, links, own_kd, unknown, shared=shared)
+            kp = np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), kp)
+        own = kp.tolist(), kd
+        if model.contacts:
+            own = np.where(unknown, kp, 1.0).tolist(), [1.0] * len(kd)
+        found = fit_delay(rows, base, design, *own, replayed)
+        if not free_delay:
+            break
+        step, error = _take_secant_step(late, found.step, before), found.std_error
+        before = late, found.step
+        late = float(np.clip(late + step, -ITERATIONS.longest, ITERATIONS.longest))
+        if abs(step) < max(ITERATIONS.convergence, 0.05 * error):
+            break
+    settled = replace(servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
+    return _Settled(settled, error, rows, scale, found, tuple(own[0]))
+
+
+def _take_secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:
+    """Return how far from a delay its best one lies, by the steps there and at the delay before.
+
+    Steps overshoot, or fall short, by an about constant factor. Without a delay before, or where
+    that factor is not usual, it is the step itself.
+    """
+    if before is None or late == before[0]:
+        return step
+    slope = (step - before[1]) / (late - before[0])
+    return -step / slope if -USUAL_SLOPES[1] < slope < -USUAL_SLOPES[0] else step

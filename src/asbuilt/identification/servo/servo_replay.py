@@ -32,10 +32,9 @@ from asbuilt.identification.servo.servo_rows import (
     ServoRows,
     reduce_servo_recordings,
 )
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.identification.trajectories.windows import DriveSignal, Windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ class ReplayRules:
     step
         Longest step of the simulation [s].
     steps_at_once
-        Steps after which the simulation begins anew from the state that it reached.
+        Steps after which the simulation begins again from the state that it reached.
     samples
         Samples to replay in all, with noise and with its negative.
     most_pairs
@@ -86,7 +85,7 @@ class Replay:
 
     @property
     def sees_noise(self) -> bool:
-        """Whether the copies differ by noise alone, so that their variance is that of noise."""
+        """Whether the copies differ by noise alone, so that their variance shows the noise."""
         return min(len(draws) for draws in self.draws) > 0
 
     def variance(self, along: Sequence[Array]) -> float:
@@ -135,11 +134,13 @@ def replay(
     rng, beta = np.random.default_rng(0), base.values(parameters)
     copies: list[list[_Copy]] = []
     for recording in recordings:
-        own = _limit_servo_goal(recording, servo)
+        had, own = recording.servo, servo
+        if had is not None:
+            own = replace(servo, goal_acceleration=had.goal_acceleration, goal_speed=had.goal_speed)
         clean = replay_recording(model, base, recording, own, parameters)
         if clean is None:
             return None
-        driven = [drive_by_command(each, own) for each in _with_noise(recording, clean, pairs, rng)]
+        driven = [drive_by_command(each, own) for each in _add_noise(recording, clean, pairs, rng)]
         late = servo.delay or 0.0
         try:
             rows = [
@@ -152,7 +153,7 @@ def replay(
             return None
         copies.append([_Copy.of(each, beta, servo) for each in rows])
     every = [copy for own in copies for copy in own]
-    names = tuple(tuple(base.names[j] for j in support) for support in every[0].support)
+    names = tuple(tuple(base.names[j] for j in support) for support in every[0].rows.support)
     joints = range(model.n_joints)
     return Replay(
         ExpectedScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
@@ -250,23 +251,13 @@ def estimate_position_noise(recording: Recording) -> Array:
         return np.zeros(recording.q.shape[1])
     from scipy.signal import welch  # noqa: PLC0415 - light start
 
-    parts = []
-    for rows in runs:
-        frequency, density = welch(recording.q[rows], 2.0, nperseg=RULES.window, axis=0)
-        parts.append(np.mean(density[frequency > RULES.above], axis=0))
+    spectra = [welch(recording.q[rows], 2.0, nperseg=RULES.window, axis=0) for rows in runs]
+    parts = [np.mean(density[at > RULES.above], axis=0) for at, density in spectra]
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 
 
-def _limit_servo_goal(recording: Recording, servo: PositionServo) -> PositionServo:
-    """Return the servo with the limits of its goal in a recording."""
-    own = recording.servo
-    if own is None:
-        return servo
-    return replace(servo, goal_acceleration=own.goal_acceleration, goal_speed=own.goal_speed)
-
-
-def _with_noise(
+def _add_noise(
     recording: Recording, clean: Array, pairs: int, rng: np.random.Generator
 ) -> Iterator[Recording]:
     """Yield the recording with clean positions and noise of either sign."""
@@ -281,36 +272,28 @@ def _with_noise(
 class _Copy:
     """Hold the scores of each joint's blocks (B, p_k + 2) of a replayed recording.
 
-    `weights` (n, B) are those of the blocks, `lengths` (B,) their samples.
+    `weights` (n, B) belong to the blocks.
     """
 
     rows: ServoRows
     scores: tuple[Array, ...]
     weights: Array
-    lengths: Array
 
     @classmethod
     def of(cls, rows: ServoRows, beta: Array, servo: PositionServo) -> _Copy:
         """Return the scores `[W_k, qd, du/dt]^T e_k` of the robot with these base parameters."""
         scores, weights = [], []
         for k, own in enumerate(rows.support):
-            e = np.zeros(own.size + 3)
-            e[: own.size], e[own.size], e[-1] = -beta[own], -servo.kd[k], servo.kp[k]
+            e = np.concatenate([-beta[own], [-servo.kd[k], 0.0, servo.kp[k]]])
             scores.append((rows.grams[k] @ e)[:, :-1])
             weights.append(block_weights(rows, k, e))
-        lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
-        return cls(rows, tuple(scores), np.array(weights), lengths)
-
-    @property
-    def support(self) -> tuple[Indices, ...]:
-        """Base parameters of each joint's columns."""
-        return self.rows.support
+        return cls(rows, tuple(scores), np.array(weights))
 
 
 def _average_scores(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
     """Return the mean score of a joint over the samples of all copies (p_k + 2,)."""
-    weights = [copy.weights[k] if weighted else np.ones(copy.lengths.size) for copy in copies]
-    total = sum(float(w @ copy.lengths) for w, copy in zip(weights, copies, strict=True))
+    weights = [c.weights[k] if weighted else np.ones(len(c.rows.times)) for c in copies]
+    total = sum(float(w @ copy.rows.lengths) for w, copy in zip(weights, copies, strict=True))
     parts = [w @ copy.scores[k] for w, copy in zip(weights, copies, strict=True)]
     return np.asarray(np.sum(parts, axis=0) / max(total, 1e-300))
 
@@ -320,7 +303,7 @@ def _measure_noise_changes(copies: Sequence[_Copy], k: int) -> Array:
 
     Empty if the copies have other blocks each, since some rest where others move.
     """
-    if len({copy.lengths.size for copy in copies}) > 1:
+    if len({len(copy.rows.times) for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
     sums = np.array([sum_clusters(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
     return np.asarray(np.concatenate(sums - sums.mean(axis=0)))

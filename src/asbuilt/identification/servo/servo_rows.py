@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
@@ -37,7 +37,7 @@ class BlockRules:
     """Hold how the rows of a servo are divided into blocks, and how many are held."""
 
     fewest: int = 5
-    """Rows of a joint in a block below which it says nothing of the residual."""
+    """Rows of a joint in a block below which its residual does not count."""
     block: float = 1.0
     """Length of a time block [s], short enough to leave out contact and little else."""
     run: int = 8
@@ -65,13 +65,15 @@ class ServoRows:
     counts: Array
     times: tuple[TimeBlock, ...]
 
+    @property
+    def lengths(self) -> Array:
+        """Samples of each block (B,)."""
+        return np.array([block.n_samples for block in self.times], dtype=np.float64)
+
     def total(self, joint: int, weight: Array | None = None) -> Array:
         """Return the sum of the Gram matrices of a joint over all blocks, weighted (B,)."""
-        return np.asarray(
-            np.tensordot(
-                np.ones(len(self.times)) if weight is None else weight, self.grams[joint], 1
-            )
-        )
+        counted = np.ones(len(self.times)) if weight is None else weight
+        return np.asarray(np.tensordot(counted, self.grams[joint], 1))
 
     def variances(self, joint: int, residual: Array) -> Array:
         """Return the mean square in each block of a combination of the rows (B,), NaN if few."""
@@ -86,19 +88,16 @@ class ServoRows:
 class _Run:
     """Hold neighbouring time blocks with the rows `[W_k, qd]` (p_k + 1, m) of each joint.
 
-    `grams[b][k]` are those of the rows in block b, `counts` (B, n) the rows that count.
+    `spans[b]` are the columns of block b, `grams[b][k]` the products of its rows, `counts` (B, n)
+    the rows that count.
     """
 
     whole: SampleBlock
     blocks: tuple[SampleBlock, ...]
+    spans: tuple[slice, ...]
     rows: tuple[Array, ...]
     grams: tuple[tuple[Array, ...], ...]
     counts: Array
-
-    def spans(self) -> Iterator[slice]:
-        """Yield the columns of each block."""
-        for block in self.blocks:
-            yield slice(block.first - self.whole.first, block.last - self.whole.first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,23 +135,23 @@ class CommandedMotion:
 
     def rate(self, recording: Recording, delay: float) -> Samples:
         """Return samples whose torques are the rate of what the servo of a recording follows."""
-        return self._filtered(self._gains[0] * hold_command(recording, delay, self._curve, 1))
+        return self._filter(self._gains[0] * hold_command(recording, delay, self._curve, 1))
 
     def grams(
         self, recording: Recording, delay: float, rate: Samples | None = None
     ) -> Iterator[tuple[TimeBlock, tuple[Array, ...], Array]]:
         """Yield time blocks, Gram matrices of each joint's rows, and how many rows count (n,).
 
-        `recording` is that of the motion, with any servo; its command acts after `delay` [s]. A
-        `rate` that was made before takes the place of its own.
+        `recording` has the motion, and any servo; its command acts after `delay` [s]. A `rate` that
+        was made before takes the place of its own.
         """
         error = hold_command(recording, delay, self._curve) - recording.q
         if recording.servo is not None:
             error = recording.servo.acting(error)
-        both = (rate or self.rate(recording, delay), self._filtered(self._gains[0] * error))
-        for run in self._runs():
+        both = (rate or self.rate(recording, delay), self._filter(self._gains[0] * error))
+        for run in self._list_runs():
             signals = np.stack([run.whole.filtered(each.tau.__getitem__) for each in both])
-            for b, (block, span) in enumerate(zip(run.blocks, run.spans(), strict=True)):
+            for b, (block, span) in enumerate(zip(run.blocks, run.spans, strict=True)):
                 joined = tuple(
                     _join_gram(gram, rows[:, span], signals[:, k, span])
                     for k, (gram, rows) in enumerate(zip(run.grams[b], run.rows, strict=True))
@@ -188,75 +187,54 @@ class CommandedMotion:
     @cached_property
     def _velocity(self) -> Samples:
         """Samples whose torques are velocities; rows count where their direction is known."""
-        found = self._divided(self.motion.samples())
+        found = self._divide(self.motion.samples())
         return drop_slow_rows(found, self.recording, self.chain.cutoff or np.inf)
 
-    def _filtered(self, signal: Array) -> Samples:
+    def _filter(self, signal: Array) -> Samples:
         """Return samples with a signal (N, n) in place of the torque, less forces at contacts."""
-        found = self._divided(self.motion.with_torque(signal).samples())
+        found = self._divide(self.motion.with_torque(signal).samples())
         if found.contact is None:
             return found
         state = found.q, found.contact, found.tau, found.noise
         return replace(found, tau=without_contact_forces(self.model, *state))
 
-    def _divided(self, samples: Samples) -> Samples:
+    def _divide(self, samples: Samples) -> Samples:
         """Return samples without those at a torque limit, and without those held out."""
         kept = drop_saturated(replace(samples, noise=self.noise), self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 
-    def _runs(self) -> Iterator[_Run]:
-        if self._kept is not None:
-            yield from self._kept
-            return
-        for blocks in self._blocks:
-            yield self._run(blocks)
+    def _list_runs(self) -> Iterable[_Run]:
+        return self._kept or map(self._reduce_run, self._blocks)
 
     @cached_property
     def _blocks(self) -> tuple[tuple[SampleBlock, ...], ...]:
         """Neighbouring time blocks of a segment, `BLOCKS.run` at a time."""
-        found: list[tuple[SampleBlock, ...]] = []
-        for _, same in groupby(
-            divide_into_blocks(self.model, [self._velocity], BLOCKS.block),
-            key=lambda block: block.start,
-        ):
-            blocks = tuple(same)
-            found += [
-                blocks[first : first + BLOCKS.run] for first in range(0, len(blocks), BLOCKS.run)
-            ]
-        return tuple(found)
+        every = divide_into_blocks(self.model, [self._velocity], BLOCKS.block)
+        segments = [tuple(same) for _, same in groupby(every, key=lambda block: block.start)]
+        return tuple(
+            blocks[first : first + BLOCKS.run]
+            for blocks in segments
+            for first in range(0, len(blocks), BLOCKS.run)
+        )
 
     @cached_property
     def _kept(self) -> tuple[_Run, ...] | None:
         """The rows of all blocks; None if they are too many to keep."""
         outputs = sum(block.n_outputs for blocks in self._blocks for block in blocks)
         rows = sum(own.size + 1 for own in self.support)
-        if 8.0 * outputs * rows > BLOCKS.most_held:
-            return None
-        return tuple(map(self._run, self._blocks))
+        few = 8.0 * outputs * rows <= BLOCKS.most_held
+        return tuple(map(self._reduce_run, self._blocks)) if few else None
 
-    def _run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
+    def _reduce_run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
         whole = replace(blocks[0], last=blocks[-1].last)
         chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(self._plan)]
-        run = _Run(
-            whole,
-            blocks,
-            tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
-            (),
-            np.zeros((0, 0)),
-        )
-        spans = tuple(run.spans())
-        return replace(
-            run,
-            grams=tuple(
-                tuple(rows[:, span] @ rows[:, span].T for rows in run.rows) for span in spans
-            ),
-            counts=np.array(
-                [
-                    [np.count_nonzero(np.any(rows[:, span] != 0.0, axis=0)) for rows in run.rows]
-                    for span in spans
-                ]
-            ),
-        )
+        rows = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
+        spans = tuple(slice(each.first - whole.first, each.last - whole.first) for each in blocks)
+        grams = tuple(tuple(own[:, at] @ own[:, at].T for own in rows) for at in spans)
+        counts = [
+            [np.count_nonzero(np.any(own[:, at] != 0.0, axis=0)) for own in rows] for at in spans
+        ]
+        return _Run(whole, blocks, spans, rows, grams, np.array(counts))
 
 
 def reduce_servo_recordings(
@@ -267,8 +245,9 @@ def reduce_servo_recordings(
 ) -> ServoRows:
     """Reduce recordings whose command acts after `delay` [s].
 
-    `motions` are theirs, `recordings` have the servo that each is to have. `rates` are rates of the
-    command that were made before, by recording. Raises `RecordingError` if no motion is left.
+    `motions` belong to the recordings, each of which has the servo that it is to have. `rates` are
+    rates of the command that were made before, by recording. Raises `RecordingError` if no motion
+    is left.
     """
     with use_one_blas_thread():
         blocks = [

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.virtual.physics import Physics, import_mujoco
@@ -20,7 +19,7 @@ from asbuilt.identification.trajectories.stepping import SLOWEST
 from asbuilt.identification.trajectories.windows import Windows
 
 AT_JOINTS = ("armature", "viscous", "coulomb", "offset")
-"""Drive terms that MuJoCo's joints have, or a constant torque."""
+"""Drive terms that MuJoCo's joints have, and a constant torque."""
 AT_MOTORS = ("motor_armature", "motor_viscous", "motor_coulomb")
 """Drive terms that a fixed tendon over the joints of a motor has."""
 DIVERGED = 1e4
@@ -67,13 +66,10 @@ class _Engine:
 
     def __init__(self, robot: SimulatedRobot, windows: Windows) -> None:
         self.mujoco, step, ground = import_mujoco("a rollout"), windows.step, windows.ground
-        self.robot, n = robot, robot.model.n_joints
-        own = _read_values_by_key(robot)
-        plain = {key: own.get(key, np.zeros(n)) for key in AT_JOINTS}
-        self.offset = plain["offset"]
+        self.robot = robot
+        armature, viscous, self.friction, self.offset = map(robot.value_of, AT_JOINTS)
         self.others = robot.drive.without(*AT_JOINTS, *AT_MOTORS)
-        self.other_values = _select_values(robot, self.others)
-        self.friction = plain["coulomb"]
+        self.other_values = robot.values_of(*self.others.keys)
         self.proportional = robot.servo is None or robot.servo.proportional
         self.native = (
             self.proportional and not np.any(self.other_values) and not np.any(self.friction < 0.0)
@@ -81,7 +77,7 @@ class _Engine:
 
         def extend(spec: Any) -> None:
             for k in np.flatnonzero(np.any(robot.model.motor_shares, axis=1)):
-                _add_motor(spec, robot, int(k), {key: own.get(key) for key in AT_MOTORS})
+                _add_motor(spec, robot, int(k))
             if robot.servo is not None:
                 _add_servo(self.mujoco, spec, robot)
             if ground is not None:
@@ -89,8 +85,8 @@ class _Engine:
 
         self.physics = Physics(
             robot.model,
-            armature=plain["armature"],
-            viscous=plain["viscous"],
+            armature=armature,
+            viscous=viscous,
             coulomb=np.maximum(self.friction, 0.0),
             timestep=step,
             extend=extend,
@@ -121,50 +117,37 @@ class _Engine:
 
     def in_threads(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return positions and velocities after every step, two (W, steps, n)."""
-        rollout, state = import_module("mujoco.rollout"), self.mujoco.mjtState
-        model, n, size = (
-            self.robot.model,
-            len(self.every),
-            self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS),
-        )
+        rollout, state, n = import_module("mujoco.rollout"), self.mujoco.mjtState, len(self.every)
+        size = self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS)
         start = np.zeros((windows.n_windows, size))
-        moved = model.link_motion(windows.start_q, windows.start_qd)
+        moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
         start[:, 1 + self.every], start[:, 1 + n + self.every] = moved.q, moved.qd
-        forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
+        forces = self._build_forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
         control = np.concatenate([forces, np.repeat(self.floors[:, None], steps, axis=1)], axis=2)
         given = (state.mjSTATE_CTRL, state.mjSTATE_QFRC_APPLIED, state.mjSTATE_MOCAP_POS)
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
         with rollout.Rollout(nthread=len(data)) as pool:
-            states, _ = pool.rollout(
-                self.compiled,
-                data,
-                start,
-                control,
-                control_spec=sum(map(int, given)),
-            )
+            spec = sum(map(int, given))
+            states, _ = pool.rollout(self.compiled, data, start, control, control_spec=spec)
         return states[..., 1 + self.order], states[..., 1 + n + self.order]
 
     def in_step(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return the same, all windows step by step, with the drive terms that MuJoCo lacks."""
-        forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
-        n_controls = self.compiled.nu
+        forces = self._build_forces(windows.inputs(self.robot.delay, self.robot.lead))
+        order, n_controls = self.order, self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
         for run, q, qd, floors in zip(runs, moved.q, moved.qd, self.floors, strict=True):
             run.qpos[self.every], run.qvel[self.every] = q, qd
             run.mocap_pos[:] = floors.reshape(-1, 3)
-        shape = (windows.n_windows, steps, len(self.order))
+        shape = (windows.n_windows, steps, len(order))
         positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)
         # looked up once: a look-up in MuJoCo's memory takes as long as half a step
         arrays = [(x.ctrl, x.qfrc_applied, x.qpos, x.qvel, x.qacc) for x in runs]
-        friction, step_once, order = (
-            self.compiled.dof_frictionloss,
-            self.mujoco.mj_step,
-            self.order,
-        )
+        friction, step_once = self.compiled.dof_frictionloss, self.mujoco.mj_step
         for step in range(steps):
-            added, dry = self._further(q, qd, qdd)
+            added, dry = self._evaluate_others(q, qd, qdd)
             applied = forces[:, step, n_controls:].copy()
             applied[:, order] -= added
             moving = np.flatnonzero(np.all(np.abs(qd) < DIVERGED, axis=1))
@@ -173,7 +156,7 @@ class _Engine:
                 friction[order] = dry[w]
                 control[:] = forces[w, step, :n_controls]
                 if not self.proportional:
-                    control[:] = self._servo_beyond(control, q[w], qd[w])
+                    control[:] = self._apply_servo_limits(control, q[w], qd[w])
                 force[:] = applied[w]
                 step_once(self.compiled, runs[w])
                 q[w], qd[w] = position[order], velocity[order]
@@ -182,7 +165,7 @@ class _Engine:
             positions[moving, step], velocities[moving, step] = q[moving], qd[moving]
         return positions, velocities
 
-    def _servo_beyond(self, goal: Array, q: Array, qd: Array) -> Array:
+    def _apply_servo_limits(self, goal: Array, q: Array, qd: Array) -> Array:
         """Set torque limits at a speed, and return the goals (n,) outside the deadband."""
         servo = self.robot.servo
         if servo is None:
@@ -191,7 +174,7 @@ class _Engine:
         self.compiled.actuator_forcerange[:] = np.stack([low, high], axis=1)
         return q + servo.acting(goal - q)
 
-    def _forces(self, inputs: Array) -> Array:
+    def _build_forces(self, inputs: Array) -> Array:
         """Return controls and generalised forces of every step."""
         forces = np.zeros((*inputs.shape[:2], self.compiled.nu + len(self.every)))
         applied = self.compiled.nu + self.order
@@ -202,7 +185,7 @@ class _Engine:
             forces[..., : self.compiled.nu] = inputs
         return forces
 
-    def _further(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+    def _evaluate_others(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """Return torque and dry friction of the terms that MuJoCo lacks, two (W, n)."""
         model, sound = self.robot.model, np.where(np.abs(qd) < DIVERGED, qd, 0.0)
         where, rest = np.where(np.isfinite(q), q, 0.0), np.zeros_like(q)
@@ -227,31 +210,9 @@ class _Engine:
         return 0.5 * (ahead + back) + np.minimum(odd, 0.0) * np.sign(sound), np.maximum(odd, 0.0)
 
 
-def _read_values_by_key(robot: SimulatedRobot) -> dict[str, Array]:
-    """Return the values (n,) of the terms with one parameter, zero where a joint lacks them."""
-    found: dict[str, Array] = {}
-    place = 0
-    for term in robot.drive.terms:
-        if len(term.symbols) == 1:
-            there = [term.is_at(k) for k in range(robot.model.n_joints)]
-            found[term.key] = np.where(there, robot.values[:, place], 0.0)
-        place += len(term.symbols)
-    return found
-
-
-def _select_values(robot: SimulatedRobot, drive: DriveSet) -> Array:
-    """Return the columns of the values that belong to some terms of the robot."""
-    kept, place = list[int](), 0
-    for term in robot.drive.terms:
-        columns = range(place, place + len(term.symbols))
-        kept += [*columns] if term.key in drive.keys else []
-        place += len(term.symbols)
-    return robot.values[:, kept]
-
-
-def _add_motor(spec: Any, robot: SimulatedRobot, k: int, values: dict[str, Array | None]) -> None:
+def _add_motor(spec: Any, robot: SimulatedRobot, k: int) -> None:
     """Add a motor that several joints turn, as a fixed tendon."""
-    armature, viscous, coulomb = (0.0 if x is None else float(x[k]) for x in values.values())
+    armature, viscous, coulomb = (float(robot.value_of(key)[k]) for key in AT_MOTORS)
     tendon = spec.add_tendon(name=f"motor of {robot.model.joint_names[k]}")
     for name, share in zip(robot.model.joint_names, robot.model.motor_shares[k], strict=True):
         if share:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
 from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.start_elimination import StartModel, eliminate_starts
+from asbuilt.identification.trajectories.start_elimination import Eliminated, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
 
@@ -42,6 +41,8 @@ class ObjectiveRules:
 RULES = ObjectiveRules()
 Slopes = Callable[[], Iterator[tuple[Branch, slice, Array]]]
 """What yields the derivatives of the windows of a recording, branch by branch."""
+Starts = tuple[int, slice, Branch, Eliminated]
+"""Number of a recording, some of its windows, and how their starts follow a branch's parameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +79,7 @@ class Quadratic:
     matrix: Array
     scores: Array
     data: Array
-    starts: tuple[StartModel, ...]
+    starts: tuple[Starts, ...]
     gain: float
 
     def fall(self, free: Mask) -> float:
@@ -117,14 +118,6 @@ class Objective:
     belief: float
     start: Point
     of_servo: ServoCoordinates = field(default_factory=ServoCoordinates)
-    linear_factors: tuple[Array, ...] = field(init=False)
-
-    def __post_init__(self) -> None:
-        factors = tuple(
-            w * factor
-            for w, factor in zip(self.torque_weights, self.information.joint_factors, strict=True)
-        )
-        object.__setattr__(self, "linear_factors", factors)
 
     @property
     def n_links(self) -> int:
@@ -138,13 +131,9 @@ class Objective:
 
     def robot(self, point: Point) -> SimulatedRobot:
         """Return the robot of a point, the links of the description in place of its own."""
-        n = self.n_links
-        return SimulatedRobot(
-            self.trajectories.model,
-            self.trajectories.base.drive,
-            point.chi[10 * n :].reshape(self.trajectories.model.n_joints, -1),
-            point.servo,
-        )
+        model, drive = self.trajectories.model, self.trajectories.base.drive
+        values = point.chi[10 * self.n_links :].reshape(model.n_joints, -1)
+        return SimulatedRobot(model, drive, values, point.servo)
 
     @cached_property
     def links_held(self) -> bool:
@@ -163,12 +152,11 @@ class Objective:
         A position has the error by which it differs from the logged one, a velocity is as
         uncertain as the velocities of the joint are large, so that the window decides.
         """
-        found = []
-        for cut in self.windows:
-            error = np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0) + RULES.smallest**2
-            speed = np.mean(cut.start_qd**2, axis=0) + RULES.smallest**2
-            found.append(1.0 / np.stack([error, speed]))
-        return tuple(found)
+        squares = (
+            [np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0), np.mean(cut.start_qd**2, axis=0)]
+            for cut in self.windows
+        )
+        return tuple(1.0 / (np.stack(each) + RULES.smallest**2) for each in squares)
 
     def motions(self, point: Point, some: Sequence[Indices] | None = None) -> list[Motion]:
         """Simulate all windows, or `some` of each recording by number."""
@@ -180,21 +168,24 @@ class Objective:
             cuts = [cut.some(at) for cut, at in zip(cuts, some, strict=True)]
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         parts = [
-            (k, slice(a, b))
+            (k, at)
             for k, cut in enumerate(cuts)
-            for a, b in _divide_range(cut.n_windows) or [(0, 0)]
+            for at in np.array_split(
+                np.arange(cut.n_windows), min(os.cpu_count() or 1, max(cut.n_windows, 1))
+            )
         ]
 
-        def one(part: tuple[int, slice]) -> Motion:
+        def one(part: tuple[int, Indices]) -> Motion:
             cut = cuts[part[0]].some(part[1])
             return self.trajectories.simulate(robot.centred(cut.step), cut, links)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = list(pool.map(one, parts))
-        return [
-            _join_motions([each for (at, _), each in zip(parts, found, strict=True) if at == k])
+        of_recordings = [
+            [each for (at, _), each in zip(parts, found, strict=True) if at == k]
             for k in range(len(self.windows))
         ]
+        return [Motion(*map(np.concatenate, zip(*own, strict=True))) for own in of_recordings]
 
     def errors(self, motions: Sequence[Motion]) -> list[Array]:
         """Return measured minus simulated positions after the start, (W, L - 1, n) each."""
@@ -219,24 +210,21 @@ class Objective:
                 self.errors(motions),
                 weights.windows,
                 self.start_weights,
-                self._starts_moved(point),
+                self._measure_start_moves(point),
                 strict=True,
             )
         ]
 
     def other_cost(self, point: Point) -> float:
         """Return the part of the cost that belongs to no window."""
-        _, rest = self._torque_rows(point)
-        ridge = self._ridge()
-        moved = self._away(point)
+        (_, rest), (ridge, moved) = self._build_torque_rows(point), self._build_pull(point)
         total = 0.5 * float(rest @ rest + ridge @ moved**2)
-        if not self.links_held:
-            total += (
-                0.5 * self.belief * float(self.prior.strength @ self.prior.divergence(point.chi))
-            )
-        return total
+        if self.links_held:
+            return total
+        divergence = float(self.prior.strength @ self.prior.divergence(point.chi))
+        return total + 0.5 * self.belief * divergence
 
-    def _starts_moved(self, point: Point) -> list[Array]:
+    def _measure_start_moves(self, point: Point) -> list[Array]:
         """Return the starts less the measured ones, (W, 2, n) each."""
         return [
             start - np.stack([cut.start_q, cut.start_qd], axis=1)
@@ -248,7 +236,7 @@ class Objective:
 
         They do not depend on weights. Others are computed each time that they are asked for.
         """
-        needed = np.any(self._to_parameters(point)[:, self.free] != 0.0, axis=1)
+        needed = np.any(self._derive_parameters(point)[:, self.free] != 0.0, axis=1)
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         found = [
             partial(
@@ -272,35 +260,35 @@ class Objective:
 
         `slopes` belong to the point and its motions; None: they are computed.
         """
-        to_z = self._to_parameters(point)
+        to_z = self._derive_parameters(point)
         slopes = self.slopes(point, motions) if slopes is None else slopes
-        H, scores, starts, gain = self._of_windows(point, motions, weights, slopes, len(to_z))
+        H, scores, starts, gain = self._reduce_windows(point, motions, weights, slopes, len(to_z))
         data = to_z.T @ H @ to_z
         matrix, gradient = data.copy(), -to_z.T @ scores.sum(axis=0)
-        rows, rest = self._torque_rows(point)
+        rows, rest = self._build_torque_rows(point)
         A = rows @ to_z
         matrix += A.T @ A
         gradient += A.T @ rest
         if not self.links_held:
             self._add_cad(point, gradient, matrix)
-        ridge, moved = self._ridge(), self._away(point)
+        ridge, moved = self._build_pull(point)
         gradient += ridge * moved
         matrix[np.diag_indices(len(ridge))] += ridge
         cost = self.cost(point, motions, weights)
         return Quadratic(cost, gradient, matrix, scores @ to_z, data, starts, gain)
 
-    def _of_windows(
+    def _reduce_windows(
         self,
         point: Point,
         motions: Sequence[Motion],
         weights: Weights,
         slopes: Sequence[Slopes],
         size: int,
-    ) -> tuple[Array, Array, tuple[StartModel, ...], float]:
+    ) -> tuple[Array, Array, tuple[Starts, ...], float]:
         """Return matrix (size, size) and scores (W, size) of windows, starts, and their gain."""
         H = np.zeros((size, size))
-        scores, starts, gain = [], list[StartModel](), 0.0
-        errors, away = self.errors(motions), self._starts_moved(point)
+        scores, starts, gain = [], list[Starts](), 0.0
+        errors, away = self.errors(motions), self._measure_start_moves(point)
         for k, (cut, derivatives, error, of_window) in enumerate(
             zip(self.windows, slopes, errors, weights.windows, strict=True)
         ):
@@ -318,19 +306,18 @@ class Objective:
                 at = branch.parameters
                 H[np.ix_(at, at)] += own.matrix
                 score[part, at] += own.scores
-                starts.append(StartModel(k, part, branch, own.to_best, own.by_parameters))
+                starts.append((k, part, branch, own))
                 gain += own.gain
             scores.append(score)
         return H, np.concatenate(scores), tuple(starts), gain
 
     def starts_after(self, point: Point, quadratic: Quadratic, step: Array) -> tuple[Array, ...]:
         """Return the best starts at coordinates `step` (m,) from a point, by its model."""
-        z = self._to_parameters(point) @ step
+        z = self._derive_parameters(point) @ step
         found = [start.copy() for start in point.starts]
-        for each in quadratic.starts:
-            moved = each.to_best - each.by_parameters @ z[each.branch.parameters]
-            joints = each.branch.joints
-            found[each.recording][each.part][:, :, joints] += moved.reshape(-1, 2, len(joints))
+        for k, part, branch, own in quadratic.starts:
+            moved = own.to_best - own.by_parameters @ z[branch.parameters]
+            found[k][part][:, :, branch.joints] += moved.reshape(-1, 2, len(branch.joints))
         return tuple(found)
 
     def moved(self, point: Point, step: Array, starts: tuple[Array, ...]) -> Point:
@@ -345,9 +332,7 @@ class Objective:
         chi[10 * n :] += step[10 * n : len(chi)]
         bounded = self.prior.non_negative
         chi[bounded] = np.maximum(chi[bounded], 0.0)
-        servo = point.servo
-        if servo is not None:
-            servo = self.of_servo.moved(servo, step[len(chi) :])
+        servo = point.servo and self.of_servo.moved(point.servo, step[len(chi) :])
         return Point(chi, servo, starts)
 
     def at_bound(self, point: Point, gradient: Array) -> Mask:
@@ -363,7 +348,7 @@ class Objective:
 
     def covariance(self, point: Point, quadratic: Quadratic) -> Array:
         """Return the covariance (p_z, p_z) of base and servo parameters at the minimum."""
-        to_z = self._to_parameters(point)[:, self.free]
+        to_z = self._derive_parameters(point)[:, self.free]
         root = np.linalg.cholesky(quadratic.matrix[np.ix_(self.free, self.free)])
         spread = np.linalg.solve(root, to_z.T)
         return np.asarray(spread.T @ spread)
@@ -386,7 +371,7 @@ class Objective:
         drives = range(10 * self.n_links, self.size)
         return tuple(names[k] for k in drives if held[k] > RULES.mostly)
 
-    def _to_parameters(self, point: Point) -> Array:
+    def _derive_parameters(self, point: Point) -> Array:
         """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
         n, p = self.n_links, self.trajectories.base.n_base
         K = self.trajectories.base.regrouping
@@ -400,24 +385,21 @@ class Objective:
             to_z[p:, len(point.chi) :] = self.of_servo.columns(point.servo)
         return to_z
 
-    def _torque_rows(self, point: Point) -> tuple[Array, Array]:
+    def _build_torque_rows(self, point: Point) -> tuple[Array, Array]:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
-        base = self.trajectories.base
-        beta = base.regrouping @ point.chi
-        width = self.trajectories.n_parameters
-        free_stiffness = self.of_servo.stiffness
-        rows, rest = [], []
+        base, own, start = self.trajectories.base, point.servo, self.start.servo
+        beta, rows, rest = base.regrouping @ point.chi, [], []
         for k, (support, factor) in enumerate(
-            zip(self.information.support, self.linear_factors, strict=True)
+            zip(self.information.support, self.information.joint_factors, strict=True)
         ):
-            scale = 1.0
-            row = np.zeros((len(factor), width))
-            row[:, support] = factor[:, :-1]
-            if point.servo is not None and self.start.servo is not None and free_stiffness:
-                scale = point.servo.kp[k] / self.start.servo.kp[k]
-                row[:, base.n_base + k] = -factor[:, -1] / self.start.servo.kp[k]
+            weighted, scale = self.torque_weights[k] * factor, 1.0
+            row = np.zeros((len(factor), self.trajectories.n_parameters))
+            row[:, support] = weighted[:, :-1]
+            if own is not None and start is not None and self.of_servo.stiffness:
+                scale = own.kp[k] / start.kp[k]
+                row[:, base.n_base + k] = -weighted[:, -1] / start.kp[k]
             rows.append(row)
-            rest.append(factor[:, :-1] @ beta[support] - scale * factor[:, -1])
+            rest.append(weighted[:, :-1] @ beta[support] - scale * weighted[:, -1])
         return np.concatenate(rows), np.concatenate(rest)
 
     def _add_cad(self, point: Point, gradient: Array, matrix: Array) -> None:
@@ -434,34 +416,19 @@ class Objective:
             curvature = np.einsum("xyaa->xy", turned)
             matrix[part, part] += weight * 0.5 * (curvature + curvature.T)
 
-    def _ridge(self) -> Array:
-        """Return the weight (m,) of drive and servo parameters toward their start."""
-        ridge = np.zeros(self.size)
-        n = 10 * self.n_links
-        ridge[n : len(self.start.chi)] = RULES.drive_ridge / self.prior.drive_scale**2
-        ridge[len(self.start.chi) :] = self.of_servo.weights
-        return ridge
+    def _build_pull(self, point: Point) -> tuple[Array, Array]:
+        """Return weights (m,) of drives and servo toward their start, and how far they are from it.
 
-    def _away(self, point: Point) -> Array:
-        """Return the coordinates (m,) of drives and servo from the start, zero for links."""
-        away = np.zeros(self.size)
-        n = 10 * self.n_links
-        away[n : len(point.chi)] = point.chi[n:] - self.start.chi[n:]
+        Both are zero for links.
+        """
+        ridge, away, chi = np.zeros(self.size), np.zeros(self.size), point.chi
+        drives, servo = slice(10 * self.n_links, len(chi)), slice(len(chi), None)
+        ridge[drives] = RULES.drive_ridge / self.prior.drive_scale**2
+        away[drives] = (chi - self.start.chi)[drives]
+        ridge[servo] = self.of_servo.weights
         if point.servo is not None and self.start.servo is not None:
-            away[len(point.chi) :] = self.of_servo.away(point.servo, self.start.servo)
-        return away
+            away[servo] = self.of_servo.away(point.servo, self.start.servo)
+        return ridge, away
 
 
 _SVEC = svec(pseudo_inertias(np.eye(10))).T
-
-
-def _divide_range(count: int) -> list[tuple[int, int]]:
-    """Return ranges of equal length, one per processor."""
-    edges = np.linspace(0, count, (os.cpu_count() or 1) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
-
-
-def _join_motions(parts: Sequence[Motion]) -> Motion:
-    return Motion(
-        *(np.concatenate([getattr(part, x) for part in parts]) for x in ("q", "v", "a", "state"))
-    )

@@ -1,4 +1,4 @@
-"""A fit to torques continued by a fit to trajectories."""
+"""A fit to torques continued by a fit to trajectories, and drive terms that these call for."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.trajectories.friction_search import build_simulated_prior
 from asbuilt.identification.trajectories.objective import Objective, Point
 from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
@@ -112,22 +116,21 @@ def refine_fit(
     progress
         Called with the fraction done.
     """
-    model, base = fit.model, fit.base
+    model, base, linear = fit.model, fit.base, fit.estimate
+    links = slice(10 * model.n_links)
     prior = build_simulated_prior(model, base.drive)
-    linear = fit.estimate
     if not isinstance(linear, ConsistentEstimate):
         linear = fit_toward_cad(fit.information, prior)
     chi = np.array(linear.standard)
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
-        chi[: 10 * model.n_links] = prior.parameters[: 10 * model.n_links]
+        chi[links] = prior.parameters[links]
     wanted, windows = of_servo or ServoCoordinates(delay=True), thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
     share = RULES.same_samples * fit.uncertainty.effective_samples / fit.information.n_samples
-    trajectories = Trajectories(model, base)
     objective = Objective(
-        trajectories,
+        Trajectories(model, base),
         tuple(windows),
         fit.information,
         np.sqrt(share) / linear.sigma,
@@ -142,41 +145,29 @@ def refine_fit(
     if wanted.lead and servo is not None and any(servo.lead):
         objective = replace(objective, of_servo=wanted)
     elif wanted.lead and servo is not None:
-        objective, first = _with_lead(objective, first, servo)
+        objective, first = _try_lead(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
-    p = base.n_base
-    beta = base.regrouping @ found.point.chi
-    open_names = objective.undetermined(found.quadratic)
-    estimate = replace(
-        linear,
-        beta=beta,
-        standard=found.point.chi,
-        covariance=covariance[:p, :p],
-        sigma=np.maximum(
-            np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples),
-            np.finfo(np.float64).tiny,
-        ),
-        notes=(*linear.notes, _word_note(found, windows)),
-        refit=None,
-    )
+    own, beta = covariance[: base.n_base, : base.n_base], base.regrouping @ found.point.chi
+    sigma = np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples)
+    note = _word_note(found, windows)
     refined = replace(
         fit,
-        estimate=estimate,
-        uncertainty=replace(fit.uncertainty, covariance=covariance[:p, :p]),
-        provenance=(*fit.provenance, _word_note(found, windows)),
+        estimate=replace(
+            linear,
+            beta=beta,
+            standard=found.point.chi,
+            covariance=own,
+            sigma=np.maximum(sigma, np.finfo(np.float64).tiny),
+            notes=(*linear.notes, note),
+            refit=None,
+        ),
+        uncertainty=replace(fit.uncertainty, covariance=own),
+        provenance=(*fit.provenance, note),
     )
-    built = SimulatedRobot(
-        model.with_parameters(found.point.chi[: 10 * model.n_links]),
-        base.drive,
-        found.point.chi[10 * model.n_links :].reshape(model.n_joints, -1),
-        found.point.servo,
-    )
-    before = SimulatedRobot(
-        model.with_parameters(chi[: 10 * model.n_links]),
-        base.drive,
-        chi[10 * model.n_links :].reshape(model.n_joints, -1),
-        servo,
+    before, built = (
+        replace(objective.robot(each), model=model.with_parameters(each.chi[links]))
+        for each in (start, found.point)
     )
     stiffness, late, lead = _derive_servo_errors(objective, covariance)
     return RefinedFit(
@@ -187,7 +178,7 @@ def refine_fit(
         objective,
         found,
         objective.drive_errors(found.quadratic),
-        open_names,
+        objective.undetermined(found.quadratic),
         late,
         stiffness,
         lead,
@@ -215,8 +206,7 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
     Stiffness, damping and delay of an unknown servo trade off, so that a search may miss the
     best of them; a few steps show which start leads lower under the same weights.
     """
-    chi = start.chi.copy()
-    links = 10 * objective.n_links
+    chi, links = start.chi.copy(), 10 * objective.n_links
     chi[:links] = objective.prior.parameters[:links]
     chi[links:] *= RULES.stiffer
     stiffer = replace(servo, kp=tuple(RULES.stiffer * kp for kp in servo.kp), delay=0.0)
@@ -224,12 +214,11 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
         refine(objective, each, steps=FEW)
         for each in (start, replace(start, chi=chi, servo=stiffer))
     ]
-    weights = tried[0].weights
-    costs = [objective.cost(each.point, each.motions, weights) for each in tried]
+    costs = [objective.cost(each.point, each.motions, tried[0].weights) for each in tried]
     return tried[int(np.argmin(costs))].point
 
 
-def _with_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple[Objective, Point]:
+def _try_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple[Objective, Point]:
     """Return objective and start with a lead and no delay in place of a delay below zero.
 
     They are as they were if that explains the trajectories worse by more than chance. The
@@ -285,3 +274,72 @@ def _word_note(found: Refinement, windows: Sequence[Windows]) -> str:
         f"Refined by trajectories: {count} windows of {windows[0].horizon:g} s simulated under the"
         f" logged {windows[0].signal.kind}, {found.iterations} steps of Levenberg and Marquardt"
     )
+
+
+FADING = ("stribeck",)
+"""Terms of friction near rest: of either sign for torques, but one below zero is no friction."""
+BREAKAWAY = 3.0
+"""Largest friction at rest per friction in fast motion. Dry hard steel has .78 / .42 = 1.9 (Marks'
+Standard Handbook for Mechanical Engineers, table of coefficients of friction); the rest is left to
+lubricant that parts the surfaces. What holds a joint more is no friction of two surfaces, but soft
+contact of a simulator, a deadband, or a servo at its limit."""
+
+
+def build_simulated_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
+    """Return the prior of a robot whose friction near rest is at least that in motion.
+
+    With less, simulated joints that come to rest creep and slip.
+    """
+    prior = build_cad_prior(model, drive)
+    fading = [term.key in FADING for term in drive.terms for _ in term.symbols] * model.n_joints
+    bounded = np.union1d(prior.non_negative, 10 * model.n_links + np.flatnonzero(fading))
+    return replace(prior, non_negative=bounded)
+
+
+def widen_parameters(parameters: Array, drive: DriveSet, wider: DriveSet, n_joints: int) -> Array:
+    """Return standard parameters with the columns of a wider set of drive terms, new ones zero."""
+    links = len(parameters) - n_joints * drive.columns_per_joint
+    found = np.zeros((n_joints, wider.columns_per_joint))
+    found[:, ~_find_new_columns(drive, wider)] = parameters[links:].reshape(n_joints, -1)
+    return np.concatenate([parameters[:links], found.ravel()])
+
+
+def predict_fall(objective: Objective, found: Refinement, term: DriveTerm) -> float:
+    """Return by how much a drive term would lower the cost, by the quadratic model at zero of it.
+
+    The score test: nothing is simulated again (Rao, Proc. Cambridge Philos. Soc. 44, 1948).
+    """
+    model, drive = objective.trajectories.model, objective.trajectories.base.drive
+    n, wider = model.n_joints, drive.with_term(term)
+    point, start = (
+        replace(each, chi=widen_parameters(each.chi, drive, wider, n))
+        for each in (found.point, objective.start)
+    )
+    wide = replace(
+        objective,
+        trajectories=Trajectories(model, find_base_parameters(model, wider)),
+        torque_weights=np.zeros(n),
+        prior=build_simulated_prior(model, wider),
+        start=start,
+    )
+    quadratic = wide.quadratic(point, found.motions, found.weights)
+    free = ~wide.at_bound(point, quadratic.gradient)
+    added, links = np.zeros_like(free), 10 * model.n_links
+    added[links : len(point.chi)] = np.tile(_find_new_columns(drive, wider), n)
+    return quadratic.fall(free) - quadratic.fall(free & ~added)
+
+
+def is_friction_at_rest(drive: DriveSet, values: Array, errors: Array) -> bool:
+    """Return whether friction near rest has sizes of two surfaces, within two standard errors.
+
+    `values` and `errors` are parameters of the drive terms, (n, columns_per_joint).
+    """
+    of = np.array([term.key for term in drive.terms for _ in term.symbols])
+    added, least = (x[:, np.isin(of, FADING)].sum(axis=1) for x in (values, values - 2.0 * errors))
+    moving = values[:, of == "coulomb"].sum(axis=1)
+    return bool(np.all((added <= 0.0) | (least <= (BREAKAWAY - 1.0) * moving)))
+
+
+def _find_new_columns(drive: DriveSet, wider: DriveSet) -> Mask:
+    """Return which columns of a joint belong to terms that only the wider set has."""
+    return np.array([term.key not in drive.keys for term in wider.terms for _ in term.symbols])

@@ -55,7 +55,6 @@ class Refinement:
     weights: Weights
     motions: list[Motion]
     iterations: int
-    costs: tuple[float, ...]
 
 
 def refine(
@@ -77,8 +76,7 @@ def _refine_point(
     progress: Callable[[float], None] | None,
 ) -> Refinement:
     point, motions = start, objective.motions(start)
-    done, costs = 0, list[float]()
-    inflation, damping = 1.0, steps.damping
+    done, inflation, damping = 0, 1.0, steps.damping
     weights = derive_weights(objective, motions, steps, inflation)
     slopes = objective.slopes(point, motions)
     quadratic = objective.quadratic(point, motions, weights, slopes)
@@ -95,23 +93,22 @@ def _refine_point(
         for _ in range(steps.most):
             if _is_settled(objective, point, quadratic, enough):
                 break
+            done += 1
             moved = _find_better_point(
                 objective, point, motions, quadratic, weights, damping, steps
             )
-            done += 1
             if moved is None:
                 break
             point, motions, damping = moved
             slopes = objective.slopes(point, motions)
             before, quadratic = quadratic.cost, objective.quadratic(point, motions, weights, slopes)
-            costs.append(quadratic.cost)
             if progress is not None:
                 progress((number + done / (steps.most * steps.rounds)) / steps.rounds)
             if before - quadratic.cost < enough:
                 break
         if last:
             break
-    return Refinement(point, quadratic, weights, motions, done, tuple(costs))
+    return Refinement(point, quadratic, weights, motions, done)
 
 
 def derive_weights(
@@ -130,8 +127,7 @@ def derive_weights(
     share = [
         np.minimum(1.0, (steps.outlying * usual / np.maximum(each, 1e-300)) ** 2) for each in size
     ]
-    kept = np.concatenate(share)
-    spread = np.average(variance, axis=0, weights=kept) + np.finfo(float).tiny
+    spread = np.average(variance, axis=0, weights=np.concatenate(share)) + np.finfo(float).tiny
     return Weights(1.0 / (spread * inflation), tuple(share))
 
 
@@ -169,8 +165,7 @@ def _find_better_point(
     steps: Steps,
 ) -> tuple[Point, list[Motion], float] | None:
     """Return a better point, its motions and the next damping; None if there is none."""
-    held = objective.at_bound(point, quadratic.gradient)
-    free = np.flatnonzero(~held)
+    free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
     H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
     scale = np.diag(H)
     before = objective.window_costs(point, motions, weights)

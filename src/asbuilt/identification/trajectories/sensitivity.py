@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,11 +21,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.one_sample import compile_drives
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.stepping import (
-    SLOWEST,
-    sensitivities,
-    simulate,
-)
+from asbuilt.identification.trajectories.stepping import SLOWEST, sensitivities, simulate
 from asbuilt.identification.trajectories.windows import Windows
 
 IN_MATRICES = ("armature", "viscous", "motor_armature", "motor_viscous")
@@ -33,11 +30,10 @@ SMALL = 1e-6
 """Step of finite differences of drive terms [rad, rad/s]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """Hold the simulated motion of W windows at every step.
 
-    `q` and `v` have shape (W, S + 1, n), `a` and `state` (W, S, n), as `stepping.simulate` says.
+    `q` and `v` have shape (W, S + 1, n), `a` and `state` (W, S, n), as in `stepping.simulate`.
     """
 
     q: Array
@@ -49,14 +45,11 @@ class Motion:
         """Return the positions at the samples, the first included, shape (W, L, n)."""
         return self.q[:, ::every]
 
-    def chunk(self, start: int, stop: int) -> Motion:
-        """Return some of the windows."""
-        return Motion(*(x[start:stop] for x in (self.q, self.v, self.a, self.state)))
-
     def replaced(self, at: Indices, part: Motion) -> Motion:
         """Return the motion with some windows replaced."""
-        found = Motion(*(x.copy() for x in (self.q, self.v, self.a, self.state)))
-        found.q[at], found.v[at], found.a[at], found.state[at] = part.q, part.v, part.a, part.state
+        found = Motion(*(x.copy() for x in self))
+        for own, new in zip(found, part, strict=True):
+            own[at] = new
         return found
 
 
@@ -123,7 +116,7 @@ class Trajectories:
         q, v = (np.empty((shape[0], shape[1] + 1, shape[2])) for _ in range(2))
         q[:, 0], v[:, 0] = windows.start_q, windows.start_qd
         a, state = np.empty(shape), np.empty(shape)
-        codes, program, numbers = self._program(robot, links)
+        codes, program, numbers = self._compile_program(robot, links)
         simulate(
             codes,
             program,
@@ -168,15 +161,12 @@ class Trajectories:
         # Numbers held at once by the derivatives of a chunk of windows.
         chunk = max(1, int(3e7 / size))
         for start in range(0, windows.n_windows, chunk):
-            part = slice(start, min(start + chunk, windows.n_windows))
-            yield from (
-                (branch, part, found)
-                for branch, found in self._chunk(
-                    robot, windows.some(part), links, motion.chunk(part.start, part.stop), branches
-                )
-            )
+            part = slice(start, start + chunk)
+            own = Motion(*(x[part] for x in motion))
+            found = self._differentiate(robot, windows.some(part), links, own, branches)
+            yield from ((branch, part, slopes) for branch, slopes in found)
 
-    def _chunk(
+    def _differentiate(
         self,
         robot: SimulatedRobot,
         windows: Windows,
@@ -194,8 +184,7 @@ class Trajectories:
         by_q, by_v = np.ascontiguousarray(slopes[..., 0]), np.ascontiguousarray(slopes[..., 1])
         mass = np.ascontiguousarray(slopes[..., 2])
         sign = np.sign(motion.state - np.where(motion.state > 2.0, 4.0, 0.0)).reshape(-1, n)
-        others = robot.drive.without(*IN_MATRICES)
-        _add_drive_slopes(robot, others, q, v, sign, by_q, by_v)
+        _add_drive_slopes(robot, robot.drive.without(*IN_MATRICES), q, v, sign, by_q, by_v)
         rows = self.plan.evaluate(q, v, a)
         drive = _build_drive_rows(robot, q, v, after - added, a, sign)
         rotors, damping = _build_matrices(robot)
@@ -278,7 +267,9 @@ class Trajectories:
         shares = coupling.matrix[np.arange(len(moved_by)), moved_by]
         return moved_by.astype(np.int64), shares, np.array(coupling.offset)
 
-    def _program(self, robot: SimulatedRobot, links: Array) -> tuple[Indices, Indices, Array]:
+    def _compile_program(
+        self, robot: SimulatedRobot, links: Array
+    ) -> tuple[Indices, Indices, Array]:
         """Return codes of the links, codes with the drive program, and numbers."""
         layout, coupling = build_layout(self.model.tree), self.model.coupling
         bodies = links.reshape(-1, 10)
@@ -286,7 +277,7 @@ class Trajectories:
             bodies = coupling.parameters(bodies)
         others = robot.drive.without(*IN_MATRICES)
         program, constants = compile_drives(
-            others, _select_columns(robot, others.keys).reshape(-1), self.model.motor_shares
+            others, robot.values_of(*others.keys).reshape(-1), self.model.motor_shares
         )
         codes = layout.codes.ravel().copy()
         numbers = [
@@ -298,28 +289,15 @@ class Trajectories:
         return codes, np.concatenate([codes, program.ravel()]), np.concatenate(numbers)
 
 
-def _select_columns(robot: SimulatedRobot, keys: tuple[str, ...]) -> Array:
-    """Return the columns of the drive values that belong to some terms, shape (n, columns)."""
-    of = [key for term in robot.drive.terms for key in [term.key] * len(term.symbols)]
-    return robot.values[:, [c for c, key in enumerate(of) if key in keys]]
-
-
 def _build_matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
     """Return armatures, less what steps add to them, and dampings of the drives, as (n, n)."""
-    T, n = robot.model.motor_shares, robot.model.n_joints
-    made = []
-    for key in ("armature", "viscous"):
-        matrix = np.zeros((n, n))
-        for term in robot.drive.terms:
-            own = _select_columns(robot, (term.key,))
-            there = np.array([term.is_at(k) for k in range(n)])
-            if term.key == key:
-                matrix += np.diag(np.where(there, own[:, 0], 0.0))
-            elif term.key == f"motor_{key}":
-                matrix += T.T @ np.diag(own[:, 0]) @ T
-        made.append(matrix)
-    added = made[1] + np.diag(robot.stiffness[1])
-    return made[0] - 0.5 * robot.step * added, made[1]
+    T = robot.model.motor_shares
+    armature, damping = (
+        np.diag(robot.value_of(key)) + T.T @ np.diag(robot.value_of(f"motor_{key}")) @ T
+        for key in ("armature", "viscous")
+    )
+    added = damping + np.diag(robot.stiffness[1])
+    return armature - 0.5 * robot.step * added, damping
 
 
 def _build_drive_rows(
@@ -328,20 +306,17 @@ def _build_drive_rows(
     """Return the torque of unit drive parameters of every joint, shape (columns, N) each."""
     shares, drive = robot.model.motor_shares, robot.drive
     away = np.maximum(np.abs(v), SLOWEST)
-    load = np.zeros_like(q) if drive.needs_load else None
-    if load is not None:
-        load = inverse_dynamics(robot.model, q, v, np.zeros_like(q))
-    of = [term.key for term in drive.terms for _ in term.symbols]
+    still = np.zeros_like(q)
+    load = inverse_dynamics(robot.model, q, v, still) if drive.needs_load else None
+    matrix = np.array([term.key in IN_MATRICES for term in drive.terms for _ in term.symbols])
     found = []
     for k in range(q.shape[1]):
         ahead, back = (
-            drive_columns(drive, k, q, s * away, np.zeros_like(q), load=load, shares=shares)
+            drive_columns(drive, k, q, s * away, still, load=load, shares=shares)
             for s in (1.0, -1.0)
         )
         rows = 0.5 * (ahead + back) + sign[:, k] * 0.5 * (ahead - back)
-        plain = drive_columns(drive, k, q, after, a, load=load, shares=shares)
-        matrix = np.array([key in IN_MATRICES for key in of])
-        rows[matrix] = plain[matrix]
+        rows[matrix] = drive_columns(drive, k, q, after, a, load=load, shares=shares)[matrix]
         found.append(rows)
     return found
 
@@ -358,7 +333,7 @@ def _add_drive_slopes(
     """Add the derivatives of the drive torques by position and velocity, joint by joint."""
     if not others or set(others.keys) <= {"coulomb", "offset"}:
         return
-    values = _select_columns(robot, others.keys)
+    values = robot.values_of(*others.keys)
     part = replace(robot, drive=others, values=values)
     for out, moves in ((by_q, (SMALL, 0.0)), (by_v, (0.0, SMALL))):
         two = []
@@ -367,5 +342,4 @@ def _add_drive_slopes(
                 part, q + s * moves[0], v + s * moves[1], v, np.zeros_like(q), sign
             )
             two.append(np.stack([values[k] @ rows[k] for k in range(q.shape[1])], axis=1))
-        at = np.arange(q.shape[1])
-        out[:, at, at] += (two[0] - two[1]) / (2.0 * SMALL)
+        out[:, range(q.shape[1]), range(q.shape[1])] += (two[0] - two[1]) / (2.0 * SMALL)

@@ -49,31 +49,44 @@ class SimulatedRobot:
     step: float = 0.0
 
     @property
+    def _law(self) -> PositionServo:
+        """The servo, or one that gives no torque."""
+        none = (0.0,) * self.model.n_joints
+        return PositionServo(kp=none, kd=none) if self.servo is None else self.servo
+
+    @property
     def stiffness(self) -> tuple[Array, Array, Array]:
         """Gains kp, kd and torque limit of the servo, three (n,); unknown gains are zero."""
-        if self.servo is None:
-            n = self.model.n_joints
-            return np.zeros(n), np.zeros(n), np.full(n, np.inf)
-        kp, kd = (np.nan_to_num(np.array(x)) for x in (self.servo.kp, self.servo.kd))
-        return kp, kd, np.array(self.servo.torque_limit)
+        kp, kd = (np.nan_to_num(np.array(x)) for x in (self._law.kp, self._law.kd))
+        return kp, kd, np.array(self._law.torque_limit)
 
     @property
     def deviations(self) -> tuple[Array, Array]:
         """Deadband of the servo, and how much its torque limit falls per speed, two (n,)."""
-        if self.servo is None:
-            return np.zeros(self.model.n_joints), np.zeros(self.model.n_joints)
-        return np.nan_to_num(np.array(self.servo.deadband)), self.servo.falling
+        return np.nan_to_num(np.array(self._law.deadband)), self._law.falling
 
     @property
     def lead(self) -> Array:
         """Lead of the servo [s], shape (n,)."""
-        return np.zeros(self.model.n_joints) if self.servo is None else self.servo.leads
+        return self._law.leads
 
     @property
     def delay(self) -> float:
         """Delay of what drives the simulation [s]."""
-        late = (self.servo.delay or 0.0) if self.servo is not None else 0.0
-        return late + 0.5 * self.step
+        return (self._law.delay or 0.0) + 0.5 * self.step
+
+    def values_of(self, *keys: str) -> Array:
+        """Return the columns of the values that belong to some terms, shape (n, columns)."""
+        of = [term.key for term in self.drive.terms for _ in term.symbols]
+        return self.values[:, np.isin(of, keys)]
+
+    def value_of(self, key: str) -> Array:
+        """Return the values (n,) of a term with one parameter, zero where a joint lacks it."""
+        term = next((each for each in self.drive.terms if each.key == key), None)
+        if term is None:
+            return np.zeros(self.model.n_joints)
+        there = [term.is_at(k) for k in range(self.model.n_joints)]
+        return np.where(there, self.values_of(key)[:, 0], 0.0)
 
     def centred(self, step: float) -> SimulatedRobot:
         """Return the robot for steps [s] whose first-order errors are undone."""

@@ -7,23 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.identification.trajectories.sensitivity import Branch
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StartModel:
-    """Say how the starts of some windows follow the parameters at the minimum.
-
-    Starts of the joints (m,) of a branch, position before velocity, move by `to_best` (w, 2 m)
-    less `by_parameters` (w, 2 m, p) times the change of its parameters.
-    """
-
-    recording: int
-    part: slice
-    branch: Branch
-    to_best: Array
-    by_parameters: Array
-
 
 WILD = 1e8
 """Derivative of weighted errors from which a motion is chaotic, such as stick and slip: a change of
@@ -32,7 +15,7 @@ a hundred millionth of a parameter or start moves it by its whole error."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Eliminated:
-    """Hold what w windows say of p parameters, their starts (s numbers each) at their best.
+    """Hold what w windows determine of p parameters, starts (s numbers each) at their best.
 
     `matrix` (p, p) is summed over windows, `scores` (w, p) are not. Starts move by `to_best` (w, s)
     less `by_parameters` (w, s, p) times the change of the parameters; `gain` is by how much the
@@ -49,7 +32,7 @@ class Eliminated:
 def eliminate_starts(J: Array, e: Array, stiff: Array, off: Array) -> Eliminated:
     """Eliminate the starts y from `|e - J (x, y)|^2 + stiff |off + y|^2` (Schur complement).
 
-    Windows whose motion is wild (`WILD`) say nothing, and their starts go back to the measured.
+    Windows whose motion is wild (`WILD`) count nothing; their starts go back to the measured.
 
     Parameters
     ----------

@@ -12,9 +12,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure, join_names
-from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
-from asbuilt.identification.effects.found_effect import FoundEffect, describe_found_effect
 from asbuilt.identification.effects.groups import (
     LINKS,
     find_group,
@@ -201,25 +200,20 @@ def _find_single_bodies(
     for each, y in zip(bodies.bodies, torques, strict=True):
         family = EFFECTS[each.key]
         joint = None if each.key == Payload.key else names[joints[each.link]]
-        mass, error, unit = family.size(each.parameters, each.covariance, revolute=True)
         before, after = (
             float(np.linalg.norm(own) / np.linalg.norm(torque)) for own in (left + y, left)
         )
         others = [f"{key} at {names[joints[link]]}" for key, link in each.alike]
-        text = family.size_text(each.parameters, each.covariance, revolute=True)
         found.append(
-            FoundEffect(
-                effect=each.key,
-                joint=joint,
-                estimate=mass,
-                std_error=error,
-                unit=unit,
+            family.found(
+                joint,
+                each.parameters,
+                each.covariance,
+                revolute=True,
                 in_model=True,
                 torque=float(np.linalg.norm(y) / np.sqrt(n)),
-                error_before=before,
-                error_after=after,
+                errors=(before, after),
                 alternatives=(*others, *([LINKS] if bodies.links_differ else [])),
-                text=describe_found_effect(family.title, joint, text, before, after),
             )
         )
     return tuple(found)

@@ -13,7 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
-from asbuilt.identification.effects.selection import RULES
+from asbuilt.identification.effects.trials import RULES
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 
 

@@ -26,9 +26,8 @@ from asbuilt.validation.rollout.floor import delay_command, pair_repeated_window
 from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, find_outlying_windows
 
 if TYPE_CHECKING:
-    from asbuilt.identification.trajectories.drive_signal import DrivenBy
     from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-    from asbuilt.identification.trajectories.windows import Windows
+    from asbuilt.identification.trajectories.windows import DrivenBy, Windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

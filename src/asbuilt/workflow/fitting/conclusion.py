@@ -15,9 +15,12 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.drives.drive_choice import DriveChoice
-from asbuilt.identification.effects.as_identified import as_identified, describe_stated
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.effect_findings import report_effects
+from asbuilt.identification.effects.report import (
+    as_identified,
+    describe_stated,
+    report_effects,
+)
 from asbuilt.identification.effects.search import Effects
 from asbuilt.identification.errors.bias import report_position_noise
 from asbuilt.identification.identify import Fit

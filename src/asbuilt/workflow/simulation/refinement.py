@@ -15,18 +15,16 @@ from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.effects.selection import RULES as EFFECT_RULES
+from asbuilt.identification.effects.trials import RULES as EFFECT_RULES
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
-from asbuilt.identification.trajectories.friction_search import (
-    is_friction_at_rest,
-    predict_fall,
-    widen_parameters,
-)
 from asbuilt.identification.trajectories.refined_fit import (
     RefinedFit,
+    is_friction_at_rest,
+    predict_fall,
     refine_fit,
     thin_windows,
+    widen_parameters,
 )
 from asbuilt.identification.trajectories.servo_coordinates import (
     STIFFNESS_SPREAD,

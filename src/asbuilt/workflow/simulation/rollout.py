@@ -24,13 +24,16 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.simulated_robot import (
     SimulatedRobot,
     build_robot_as_built,
     build_robot_as_described,
 )
-from asbuilt.identification.trajectories.windows import choose_driving_signal, cut_windows
+from asbuilt.identification.trajectories.windows import (
+    DriveSignal,
+    choose_driving_signal,
+    cut_windows,
+)
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest_recording

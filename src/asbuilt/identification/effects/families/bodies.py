@@ -9,8 +9,14 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import (
+    Described,
+    Effect,
+    FoundEffect,
+    Motion,
+    Variant,
+    effect,
+)
 
 
 class _Body(Effect):
@@ -20,11 +26,7 @@ class _Body(Effect):
     the bodies have beyond CAD.
     """
 
-    in_model = True
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of its mass."""
-        return "kg"
+    in_model, units = True, ("kg", "kg")
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return its mass."""
@@ -59,7 +61,7 @@ class LinkMass(_Body):
     key, title = "link_mass", "mass of a link"
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
-        """Return its mass beyond that of CAD."""
+        """Return its mass beyond CAD's."""
         return f"{super().size_text(values, covariance, revolute=revolute)} beyond CAD"
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:

@@ -19,13 +19,9 @@ class Coupling(Effect):
     the model's own terms.
     """
 
-    key, title = "coupling", "coupled motor"
+    key, title, units = "coupling", "coupled motor", ("kg m^2", "kg")
     imitators = ("friction",)
     """Coulomb friction changes its sign with the motor's speed, which is no joint's."""
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of the armature across both joints."""
-        return "kg m^2" if revolute else "kg"
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield each pair of neighbours that turn."""

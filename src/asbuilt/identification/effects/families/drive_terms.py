@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.identification.drives.nonlinear_parameters import credible_range
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
+from asbuilt.identification.effects.gathering import Candidate
 
 TRIALS = 4
 """Trial values of a nonlinear parameter, in equal ratios within its credible range."""
@@ -26,7 +28,7 @@ FORMS: dict[str, tuple[dict[str, float], ...]] = {
     "cable": ({"order": 4.0},),
     "balancer": ({"harmonics": 1.0}, {"harmonics": 2.0}),
 }
-"""Forms in which terms are sought. A cable and a force between two points have four columns each,
+"""Forms in which terms are searched. A cable and a force between two points have four columns each,
 so that the better curve has the name."""
 NAMED_ONLY = ("cable",)
 """Terms that are in a model if stated: a power series once predicted another motion with 290 % of
@@ -97,6 +99,39 @@ def _list_trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
     edges = np.geomspace(np.maximum(lowest, 1e-9), np.maximum(highest, 1e-9), 2 * TRIALS + 1)
     for values in edges[1::2]:
         yield term.with_nonlinear({parameter.name: tuple(values.tolist())})
+
+
+def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
+    """Return drive terms with the terms of candidates, in place of simpler ones they replace."""
+    for effect in dict.fromkeys(each.effect for each in candidates):
+        assert isinstance(effect, DriveEffect)
+        found = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}
+        own, term = set(found), effect.term
+        had = next((each for each in drive.terms if each.key == term.key), None)
+        joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
+        drive = drive.with_term(
+            _place_term(_take_forms(had or term, found, n_joints), joints, n_joints)
+        )
+        simple = next((each for each in drive.terms if each.key == term.stands_for), None)
+        if simple is not None:
+            left = {k for k in range(n_joints) if simple.is_at(k)} - own
+            drive = drive.without(simple.key)
+            drive = drive.with_term(_place_term(simple, left, n_joints)) if left else drive
+    return drive
+
+
+def _take_forms(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: int) -> DriveTerm:
+    """Return a term in the form in which it was found at each joint."""
+    for each in term.nonlinear:
+        there = [(found.get(k) or term).at(k).value(each.name) for k in range(n_joints)]
+        if not each.fitted and set(there) != {each.default}:
+            term = term.with_nonlinear({each.name: tuple(there)})
+    return term
+
+
+def _place_term(term: DriveTerm, joints: Collection[int], n_joints: int) -> DriveTerm:
+    numbers = tuple(sorted(k + 1 for k in joints))
+    return replace(term, joints=None if len(numbers) == n_joints else numbers)
 
 
 for _term in available_terms().values():

@@ -12,8 +12,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import (
+    Described,
+    Effect,
+    FoundEffect,
+    Motion,
+    Variant,
+    effect,
+)
 from asbuilt.tables import round_significant
 
 
@@ -30,7 +36,7 @@ def elastic_columns(
 
     With encoders at the motors and a stiffness K_k [N m/rad or N/m] between motor and link k, the
     link lags by `tau_k / K_k`, tau_k the torque that the spring transmits. To first order in the
-    compliance `c_k = 1 / K_k` the torque at the logged positions is that of the stiff robot plus
+    compliance `c_k = 1 / K_k` the stiff robot's torque at the logged positions lacks
 
         sum_k c_k column_k,   column_k = -(D_q tau_k + D_qd dtau_k/dt + D_qdd d2tau_k/dt2),
 
@@ -85,10 +91,7 @@ class Elastic(Effect):
     """Let the link of a joint lag by the torque over the joint's stiffness; its size is 1 / K."""
 
     key, title, positive, by_span = "elastic", "elastic joint, compliance", True, True
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of a compliance."""
-        return "rad/(N m)" if revolute else "m/N"
+    units = "rad/(N m)", "m/N"
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield each joint."""

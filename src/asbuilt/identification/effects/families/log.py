@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_names
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import (
+    Described,
+    Effect,
+    FoundEffect,
+    Motion,
+    Variant,
+    effect,
+)
 from asbuilt.tables import format_plus_minus
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 ANGLE, LENGTH, SPEED = 1e-4, 1e-5, 1e-3
 """Steps of central differences: angle [rad], length [m], share of the speed."""
@@ -28,16 +31,10 @@ RATES = (0.1, 0.125, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)
 samples left out, another unit."""
 
 
-class _OfLog(Effect):
+class _OfTorque(Effect):
+    """Act on the logged torque of single joints."""
+
     of_log = True
-
-    def shown_in(self, revolute: bool) -> tuple[float, str]:
-        """Return the factor and the unit in which its size is read: shares in percent."""
-        return (100.0, "%") if self.of_shares else super().shown_in(revolute)
-
-
-class _OfTorque(_OfLog):
-    """Act on the torque of single joints."""
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the effect at every joint."""
@@ -45,10 +42,10 @@ class _OfTorque(_OfLog):
 
 
 @effect
-class Clock(_OfLog):
+class Clock(Effect):
     """Run the motion faster than logged by a share."""
 
-    key, title = "clock", "wrong clock"
+    key, title, of_log = "clock", "wrong clock", True
     least = 0.01
     removable, of_shares, shown = True, True, 0.05
     starts = tuple(factor - 1.0 for factor in RATES)
@@ -102,9 +99,8 @@ class Clock(_OfLog):
         return Finding(
             "clock_wrong",
             "warning",
-            f"The torques are those of a motion {_format_percent(found)} {pace} than the clock of"
-            " the log"
-            " says, for only then do masses act alike by gravity and"
+            f"The torques belong to a motion {_format_percent(found)} {pace} than the clock of"
+            " the log says, for only then do masses act alike by gravity and"
             f" acceleration{_word_worth(found)}",
             Cure(
                 f"check the sampling rate; if it is wrong, multiply the times by {1.0 / rate:.4g}"
@@ -114,10 +110,11 @@ class Clock(_OfLog):
 
 
 @effect
-class Zero(_OfLog):
+class Zero(Effect):
     """Log the positions of a joint too large [rad or m]."""
 
-    key, title = "zero", "wrong zero position"
+    key, title, of_log = "zero", "wrong zero position", True
+    units = "rad", "m"
     least = 0.005
     """A third of a degree, or 5 mm."""
     removable = True
@@ -125,10 +122,6 @@ class Zero(_OfLog):
     """20 degrees: a joint that is off by more is another one, or has another sign."""
     shown = 0.035
     """Two degrees, or 35 mm."""
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of positions."""
-        return "rad" if revolute else "m"
 
     def shown_in(self, revolute: bool) -> tuple[float, str]:
         """Return the factor and the unit in which its size is read: degrees or mm."""
@@ -226,10 +219,8 @@ class Gain(_OfTorque):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return the gain, or that the torque is another quantity."""
-        factor, gain = (
-            format_plus_minus(1.0 + found.estimate, found.std_error),
-            1.0 + found.estimate,
-        )
+        gain = 1.0 + found.estimate
+        factor = format_plus_minus(gain, found.std_error)
         if gain < DEAD:
             return Finding(
                 "torque_does_not_follow",
@@ -276,10 +267,8 @@ class Saturation(_OfTorque):
             "torque_saturates",
             "warning",
             f"The largest torques of {found.joint} are {_format_percent(found)} smaller than the"
-            " small"
-            f" ones imply{_word_worth(found)}: the drive or the sensor saturates, or a gain"
-            " depends on"
-            " the torque",
+            f" small ones imply{_word_worth(found)}: the drive or the sensor saturates, or a gain"
+            " depends on the torque",
             Cure("record a gentler motion, or check the range of the sensor"),
             joint=found.joint,
         )
@@ -289,17 +278,13 @@ class Saturation(_OfTorque):
 class Drift(_OfTorque):
     """Let the torque offset drift over the recording [N m or N]."""
 
-    key, title = "drift", "drift of the torque offset"
+    key, title, units = "drift", "drift of the torque offset", ("N m", "N")
     felt = 0.02
     """Drift in the joint's largest torque below which it is of no account."""
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
-        """Return whether the drift matters beside the joint's largest torque."""
+        """Return whether the drift matters next to the joint's largest torque."""
         return bool(abs(values[0]) >= self.felt * robot.largest[joint or 0])
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of torques."""
-        return "N m" if revolute else "N"
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the share of the recording that has passed."""
@@ -350,8 +335,8 @@ class Warming(_OfTorque):
             "friction_drifts",
             "warning",
             f"Friction of {found.joint}, or its viscous part, {pace} by {_format_percent(found)}"
-            " over the recording, as that of a drive whose temperature changes"
-            f"{_word_worth(found)}; its parameters are those of the middle",
+            " over the recording, as in a drive whose temperature changes"
+            f"{_word_worth(found)}; its parameters hold for the middle",
             Cure("record cold and warm robots separately"),
             joint=found.joint,
         )

@@ -9,20 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.errors import UsageError
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
 
-GAP = 1.5
-"""Steps of time, in median ones, from which on nothing is known of the motion between."""
 
-
-def presliding_column(t: ArrayLike, q: ArrayLike, stiffness_length: float) -> Array:
+def presliding_column(q: ArrayLike, stiffness_length: float) -> Array:
     """Return friction of bent bristles over Coulomb friction, in [-1, 1], shape (N,).
 
     The deflection z, over that at which bristles slide, follows `dz/dq = (1 - sign(qd) z) / s` with
     the stiffness length s = Coulomb friction over bristle stiffness: over a path x without
     reversal it is `sign - (sign - z0) exp(-|x| / s)`, whatever the speed. `Fc z` takes the place of
-    `Fc sign(qd)`, to which it tends for s to 0. Bristles are straight at the start and after a gap.
+    `Fc sign(qd)`, to which it tends for s to 0. Bristles are straight at the start.
 
     A term of a drive has formulas of one instant; this column depends on the past. Positions need
     to be filtered: noise bends bristles to and fro, which straightens them.
@@ -31,46 +27,22 @@ def presliding_column(t: ArrayLike, q: ArrayLike, stiffness_length: float) -> Ar
 
     Parameters
     ----------
-    t, q
-        Times [s] and positions of one joint [rad or m], shape (N,).
+    q
+        Positions of one joint [rad or m] without a gap in time, shape (N,).
     stiffness_length
-        Displacement s [rad or m] after which bristles that were straight carry 63 % of Coulomb
+        Displacement s > 0 [rad or m] after which bristles that were straight carry 63 % of Coulomb
         friction.
-
-    Raises
-    ------
-    UsageError
-        If shapes differ or the length is not positive.
 
     Examples
     --------
-    >>> t, q = np.arange(5.0), np.array([0.0, 0.01, 0.1, 0.1, 0.09])
-    >>> presliding_column(t, q, 0.01).round(3).tolist()
+    >>> presliding_column([0.0, 0.01, 0.1, 0.1, 0.09], 0.01).round(3).tolist()
     [0.0, 0.632, 1.0, 1.0, -0.264]
     """
-    times, x = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
-    if times.ndim != 1 or times.shape != x.shape:
-        raise UsageError(
-            f"times and positions of one joint have one shape (N,), got {times.shape} and {x.shape}"
-        )
-    if not 0.0 < stiffness_length < np.inf:
-        raise UsageError(f"a stiffness length is positive, got {stiffness_length}")
-    z, steps = np.zeros(x.shape), np.diff(times)
-    if not steps.size:
-        return z
-    starts = np.flatnonzero(steps > GAP * np.median(steps)) + 1
-    for segment in np.split(np.arange(x.size), starts):
-        z[segment] = _integrate_deflection(x[segment], stiffness_length)
-    return z
-
-
-def _integrate_deflection(x: Array, length: float) -> Array:
-    """Return the deflection along a path from straight bristles, one reversal after another."""
+    x = np.asarray(q, dtype=np.float64)
     z, side = np.zeros(x.shape), np.sign(np.diff(x))
     turns = np.flatnonzero(side[1:] * side[:-1] <= 0.0) + 1
-    edges = [0, *turns.tolist(), x.size - 1]
-    for start, stop in pairwise(edges):
-        way = np.abs(x[start + 1 : stop + 1] - x[start]) / length
+    for start, stop in pairwise([0, *turns.tolist(), x.size - 1]):
+        way = np.abs(x[start + 1 : stop + 1] - x[start]) / stiffness_length
         sign = side[start] if start < stop else 0.0
         z[start + 1 : stop + 1] = sign - (sign - z[start]) * np.exp(-way)
     return z
@@ -88,11 +60,7 @@ class Presliding(Effect):
     """
 
     key, title, positive, kind = "presliding", "presliding friction", True, "friction"
-    by_span = True
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of friction."""
-        return "N m" if revolute else "N"
+    units, by_span = ("N m", "N"), True
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield trial displacements at every joint with Coulomb friction."""
@@ -103,7 +71,6 @@ class Presliding(Effect):
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return bent bristles less sliding ones."""
-        t = np.arange(len(motion.q)) / motion.rate
         length = variant.trial * np.maximum(np.ptp(motion.q, axis=0), 1e-6)
-        bent = [presliding_column(t, q, s) for q, s in zip(motion.q.T, length, strict=True)]
+        bent = [presliding_column(q, s) for q, s in zip(motion.q.T, length, strict=True)]
         return [np.stack(bent, axis=1) - np.sign(motion.qd)]

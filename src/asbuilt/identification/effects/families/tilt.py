@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,10 +11,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @effect
@@ -26,8 +23,7 @@ class Tilt(Effect):
     order, so that the columns are the gravity torques of the links under `g x axis`.
     """
 
-    key = "tilt"
-    title = "base tilt"
+    key, title, units = "tilt", "base tilt", ("deg", "deg")
     in_model = True
     least = float(np.deg2rad(0.25))
     """Accuracy of a floor that is called level."""
@@ -37,12 +33,8 @@ class Tilt(Effect):
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return the angle between both directions of gravity [deg]."""
-        size, error, _ = super().size(values, covariance, revolute=revolute)
-        return float(np.rad2deg(size)), float(np.rad2deg(error)), self.unit(revolute)
-
-    def unit(self, revolute: bool) -> str:
-        """Return the unit of the angle."""
-        return "deg"
+        size, error, unit = super().size(values, covariance, revolute=revolute)
+        return float(np.rad2deg(size)), float(np.rad2deg(error)), unit
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the angle with its parts about both axes."""

@@ -15,7 +15,7 @@ from asbuilt.codec import make_plain
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.findings import Finding, rank_findings
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
 from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, make_day, merge_by_day

@@ -9,11 +9,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
-from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
 from asbuilt.identification.effects.families.bodies import Payload
-from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.groups import LINKS, name_group
-from asbuilt.identification.effects.selection import RULES, evaluate_worth
+from asbuilt.identification.effects.trials import RULES, evaluate_worth
 from asbuilt.tables import format_plus_minus, round_significant
 from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, sum_days
 from asbuilt.workflow.fleet.drift.directions import Directions, Source, list_sources

@@ -1,16 +1,22 @@
-"""Delay of a position servo: a fit with the robot's parameters, regularised toward CAD."""
+"""Fits of a position servo: its stiffness by the masses of CAD, and its delay.
+
+Masses are the only scale that a command has. The delay is fitted with the robot's parameters,
+regularised toward CAD.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.terms.friction import Offset
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.pose_noise import DOUBT
@@ -20,6 +26,137 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
 from asbuilt.identification.servo.servo_rows import ServoRows
+
+Scale = Literal["gravity", "inertia"]
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleRules:
+    """Say when a stiffness is determined, and how well CAD masses are trusted.
+
+    Parameters
+    ----------
+    cad
+        Standard deviation of the scale of CAD torques, as a fraction: own choice for parts of known
+        material and weighed motors.
+    determined
+        Relative standard error of a stiffness beyond which a recording does not determine it.
+    passes
+        Passes of the robust weights of time blocks.
+    """
+
+    cad: float = 0.1
+    determined: float = 0.3
+    passes: int = 20
+
+
+SCALE = ScaleRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoScale:
+    """Hold the stiffness of each joint's servo with its errors.
+
+    Parameters
+    ----------
+    kp, std_errors
+        Stiffness [N m/rad or N/m] and its standard error, CAD's included, (n,).
+    shared
+        Whether one stiffness was fitted to all joints.
+    source
+        What gives the scale of each joint: gravity or inertia of CAD.
+    """
+
+    kp: Array
+    std_errors: Array
+    shared: bool
+    source: tuple[Scale, ...]
+
+
+def find_scale(
+    rows: ServoRows,
+    base: BaseParameters,
+    design: Array,
+    kd: Sequence[float],
+    unknown: Mask,
+    *,
+    shared: bool,
+) -> ServoScale:
+    """Fit `u - q = c tau_cad + drive terms + c kd qd`, c = 1 / kp, joint by joint.
+
+    `tau_cad` is the rigid-body torque of the links by design (`design`, standard parameters with
+    drives zero); armature and friction of the joint are free and have no scale. There is no
+    constant torque: a servo has none, and over a small range of motion gravity is almost constant,
+    so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with
+    their residual variance r, so that contact does not count. The stiffness is shared by all
+    unknown joints if asked, or if some joint's rows do not determine its own.
+
+    Raises nothing: a stiffness that nothing determines has an infinite standard error.
+    """
+    n = unknown.size
+    c, V, source = np.full(n, np.nan), np.full(n, np.inf), ["gravity"] * n
+    for k in np.flatnonzero(unknown).tolist():
+        c[k], V[k], source[k] = _estimate_own_scale(rows, base, design, kd[k], k)
+    good = unknown & (c > 0) & np.isfinite(V)
+    determined = good & (np.sqrt(V) < SCALE.determined * np.where(good, c, 1.0))
+    pooled = shared or not np.all(determined[unknown])
+    if pooled and np.any(good):
+        weight = np.where(good, 1.0 / V, 0.0)
+        mean = float(np.sum(weight[good] * c[good]) / np.sum(weight))
+        spread = np.sum(weight[good] * (c[good] - mean) ** 2) / max(np.count_nonzero(good) - 1, 1)
+        c[unknown], V[unknown] = mean, max(spread, 1.0) / np.sum(weight)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kp = np.where(c > 0, 1.0 / c, np.nan)
+        relative = np.where(c > 0, np.sqrt(V) / c, np.inf)
+    errors = kp * np.sqrt(relative**2 + SCALE.cad**2)
+    return ServoScale(kp, errors, pooled, tuple(source))  # type: ignore[arg-type]
+
+
+def _estimate_own_scale(
+    rows: ServoRows, base: BaseParameters, design: Array, kd: float, k: int
+) -> tuple[float, float, Scale]:
+    """Return c of a joint, its variance from time blocks, and what gives it."""
+    own = rows.support[k]
+    K = base.regrouping[own]
+    drives = K[:, 10 * base.n_links :][:, _find_varying_columns(base)]
+    parts = {
+        "gravity": np.where(np.arange(base.n_standard) % 10 >= 6, design, 0.0),
+        "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
+    }
+    T = np.zeros((own.size + 3, 1 + drives.shape[1]))
+    T[: own.size, 0], T[: own.size, 1:] = K @ design, drives
+    T[own.size, 0] = np.nan_to_num(kd)
+    T = T[:, [0, *(1 + np.flatnonzero(np.any(drives != 0.0, axis=0)))]]
+    weight = np.ones(len(rows.times))
+    for _ in range(SCALE.passes):
+        gram = rows.total(k, weight)
+        normal = T.T @ gram @ T
+        x = np.linalg.lstsq(normal, T.T @ gram[:, -1], rcond=1e-12)[0]
+        a = -T @ x
+        a[-1] += 1.0
+        weight = block_weights(rows, k, a)
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    scores = sum_clusters(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
+    rest, size = np.linalg.pinv(normal[1:, 1:], hermitian=True), {}
+    for name, part in parts.items():
+        t = np.zeros(own.size + 3)
+        t[: own.size] = K @ part
+        across = T[:, 1:].T @ gram @ t
+        size[name] = float(t @ gram @ t - across @ rest @ across)
+    source: Scale = "gravity" if size["gravity"] >= size["inertia"] else "inertia"
+    alone = normal[0, 0] - normal[0, 1:] @ rest @ normal[1:, 0]
+    if alone <= 1e-9 * normal[0, 0]:
+        return float("nan"), float("inf"), source
+    return float(x[0]), float(np.sum(scores**2)), source
+
+
+def _find_varying_columns(base: BaseParameters) -> Indices:
+    """Return the drive columns that are no constant torque.
+
+    Rows have columns of other joints only where forces at contacts are projected away.
+    """
+    varies = [s not in Offset.symbols for term in base.drive.terms for s in term.symbols]
+    return np.flatnonzero(np.resize(varies, base.n_standard - 10 * base.n_links))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,12 +175,12 @@ class DelaySlopes:
     ) -> DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
         weight = np.array(counted, dtype=np.float64)
-        names, means = [], []
-        count = float(weight @ [block.n_samples for block in rows.times])
-        for k, support in enumerate(rows.support):
-            gram = rows.total(k, weight)
-            names.append(tuple(base.names[j] for j in support))
-            means.append(kp[k] * gram[: support.size, support.size + 1] / max(count, 1.0))
+        count = max(float(weight @ rows.lengths), 1.0)
+        means = (
+            kp[k] * rows.total(k, weight)[: support.size, support.size + 1] / count
+            for k, support in enumerate(rows.support)
+        )
+        names = (tuple(base.names[j] for j in support) for support in rows.support)
         return cls(tuple(names), tuple(means))
 
 
@@ -57,7 +194,7 @@ def estimate_servo_delay_errors(
     """Return what a delay with this standard error [s] adds; None if it is known.
 
     Parameters follow the delay by `-(W^T W)^-1 sum_k w_k^2 kp_k W_k^T du/dt`, with the information
-    of the estimate, that of CAD included.
+    of the estimate, CAD's included.
     """
     if not 0.0 < std_error < np.inf:
         return None
@@ -92,14 +229,14 @@ class DelayRules:
     passes: int = 8
 
 
-RULES = DelayRules()
+DELAY = DelayRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DelayFit:
-    """Hold the change of the delay [s] from that of the rows, and its standard error.
+    """Hold the change of the delay [s] that the rows have, and its standard error.
 
-    `excess` (B,) is the largest residual of a joint in each block, in those of its median block;
+    `excess` (B,) is the largest residual of a joint in each block, in units of its median block;
     `parameters` (n_standard,) are the standard parameters.
     """
 
@@ -122,26 +259,21 @@ def fit_delay(
     Links have a prior from CAD. What does not average out (`replayed`) is taken off the scores.
     Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
     everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933). It is at
-    least that of the noise that was replayed; without a replay, or with too few blocks, that of
+    least the error by the noise that was replayed; without a replay, or with too few blocks, by
     independent residuals. Without a replay it is also at least what joints disagree by, the only
     sign of what does not average out. What is taken off has an error too (`DOUBT`).
     """
     n, p = len(rows.support), base.n_standard
-    prior = np.eye(p + 1) / RULES.drives**2
-    for i, metric in enumerate(design.metric):
-        link = slice(10 * i, 10 * i + 10)
-        prior[link, link] = RULES.links * metric
+    prior, links = np.eye(p + 1) / DELAY.drives**2, slice(10 * base.n_links)
+    prior[links, links] = DELAY.links * block_diag(*design.metric)
     prior[p, p] = 0.0
-    start = np.append(design.parameters, 0.0)
-    start[10 * base.n_links : p] = 0.0
-    lower = np.full(p + 1, -np.inf)
-    lower[design.non_negative] = 0.0
+    start, lower = np.zeros(p + 1), np.full(p + 1, -np.inf)
+    start[links], lower[design.non_negative] = design.parameters[links], 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
-    weight = np.ones((n, len(rows.times)))
-    lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
+    weight, lengths = np.ones((n, len(rows.times))), rows.lengths
     x, scale, free = start, np.ones(n), np.arange(p + 1)
-    for _ in range(RULES.passes):
+    for _ in range(DELAY.passes):
         normal, right = prior.copy(), prior @ start
         for k, (whole, torque) in enumerate(maps):
             J, at = whole[:, reached[k]], reached[k]
@@ -172,8 +304,7 @@ def fit_delay(
         least = variance
         if replayed is not None and replayed.sees_noise:
             least = replayed.variance([scale[k] * each for k, each in enumerate(along)])
-        scatter = float(together @ together) * together.size / (together.size - 1)
-        variance = max(least, scatter)
+        variance = max(least, float(together @ together) * together.size / (together.size - 1))
     if replayed is None:
         variance = max(variance, float(np.square(by_joint).sum()))
     variance += (DOUBT * taken) ** 2

@@ -1,0 +1,157 @@
+"""What is reported of effects: findings, and values and errors of those in a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Indices
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
+from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
+from asbuilt.identification.effects.families.drive_terms import DriveEffect
+from asbuilt.identification.effects.groups import find_places
+from asbuilt.identification.effects.search import Effects
+from asbuilt.identification.estimators.auto import design_effect, prior_information
+from asbuilt.identification.information.held_out import (
+    divide_into_folds,
+    group_different_motions,
+)
+
+if TYPE_CHECKING:
+    from asbuilt.identification.identify import Fit
+    from asbuilt.identification.result.result import IdentificationResult
+
+APPLY = Cure("identify with it", {"effects": "auto"})
+
+
+def report_effects(effects: Effects) -> tuple[Finding, ...]:
+    """Return what can be done about effects, and what the log would not show."""
+    if effects.problem:
+        return (
+            Finding(
+                "effects_not_sought",
+                "warning",
+                f"Whether something acts that the description lacks was not asked:"
+                f" {effects.problem}",
+                Cure("record longer, and several motions"),
+            ),
+        )
+    return (*_report_missing(effects), *_report_unseen(effects))
+
+
+def _report_missing(effects: Effects) -> Iterator[Finding]:
+    """Yield what can be done about effects that are not in the model."""
+    for each in effects.found:
+        effect = EFFECTS[each.effect]
+        if each.in_model:
+            continue
+        message = f"Not in the model: {each.text}"
+        finding = (
+            Finding("effect_found", "warning", message, APPLY, joint=each.joint)
+            if effect.in_model
+            else effect.finding(each, effects.model)
+        )
+        if finding is not None:
+            kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
+            # the share of the squared torque error that the effect takes away
+            yield replace(finding, torque=max(0.0, 1.0 - kept**2))
+
+
+def _report_unseen(effects: Effects) -> Iterator[Finding]:
+    """Yield errors of the log, larger than any log should hide, that this one does not show."""
+    names = effects.model.joint_names
+    named = {(each.effect, each.joint) for each in effects.found}
+    for key, each in EFFECTS.items():
+        sized, never = list[str](), list[str]()
+        for (own, joint), size in effects.unseen.items():
+            name = None if joint is None else names[joint]
+            if own != key or size <= each.shown or (key, name) in named:
+                continue
+            if size >= each.farthest:
+                never.append(name or "")
+                continue
+            revolute = joint is None or effects.model.joints[joint].is_revolute
+            text = each.text_of(size, None, revolute=revolute)
+            sized.append(f"below {text}" + (f" at {name}" if name else ""))
+        if never:
+            sized.append("of any size" + (f" at {join_names(never)}" if any(never) else ""))
+        if sized:
+            yield each.unseen(join_names(sized))
+
+
+def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffect:
+    """Return an effect with value and error of the result, if it is a parameter of its model.
+
+    So that tables of effects and of parameters have one number.
+    """
+    effect = EFFECTS.get(found.effect)
+    if not (found.in_model and isinstance(effect, DriveEffect)) or found.joint is None:
+        return found
+    k = result.joint_names.index(found.joint)
+    own = find_places(result.base, found.effect, k)
+    if not own.size:
+        return found
+    return effect.found(
+        found.joint,
+        result.estimates[own],
+        result.covariance[np.ix_(own, own)],
+        revolute=result.model.joints[k].is_revolute,
+        in_model=True,
+        torque=found.torque,
+        errors=(found.error_before, found.error_after),
+        alternatives=found.alternatives,
+    )
+
+
+def describe_stated(
+    drive: DriveSet, fit: Fit, result: IdentificationResult
+) -> Iterator[FoundEffect]:
+    """Yield the effects of drive terms that a user states, as a search would find them.
+
+    The torque errors without and with each are on held-out groups of different motion, each
+    predicted from the others and CAD.
+    """
+    if not drive.terms:
+        return
+    information, estimate = fit.information, fit.estimate
+    prior = with_drive_scale(build_cad_prior(fit.model, fit.base.drive), information)
+    P = design_effect(information, estimate) * prior_information(information, prior)
+    toward = P @ fit.base.regrouping @ prior.parameters
+    groups = group_different_motions(information, estimate.weights)
+    folds = list(divide_into_folds(information, groups)) or [(information, information)]
+
+    def error(left_out: Indices) -> float:
+        kept, shares = np.setdiff1d(np.arange(information.base.n_base), left_out), []
+        for training, held in folds:
+            factor = training.stacked(estimate.weights)
+            normal = (factor.T @ factor)[np.ix_(kept, np.append(kept, -1))]
+            beta = np.zeros(information.base.n_base)
+            beta[kept] = np.linalg.solve(
+                normal[:, :-1] + P[np.ix_(kept, kept)], normal[:, -1] + toward[kept]
+            )
+            shares.append(held.residual_energy(beta).sum() / held.torque_energy.sum())
+        return float(np.exp(0.5 * np.mean(np.log(shares))))
+
+    after = error(np.zeros(0, dtype=np.int64))
+    for term in drive.terms:
+        effect = EFFECTS.get(term.key)
+        for k, joint in enumerate(result.joint_names if effect else ()):
+            own = find_places(information.base, term.key, k)
+            if effect is None or not own.size:
+                continue
+            acts = np.isin(information.support[k], own)
+            added = information.joint_factors[k][:, :-1][:, acts] @ estimate.beta[own]
+            yield effect.found(
+                joint,
+                result.estimates[own],
+                result.covariance[np.ix_(own, own)],
+                revolute=result.model.joints[k].is_revolute,
+                in_model=True,
+                torque=float(np.linalg.norm(added)) / np.sqrt(information.n_samples),
+                errors=(error(own), after),
+            )

@@ -1,0 +1,458 @@
+"""Trials of effects: what each would change in a fit toward CAD, and on held-out motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc, fdtrc
+
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.identification.effects.effect import Described
+from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
+from asbuilt.identification.statistics import estimate_mean_error
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionRules:
+    """Say when an effect is taken."""
+
+    level: float = 0.05
+    """Probability that chance takes any, over all candidates (Bonferroni)."""
+    certain: float = 1.0
+    """Standard errors over groups of different motion by which the held-out error must fall."""
+    unheld: float = 2.0
+    """The same where the description has no masses, or masses that the data refute: then nothing
+    but the data holds the bodies, and this fit's will not be the model's."""
+    form: float = 2.0
+    """Standard errors by which another form, such as a spring between points for a torsion spring,
+    must predict other motion better than the one that lowers the cost most for its columns."""
+    worth: float = 0.02
+    """Share of the squared torque error on other motion that an effect must take away: 1 % of the
+    torque error."""
+    sure: float = 2.0
+    """Fall of the cost for each column, in half squares of independent standard errors: two."""
+    felt: float = 1e-3
+    """Share of the torque of some joint below which nothing is worth a term: models of arms are
+    not more exact."""
+    named: float = 0.06
+    """Fall of the logarithm of the squared error on other motion, mean over joints, from which on
+    an effect of the whole robot that the model has not is named: 3 % of the torque error."""
+    imitated: float = 10.0
+    """Fall of the cost, in its unit, that bodies nearer to CAD must be worth where the held-out
+    error does not fall: they imitated the effect. 4.5 standard errors."""
+    alike: float = 0.5
+    """Share of the worth from which on another effect is a look-alike."""
+    shown: float = 1e-3
+    """Squared part of a column outside all others below which a log does not show an effect."""
+    separate: float = 1e-6
+    """Squared part of a column outside all others below which it has no trial."""
+    acting: float = 1e-18
+    """Squared length of a column, in the largest, below which it does not act on this robot."""
+    most: int = 20
+    """Effects taken."""
+    ridge: float = 1e-9
+    """Added to the unit diagonal of parameters without a prior."""
+
+
+RULES = SelectionRules()
+NONE = np.zeros(0, dtype=np.int64)
+"""No columns."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Hold the mean (p,) and information (p, p) of the model's own parameters by CAD.
+
+    `effect` is the number of samples that count as one, by which costs are divided.
+    """
+
+    mean: Array
+    information: Array
+    effect: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Hold what a candidate would do in addition to what is taken.
+
+    `values` (m,) and `covariance` are of its parameters, by the scatter of time blocks, `p_value`
+    tests that all are zero. `relief` (groups,) is the logarithm of the fall of the squared
+    error on each held-out group. `gain` is the fall of the cost in half squares of independent
+    standard errors, by the logarithm of its ratio; `nearer` how much nearer to CAD bodies come, in
+    the same unit; `felt` its share in the torque of the joint where it is largest.
+    `alternatives` would explain as much, and are needless next to it. `errors` are the held-out
+    errors without and with it.
+    """
+
+    candidate: Candidate
+    values: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    p_value: float = 0.0
+    relief: Array = field(default_factory=lambda: np.zeros(0))
+    gain: float = 0.0
+    nearer: float = 0.0
+    felt: float = 0.0
+    alternatives: tuple[Candidate, ...] = ()
+    errors: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def relief_error(self) -> float:
+        """Standard error of the mean relief."""
+        return estimate_mean_error(self.relief)
+
+    @property
+    def chance(self) -> float:
+        """Probability of such a fall of the cost by chance."""
+        return float(chdtrc(len(self.values), 2.0 * self.gain))
+
+    @property
+    def worth(self) -> float:
+        """Fall of the cost less what as many columns take away by chance."""
+        return evaluate_worth(self.gain, len(self.values))
+
+    def is_sure(self, n_candidates: int, robot: Described) -> bool:
+        """Return whether the effect is no chance, is felt, and has a size that robots have."""
+        sure = self.p_value * n_candidates <= RULES.level and self.felt >= RULES.felt
+        own = self.candidate
+        return sure and own.effect.is_possible(self.values, own.joint, robot)
+
+    def is_taken(self, n_candidates: int, robot: Described, held: bool) -> bool:
+        """Return whether the effect is sure, and lowers the error on other motion or is imitated.
+
+        Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
+        motion is predicted no worse. Where CAD does not hold the bodies, that is no reason.
+        """
+        if not self.is_sure(n_candidates, robot):
+            return False
+        mean, error = float(self.relief.mean()), self.relief_error
+        certain = RULES.certain if held else RULES.unheld
+        predicts = mean > certain * error and mean > RULES.worth
+        imitated = held and self.nearer > RULES.imitated and mean > -error
+        return predicts or imitated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Hold a fit without some columns c: parameters, and how a unit of each column moves them.
+
+    `residual` (P + 1,) are the coefficients of the residual, `moves` (P + 1, c) its change.
+    """
+
+    residual: Array
+    moves: Array
+    schur: Array
+    score: Array
+
+
+class Trials:
+    """Fit a model with effects toward CAD on groups of time blocks, and try further effects.
+
+    The cost is `sum_k w_k^2 |tau_k - W_k beta - E_k x|^2 + (beta - beta_0)^T P (beta - beta_0)`,
+    the quadratic form of a fit toward CAD; effects have no prior but a ridge for collinear columns.
+    """
+
+    def __init__(
+        self,
+        equations: EffectEquations,
+        prior: Prior,
+        weights: Array,
+        groups: Sequence[Indices],
+    ) -> None:
+        """Take the equations, the prior, weights of the joints (n,), and groups of blocks."""
+        self.equations, self.prior, self.weights = equations, prior, weights
+        self._total = equations.stacked(weights)
+        length = np.diag(self._total)
+        self._size, self._acts = np.sqrt(length), length > RULES.acting * length.max(initial=0.0)
+        self._without = [self._total - equations.stacked(weights, group) for group in groups]
+        self._of_joints = [
+            [
+                (np.append(support, equations.n_parameters), gram[group].sum(axis=0))
+                for support, gram in zip(equations.support, equations.grams, strict=True)
+            ]
+            for group in groups
+        ]
+        self._torque = np.array([[own[-1, -1] for _, own in each] for each in self._of_joints])
+        """Squared torque of each held-out group and joint."""
+        every = np.arange(equations.n_parameters + 1)
+        blocks = range(len(equations.counts))
+        self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
+        self._place = np.full((len(equations.support), equations.n_parameters), -1)
+        for place, support in zip(self._place, equations.support, strict=True):
+            place[support] = np.arange(len(support))
+        self._n_samples = max(int(equations.counts.sum()), 1)
+        rms = np.sqrt(np.array([own[-1, -1] for own in equations.of_joints]) / self._n_samples)
+        least = max(float(rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
+        self._rms = np.maximum(rms, least)
+        self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
+        self.taken: list[Candidate] = []
+
+    @cached_property
+    def _apart(self) -> Array:
+        """Squared part of each column outside the model's own, in its length, (P,)."""
+        gram, own = self._total[:-1, :-1], self._list_inside(())
+        size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
+        scaled = gram / np.outer(size, size)
+        inverse = np.linalg.pinv(scaled[np.ix_(own, own)], rcond=RULES.separate, hermitian=True)
+        across = scaled[own]
+        return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
+
+    def _is_shown(self, candidate: Candidate) -> bool:
+        """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
+        return bool(np.all(self._apart[self.acting(candidate).places] >= RULES.shown))
+
+    def own(self, at: At) -> Candidate:
+        """Return the effect at a joint that is taken."""
+        return next(each for each in self.taken if each.at == at)
+
+    def every_place(self, candidate: Candidate) -> Indices:
+        """Return the positions of all parameters of a candidate, whether they act or not."""
+        return next(each for each in self.equations.candidates if each.at == candidate.at).places
+
+    def candidate(self, at: At) -> Candidate:
+        """Return the first candidate of an effect at a joint, with what acts of it."""
+        return self.acting(next(each for each in self.equations.candidates if each.at == at))
+
+    def acting(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with the parameters of it that act on this robot."""
+        return replace(candidate, places=candidate.places[self._acts[candidate.places]])
+
+    def held_out_error(self, taken: Sequence[Candidate]) -> float:
+        """Return the relative torque error with these effects, the geometric mean of groups.
+
+        So a group that the others hardly determine counts no more than others.
+        """
+        error, torque = (
+            each.sum(axis=1) for each in (self._leave_out(self._list_inside(taken)), self._torque)
+        )
+        there, least = torque > 0.0, float(np.finfo(np.float64).eps) ** 2
+        squares = np.maximum(error[there] / torque[there], least)
+        return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares.size else 0.0
+
+    def values(self) -> Array:
+        """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
+        return -self._fit(self._total, self._list_inside(self.taken)).residual[:-1]
+
+    def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
+        """Return values of candidates next to all others taken, and their covariance.
+
+        The covariance is that by the scatter of time blocks.
+        """
+        others = [each for each in self.taken if all(each is not own for own in candidates)]
+        places = np.concatenate([each.places for each in candidates])
+        whole = self._fit(self._total, self._list_inside(others), places)
+        d = np.asarray(np.linalg.solve(whole.schur, whole.score))
+        both = np.column_stack([whole.residual, whole.moves])
+        blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
+        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
+        return d, _estimate_scatter(whole.schur, left, d)[0]
+
+    def smallest_seen(self, candidate: Candidate) -> float:
+        """Return the value from which on one parameter would be sure, infinite if none would."""
+        own = self.acting(candidate)
+        if not own.places.size:
+            return 0.0
+        if not self._is_shown(own):
+            return np.inf
+        fit = self._fit(self._total, self._list_inside(self.taken), own.places)
+        n = int(np.sum(self.weights > 0.0))
+        of_joint = float(fit.residual @ self._total @ fit.residual) / n
+        felt = of_joint * np.expm1(n * RULES.named)
+        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
+
+    def torque_of(self, trial: Trial) -> float:
+        """Return the RMS torque of a trial at its joint, of all joints together without one."""
+        return float(np.linalg.norm(self._measure_torques(trial.candidate, trial.values)))
+
+    def _measure_torques(self, candidate: Candidate, values: Array) -> Array:
+        """Return the RMS torque (n,) of a candidate with these values."""
+        energy = np.zeros(len(self.equations.support))
+        for k, gram in enumerate(self.equations.of_joints):
+            own = self._place[k, candidate.places]
+            at, x = own[own >= 0], values[own >= 0]
+            energy[k] = x @ gram[np.ix_(at, at)] @ x
+        return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
+
+    def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
+        """Try each candidate alone with what is taken; what it replaces is left out then.
+
+        Those that do not lower the cost surely have no trial.
+        """
+        groups: dict[tuple[int, ...], list[Candidate]] = {}
+        for each in candidates:
+            groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
+        self._factored.clear()
+        before = self._list_inside(self.taken)
+        x = self._fit(self._total, before).residual
+        start = self._leave_out(before), float(x @ self._total @ x), self._measure_distance(x)
+        return [trial for own in groups.values() for trial in self._try_candidates(own, start)]
+
+    def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
+        left = np.setdiff1d(
+            np.arange(self.equations.n_base),
+            np.concatenate([np.zeros(0), *(c.replaces for c in taken)]),
+        )
+        return np.concatenate([left, *(each.places for each in taken)]).astype(np.int64)
+
+    def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
+        """Fit the parameters inside to the normal equations of all blocks, or without a group."""
+        P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
+        if key not in self._factored:
+            factor, b = cho_factor(self._build_normal(gram, inside)[0]), gram[inside, -1].copy()
+            own = np.flatnonzero(inside < self.equations.n_base)
+            b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
+            self._factored[key] = factor, cho_solve(factor, b)
+        factor, solution = self._factored[key]
+        residual, moves = np.zeros(P + 1), np.zeros((P + 1, len(columns)))
+        residual[inside], residual[-1] = -solution, 1.0
+        moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
+        moves[columns, np.arange(len(columns))] -= 1.0
+        return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
+
+    def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
+        """Return the normal matrix of the parameters inside, and the prior's part of it."""
+        own, prior = np.flatnonzero(inside < self.equations.n_base), np.zeros((len(inside),) * 2)
+        prior[np.ix_(own, own)] = self.prior.information[np.ix_(inside[own], inside[own])]
+        A = gram[np.ix_(inside, inside)] + prior
+        A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
+        return A, prior
+
+    def _leave_out(self, inside: Indices) -> Array:
+        """Return the squared error of each joint on each held-out group (groups, n)."""
+        fits = [self._fit(without, inside) for without in self._without]
+        both = zip(fits, self._of_joints, strict=True)
+        return np.array([_expand_squares(fit, joints)[0] for fit, joints in both])
+
+    def _measure_distance(self, residual: Array) -> float:
+        away = -residual[: self.equations.n_base] - self.prior.mean
+        return float(away @ self.prior.information @ away)
+
+    def _try_candidates(
+        self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
+    ) -> list[Trial]:
+        """Try candidates that replace the same parameters; without a gain they have no trial.
+
+        `start` are held-out errors (groups, n), error and distance from CAD of what is taken.
+        """
+        held_before, error_before, distance_before = start
+        inside = np.setdiff1d(self._list_inside(self.taken), candidates[0].replaces)
+        gaining = self._find_gaining(candidates, inside, error_before + distance_before)
+        if not gaining:
+            return []
+        columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
+        whole = self._fit(self._total, inside, columns)
+        # All other parameters are zero, and stay so.
+        moving = np.zeros(self.equations.n_parameters + 1, dtype=np.bool_)
+        moving[inside], moving[columns], moving[-1] = True, True, True
+        _, scores, slopes = _expand_squares(whole, self._blocks, moving)
+        held_out = [
+            (fit, _expand_squares(fit, joints, moving))
+            for without, joints in zip(self._without, self._of_joints, strict=True)
+            for fit in (self._fit(without, inside, columns),)
+        ]
+        floor = np.finfo(np.float64).eps * self._torque + np.finfo(np.float64).tiny
+        found = []
+        for each, gain in gaining:
+            c = np.searchsorted(columns, each.places)
+            own = whole.schur[np.ix_(c, c)]
+            d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
+            left = -scores[:, c] - slopes[:, c][:, :, c] @ d
+            covariance, p_value = _estimate_scatter(own, left, d)
+            felt = float(np.max(self._measure_torques(each, d) / self._rms))
+            if len(each.replaces):
+                # That a term in place of another one is zero is no question: its gain is one. And
+                # nearly all of its torque is the torque of what it replaces.
+                p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
+                fall = 2.0 * self.prior.effect * max(gain, 0.0)
+                felt = float(np.sqrt(fall / self._total[-1, -1]))
+            size = self._size[each.places]
+            held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
+            ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
+            relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
+            distance = self._measure_distance(whole.residual + whole.moves[:, c] @ d)
+            nearer = (distance_before - distance) / (2.0 * self.prior.effect)
+            found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
+        return found
+
+    def _find_gaining(
+        self, candidates: Sequence[Candidate], inside: Indices, cost: float
+    ) -> list[tuple[Candidate, float]]:
+        """Return the candidates that lower the cost surely, with their gain.
+
+        Without what they replace the cost is another one; a column with score s and Schur
+        complement S lowers it by `s^T S^-1 s`.
+        """
+        acting = [each for each in map(self.acting, candidates) if each.places.size]
+        if not acting:
+            return []
+        columns = np.unique(np.concatenate([each.places for each in acting]))
+        fit = self._fit(self._total, inside, columns)
+        x = fit.residual
+        lost = float(x @ self._total @ x) + self._measure_distance(x) - cost
+        found = []
+        for each in acting:
+            c = np.searchsorted(columns, each.places)
+            own, scale = fit.schur[np.ix_(c, c)], self._size[each.places]
+            if np.linalg.eigvalsh(own / np.outer(scale, scale))[0] < RULES.separate:
+                continue
+            fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
+            # The logarithm: what an effect explains is no noise of the fit with it.
+            left = max(1.0 - fall / cost, np.finfo(np.float64).eps) if cost > 0.0 else 1.0
+            gain = -0.5 * cost / self.prior.effect * float(np.log(left))
+            if gain >= RULES.sure * len(c):
+                found.append((each, gain))
+        return found
+
+
+def evaluate_worth(gain: float, n_columns: int) -> float:
+    """Return a fall of the cost less what as many columns take away by chance."""
+    return gain - n_columns * float(np.log(max(gain, 1.0)))
+
+
+def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
+    """Return the covariance by scores of blocks (B, m), and the p value of all values being 0.
+
+    Hotelling's T^2 of m values with B - 1 degrees of freedom.
+    """
+    B, m = left.shape
+    inverse = np.linalg.inv(own)
+    covariance = inverse @ (left.T @ left * B / max(B - 1, 1)) @ inverse
+    try:
+        square = float(d @ np.linalg.solve(covariance, d))
+    except np.linalg.LinAlgError:
+        return covariance, 1.0
+    freedom = max(B - m, 1)
+    return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
+
+
+def _expand_squares(
+    fit: _Fit, grams: Sequence[tuple[Indices, Array]], moving: Mask | None = None
+) -> tuple[Array, Array, Array]:
+    """Return `|r + M d|^2` in d for Gram matrices at some places: value, slope and curvature.
+
+    For a change d of the columns it is `value + 2 slope @ d + d @ curvature @ d`, shapes (g,),
+    (g, c) and (g, c, c). Parameters that are not `moving`, whose coefficients are zero, are passed
+    over.
+    """
+    found = []
+    for places, gram in grams:
+        kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
+        at, own = places[kept], gram[np.ix_(kept, kept)]
+        r, M = fit.residual[at], fit.moves[at]
+        felt = M.T @ own
+        found.append((r @ own @ r, felt @ r, felt @ M))
+    value, slope, curvature = map(np.array, zip(*found, strict=True))
+    return value, slope, curvature
+
+
+def _score_left_out(
+    fit: _Fit, squares: tuple[Array, Array, Array], c: Indices, size: Array
+) -> Array:
+    """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
+    value, slope, curvature = squares
+    own = fit.schur[np.ix_(c, c)]
+    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), fit.score[c])
+    return np.asarray(value + 2.0 * slope[:, c] @ d + curvature[:, c][:, :, c] @ d @ d)
