@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
 
@@ -75,11 +75,16 @@ def block_maxima(t: Array, values: Array, seconds: float) -> Array:
     t, values
         Times (N,) [s], increasing, and values (N, n).
     """
-    block = np.floor((t - t[0]) / seconds).astype(np.int64)
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
-    counts = np.diff(np.append(starts, len(t)))
+    starts, counts = divide_into_blocks(t, seconds)
     full = counts >= 0.5 * seconds / float(np.median(np.diff(t)))
     return np.asarray(np.maximum.reduceat(values, starts, axis=0)[full])
+
+
+def divide_into_blocks(t: Array, seconds: float) -> tuple[Indices, Indices]:
+    """Return the first samples of blocks of `seconds`, and their numbers of samples, two (B,)."""
+    block = np.floor((t - t[0]) / seconds).astype(np.int64)
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    return starts, np.diff(np.append(starts, len(t)))
 
 
 def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAILS) -> Tail:

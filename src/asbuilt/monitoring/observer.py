@@ -7,9 +7,8 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics import TorqueModel, described_drive, drive_torque
 from asbuilt.dynamics.momentum import Momentum, apply_lag
-from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult

@@ -10,9 +10,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.dynamics import (
+    BaseParameters,
+    described_drive,
+    drive_torque,
+    gravity_torque,
+    inverse_dynamics,
+)
 from asbuilt.errors import ResultError
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.metrics import TorqueMetrics
@@ -61,10 +65,9 @@ class Validation:
     metrics_exported: TorqueMetrics | None = None
 
     def __post_init__(self) -> None:
-        for values in (self.t, self.velocity, self.measured, self.predicted):
+        for values in (self.t, self.velocity, self.measured, self.predicted, self.predicted_cad):
             values.setflags(write=False)
-        for values in (self.predicted_cad, self.drive):
-            values.setflags(write=False)
+        self.drive.setflags(write=False)
 
     def __repr__(self) -> str:
         rms = ", ".join(f"{value:.3g}" for value in self.metrics_as_built.rms)

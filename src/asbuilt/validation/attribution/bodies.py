@@ -114,17 +114,16 @@ def explain_bodies(
             break
         best, fit = min(fits, key=lambda each: each[1].least)
         gain = alone.least - fit.least
-        if (
-            _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level
-        ):  # amounts are not negative
+        # Twice the level, since amounts are not negative.
+        if _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level:
             break
         alike = {
             (each.key, each.link): None
             for each, own in fits
             if each.link != best.link and alone.least - own.least > RULES.alike * gain
         }
-        spread = fit.covariance(best.root)
-        found.append(Body(best.key, best.link, fit.mean(best.root), spread, tuple(alike)))
+        mean, spread = fit.mean(best.root), fit.covariance(best.root)
+        found.append(Body(best.key, best.link, mean, spread, tuple(alike)))
         own = K[:, best.link] @ best.root * fit.amount
         C, left = C + own @ own.T, [each for each in left if each.link != best.link]
     by_data = alone.deviance - DOUBT[:, None]

@@ -138,7 +138,7 @@ def check_tolerance(
     tested: ArrayLike,
     *,
     level: float,
-    degrees_of_freedom: ArrayLike | None = None,
+    degrees_of_freedom: ArrayLike,
 ) -> ToleranceTest:
     """Test differences from CAD (p,) with their covariance (p, p) against tolerances.
 
@@ -147,11 +147,7 @@ def check_tolerance(
     """
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
-    freedom = (
-        np.full(len(chosen), np.inf)
-        if degrees_of_freedom is None
-        else np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
-    )
+    freedom = np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
     wide = widening(freedom)
     sampled = np.asarray(covariance, dtype=np.float64)[own] / np.outer(wide, wide)
 

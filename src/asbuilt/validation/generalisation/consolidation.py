@@ -28,7 +28,7 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "not_excited": ("joint_without_torque",),
     }
 )
-"""Findings that follow from another one, or repeat it; beside it they are good to know only."""
+"""Findings that follow from another one, or repeat it; with it they are good to know only."""
 
 WEIGHT: tuple[str, ...] = (
     "joint_without_torque",
@@ -68,7 +68,7 @@ def consolidate_findings(
     findings
         The findings.
     shares
-        Share of the squared torque error at each joint, by name: that of a finding at a joint
+        Share of the squared torque error at each joint, by name, for findings at a joint
         which has none of its own.
     """
     merged = _merge_findings(findings)

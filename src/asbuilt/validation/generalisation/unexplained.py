@@ -34,7 +34,7 @@ def report_unexplained(training: Sequence[Validation]) -> Iterator[Finding]:
     """Name joints whose torque the model explains by less than three quarters of its variance.
 
     Also those whose error is mostly one push, a torque of one sign in one span of time. A torque
-    that is small beside that of other joints is left out: friction and noise may be most of it.
+    that is small compared with other joints' is left out: friction and noise may be most of it.
     """
     for each in training:
         error = np.sqrt(np.mean(each.error**2, axis=0))
@@ -103,7 +103,7 @@ class ReturningRules:
     sure: float = 2.0
     """Standard errors over the parts."""
     share: float = 0.2
-    """Share of the squared error from which on it is said."""
+    """Share of the squared error from which on it is reported."""
     felt: float = 0.01
     """Share of the joint's torque below which it is of no account: torque sensors err as much."""
 

@@ -15,7 +15,7 @@ WIDEST = 1e3
 UNTOUCHED = 1e-9
 """Part of the variance by which the recording must reduce what is plausible to say anything."""
 LOOSE = 100.0
-"""Factor by which a number is less held while its aliases are sought."""
+"""Factor by which a number is less held while its aliases are searched."""
 ALIKE = 0.5
 """Correlation of two numbers from which one is an alias of the other."""
 MOST_ALIASES = 3
@@ -99,5 +99,4 @@ def _find_aliases(P: Array, weight: Array, j: int) -> tuple[int, ...]:
     variance = np.diag(P) + P[j] ** 2 * released / kept
     correlation = np.abs(P[j] / kept) / np.sqrt(np.maximum(variance * P[j, j] / kept, 1e-300))
     correlation[j] = 0.0
-    order = np.argsort(-correlation)[:MOST_ALIASES]
-    return tuple(int(k) for k in order if correlation[k] >= ALIKE)
+    return tuple(int(k) for k in np.argsort(-correlation)[:MOST_ALIASES] if correlation[k] >= ALIKE)

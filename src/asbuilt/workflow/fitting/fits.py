@@ -11,8 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.encoders import (
@@ -96,14 +95,6 @@ class Fits:
         """Whether the final fit is of more data than the one that is validated."""
         return self.final is not self.validated
 
-    def predicted(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
-        """Predict samples of the final fit by it, and by CAD."""
-        return tuple(_predict_samples(self.final, each) for each in samples)
-
-    def judged(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
-        """Predict validation data by the fit that has not seen them, and by CAD."""
-        return tuple(_predict_samples(self.validated, each) for each in samples)
-
 
 def fit_study(
     model: RobotModel,
@@ -161,16 +152,16 @@ def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared
 
 def _measure_torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
-    judged = fits.judged(fits.prepared.held_out or fits.prepared.training)
-    return float(np.mean([each.metrics_as_built.relative_error**2 for each in judged]))
+    samples = fits.prepared.held_out or fits.prepared.training
+    predicted = predict_samples(fits.validated, samples)
+    return float(np.mean([each.metrics_as_built.relative_error**2 for each in predicted]))
 
 
 def _identify_encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
     """Return what lies between two encoders, by the friction that was identified."""
-    fit, joints = fits.final, fits.final.model.joints
-    samples = [each.compact() for each in samples]
+    fit, samples = fits.final, [each.compact() for each in samples]
     taken = [_predict_friction(fit, each) for each in samples]
-    pairs = identify_encoders(samples, [joint.is_revolute for joint in joints], taken)
+    pairs = identify_encoders(samples, [joint.is_revolute for joint in fit.model.joints], taken)
     errors = np.sqrt(np.diag(fit.uncertainty.covariance))
     named = dict(zip(fit.base.names, errors.tolist(), strict=True))
     numbers = [fit.model.joint_names.index(each.joint) + 1 for each in pairs]
@@ -276,8 +267,7 @@ def _with_effects(
     drive = select_stated_drive(model, samples, options.drive)
     for term in wanted.drive.terms:
         drive = drive.with_term(term)
-    effects = Effects(model, drive)
-    flat: tuple[Plateau, ...] = ()
+    effects, flat = Effects(model, drive), tuple[Plateau, ...]()
     stated = {Tilt.key} if options.mounting == "estimate" or wanted.tilt else set()
     fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
     if stated and not fixed:
@@ -304,12 +294,15 @@ def _open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     Drive terms that are stated, by the user or the description, leave no others open.
     """
     every = options.wanted_effects.choice == "auto"
-    keys = set(EFFECTS) if every else set(list_drive_effects())
+    keys = set(EFFECTS if every else list_drive_effects())
     stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
     if stated or not (every or options.drive):
         keys -= set(list_drive_effects(by_construction=True))
     return keys
 
 
-def _predict_samples(fit: Fit, samples: Samples) -> Validation:
-    return predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, samples)
+def predict_samples(fit: Fit, samples: Sequence[Samples]) -> tuple[Validation, ...]:
+    """Predict samples by a fit, and by CAD."""
+    return tuple(
+        predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, each) for each in samples
+    )

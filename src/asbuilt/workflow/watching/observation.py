@@ -9,22 +9,24 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.recordings import Recorded
+from asbuilt.experiment import (
+    Recorded,
+    RecordingStream,
+    Samples,
+    SignalChain,
+    head_of,
+    resolve_chain,
+)
 from asbuilt.experiment.recording import Recording, find_advancing_rows
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
 from asbuilt.experiment.signal.noise.velocity_choice import compare_velocities
-from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.resampling import resample_segments
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring import Observed, Observer
 from asbuilt.monitoring.causal_filter import choose_pole, largest_velocity_error
-from asbuilt.monitoring.observed import Observed
-from asbuilt.monitoring.observer import Observer
 
 FEWEST = 10
 """Samples of the shortest log."""
@@ -84,9 +86,7 @@ def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
     segments, rate, _ = resample_segments(head)
     pairs = []
     for segment in segments:
-        if segment.qd is None:
-            return False
-        if segment.t.size > 2 * settling_samples(cutoff, rate):
+        if segment.qd is not None and segment.t.size > 2 * settling_samples(cutoff, rate):
             derived = central_differences(segment.q, rate)
             smooth, logged = (
                 butterworth(x, cutoff=cutoff, rate=rate) for x in (derived, segment.qd)
@@ -116,8 +116,7 @@ def observe_parts(
     if isinstance(recorded, Recording):
         yield _observe_recording(observer, recorded, velocities=velocities)
         return
-    seen = 0
-    end, tail = -np.inf, None
+    seen, end, tail = 0, -np.inf, None
     for chunk in recorded:
         whole = chunk if tail is None else _join_recordings(tail, chunk)
         found = _observe_recording(observer, whole, velocities=velocities)

@@ -35,7 +35,7 @@ def check_robot_id(robot_id: str) -> str:
     """Return the identity of a robot.
 
     Raises `UsageError` unless it is one line of 1 to 60 printable characters whose folder can be
-    made; letters of other scripts take up to nine bytes of its name.
+    made; characters of other scripts take up to nine bytes of its name.
     """
     folder = quote(robot_id, safe=" ", errors="replace")
     if not (robot_id.strip() and robot_id.isprintable() and len(robot_id) <= LONGEST):
@@ -55,15 +55,10 @@ def name_entry_folder(robot_id: str) -> str:
     return "logs/" + quote(check_robot_id(robot_id), safe=" ").replace(".", "%2E")
 
 
-def read_folder_robot(folder: str) -> str:
-    """Return the robot of a folder of entries."""
-    return unquote(folder)
-
-
 def is_folder(name: str) -> bool:
     """Return whether this is the name of a robot's folder."""
     try:
-        return name_entry_folder(read_folder_robot(name)) == f"logs/{name}"
+        return name_entry_folder(unquote(name)) == f"logs/{name}"
     except UsageError:
         return False
 
@@ -185,17 +180,18 @@ class RemoteStore:
     def __init__(self, url: str) -> None:
         self.root = url.rstrip("/")
         protocol = url.partition("://")[0]
-        extra = EXTRAS.get(protocol, "cluster")
         try:
             fsspec = import_module("fsspec")
             self._files, self._folder = fsspec.url_to_fs(self.root)
         except ImportError as problem:
-            package = getattr(problem, "name", None) or "fsspec"
-            raise MissingExtraError(package, extra, f"a ledger at {protocol}://") from None
+            raise MissingExtraError(
+                problem.name or "fsspec",
+                EXTRAS.get(protocol, "cluster"),
+                f"a ledger at {protocol}://",
+            ) from None
         except Exception as problem:
-            shown = shorten_path(url)
             raise UsageError(
-                f"the ledger {shown} cannot be opened: {describe_problem(problem)}"
+                f"the ledger {shorten_path(url)} cannot be opened: {describe_problem(problem)}"
             ) from None
 
     def names(self, folder: str) -> list[str]:
@@ -242,8 +238,11 @@ class RemoteStore:
 
 
 def _make_unreachable_error(root: str, problem: Exception) -> ResultError:
-    why = f"{type(problem).__name__} {describe_problem(problem)}"
-    return ResultError(f"{shorten_path(root)} cannot be reached: {why}", file=root)
+    return ResultError(
+        f"{shorten_path(root)} cannot be reached: {type(problem).__name__}"
+        f" {describe_problem(problem)}",
+        file=root,
+    )
 
 
 def unpack_table(path: Path) -> LogTable:
@@ -255,6 +254,6 @@ def unpack_table(path: Path) -> LogTable:
     if frame.estimated_size() > LARGEST:
         raise ResultError(f"it unpacks to more than {LARGEST / 1e6:.0f} MB")
     frame.write_ipc_stream(stream)
-    content = stream.getvalue()
-    padded = content + bytes(-len(content) % 8)
-    return LogTable(source=str(path), columns={"arrow": np.frombuffer(padded)})
+    # A column holds numbers of 8 bytes; Arrow ignores what follows its end mark.
+    stream.write(bytes(-stream.tell() % 8))
+    return LogTable(source=str(path), columns={"arrow": np.frombuffer(stream.getvalue())})
