@@ -127,8 +127,7 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
 
 def _fit_tail(x: Array, peaks: int, probability: float) -> Tail:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
-    blocks = len(x)
-    start, mean = _start(x, peaks)
+    blocks, (start, mean) = len(x), _find_tail(x, peaks)
     shape, scale, weight = _evaluate_posterior((x[-peaks:] - start) / mean)
     above = (peaks + 1) / (blocks + 1)
     low, high = 0.0, 1.0
@@ -163,11 +162,11 @@ def _count_peaks(blocks: int, share: float) -> int:
 def exponential_level(maxima: Array, probability: float) -> float:
     """Return the level that maxima (B,) exceed at a probability if their tail is exponential."""
     x, peaks = np.sort(maxima), len(select_largest(maxima))
-    start, mean = _start(x, peaks)
+    start, mean = _find_tail(x, peaks)
     return start + mean * max(float(np.log(peaks / (len(x) * probability))), 0.0)
 
 
-def _start(x: Array, peaks: int) -> tuple[float, float]:
+def _find_tail(x: Array, peaks: int) -> tuple[float, float]:
     """Return the start and the mean excess of the tail of the largest `peaks` of sorted maxima."""
     start = float(x[-peaks - 1])
     mean = float(np.mean(x[-peaks:] - start))

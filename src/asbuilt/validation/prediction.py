@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +17,9 @@ from asbuilt.dynamics import (
     inverse_dynamics,
 )
 from asbuilt.errors import ResultError
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification import IdentificationResult, TorqueMetrics
 from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
     pair_with_measured,
@@ -32,10 +32,6 @@ from asbuilt.validation.residuals import (
     analyse_residual,
     bin_by_velocity,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-    from asbuilt.identification.result.result import IdentificationResult
 
 SAME_GEOMETRY = 1e-6
 """Largest difference of joint frames [rad or m] of two descriptions of one robot."""

@@ -91,21 +91,21 @@ class RecordedInformation:
         paragraphs = [
             f"The motion has {100 * self.efficiency.d_efficiency:.2g} % of the information that the"
             f" joint limits allow at most (drive terms {self.drive}{limits})."
-            f"{self._beyond()}"
+            f"{self._word_excess()}"
         ]
         if self._lacking:
             slow = [k for k in self._lacking if self.top_speed[k] < RULES.slow]
             narrow = [k for k in self._lacking if self.travel[k] < RULES.narrow]
             rest = [self.joint_names[k] for k in self._lacking if k not in {*slow, *narrow}]
             parts = [
-                self._listed(slow, self.top_speed, "of the speed limit"),
-                self._listed(narrow, self.travel, "of the range"),
+                self._list_shares(slow, self.top_speed, "of the speed limit"),
+                self._list_shares(narrow, self.travel, "of the range"),
                 f"{join_names(rest)}, gently or in step with others" if rest else "",
             ]
             advice = cure_text(BETTER_MOTION)
             paragraphs += [
                 f"Joints that moved too little: {'; '.join(part for part in parts if part)}.",
-                f"{self._worst()} {advice[:1].upper()}{advice[1:]}.",
+                f"{self._word_worst()} {advice[:1].upper()}{advice[1:]}.",
             ]
         return "\n".join(textwrap.fill(each, 80, subsequent_indent="  ") for each in paragraphs)
 
@@ -131,11 +131,11 @@ class RecordedInformation:
     def _lacking(self) -> list[int]:
         return [k for k, part in enumerate(self.efficiency.by_joint) if part < RULES.too_little]
 
-    def _listed(self, joints: list[int], parts: Array, of_what: str) -> str:
+    def _list_shares(self, joints: list[int], parts: Array, of_what: str) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
         return f"{join_names(named)} {of_what}" if named else ""
 
-    def _beyond(self) -> str:
+    def _word_excess(self) -> str:
         outside = [
             f"{name} {factor:.2g} times"
             for name, factor in zip(self.joint_names, self.efficiency.beyond, strict=True)
@@ -147,7 +147,7 @@ class RecordedInformation:
         )
         return text if outside else ""
 
-    def _worst(self) -> str:
+    def _word_worst(self) -> str:
         ratios, names = self.std_error_ratios, self.efficiency.base.names
         worst = sorted(self._lacking, key=lambda k: -ratios[k])[: RULES.most_named]
         listed = [

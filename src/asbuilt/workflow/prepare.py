@@ -68,10 +68,6 @@ class Prepared:
     delay: tuple[RecordingDelay, ...] = ()
     whole: tuple[Samples, ...] = ()
 
-    def undivided(self) -> Prepared:
-        """Return the same with nothing held out, if that was so by default."""
-        return replace(self, training=self.whole, held_out=(), whole=(), holdout=None)
-
 
 def prepare(
     model: RobotModel,
@@ -276,7 +272,7 @@ def with_settled_holdout(
     return options
 
 
-def hold_out_findings(
+def report_holdout(
     wanted: StudyOptions, prepared: Prepared, recordings: Sequence[Recorded], validated: bool
 ) -> tuple[Finding, ...]:
     """Return what a study with such options says of what it held out by default.

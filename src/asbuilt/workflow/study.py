@@ -37,7 +37,7 @@ from asbuilt.validation import (
     rollout_findings,
     study_verdict,
 )
-from asbuilt.validation.rollout.joint_errors import tabulate_joint_errors
+from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict_error import choose_decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
@@ -47,8 +47,8 @@ from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import (
     Prepared,
     Progress,
-    hold_out_findings,
     prepare,
+    report_holdout,
     settle_rule,
     with_settled_holdout,
 )
@@ -268,7 +268,7 @@ def identify(
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
-    held_out_findings = hold_out_findings(
+    held_out_findings = report_holdout(
         wanted, prepared, trained, bool(others) or bool(prepared.held_out)
     )
     concluded = conclude_study(fits, options, cutoffs, held_out_findings)

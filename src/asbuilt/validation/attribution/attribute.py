@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,6 +21,7 @@ from asbuilt.identification.effects.groups import (
     name_group,
 )
 from asbuilt.identification.information.cause_data import TILT, CauseData
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import format_plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
 from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
@@ -29,9 +29,6 @@ from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recor
 from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.significance import holm
 from asbuilt.validation.prediction import derive_cad_values, torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 BODIES = (Payload.key, LinkMass.key)
 

@@ -138,7 +138,7 @@ class Attribution:
         """Return RMS torque, errors of CAD and as built (n,), and the effects, joint by joint."""
         rows = (
             (*start, describe_joint_effects(self, k, brief=True), describe_joint_effects(self, k))
-            for k, start in enumerate(self._starts(as_built))
+            for k, start in enumerate(self._begin_rows(as_built))
         )
         return Table(
             (
@@ -156,7 +156,7 @@ class Attribution:
         parts["unexplained"] = self.unexplained
         rows = (
             (*start, *(Shown(float(x[k]), percentage(float(x[k]), 0)) for x in parts.values()))
-            for k, start in enumerate(self._starts(self.rms_chosen))
+            for k, start in enumerate(self._begin_rows(self.rms_chosen))
         )
         heads = (Column(name.replace("_", " "), align="right") for name in parts)
         return Table(
@@ -176,7 +176,7 @@ class Attribution:
         rms = (Column(name, unit, "decimal") for name in ("torque", "CAD error", "as built"))
         return (Column("joint", width=20), *([] if unit else [Column("unit")]), *rms)
 
-    def _starts(self, as_built: Array) -> Iterator[tuple[Cell, ...]]:
+    def _begin_rows(self, as_built: Array) -> Iterator[tuple[Cell, ...]]:
         """Yield the cells of each joint below these heads."""
         alike = len(set(self.units)) == 1
         for name, unit, *values in zip(

@@ -97,7 +97,7 @@ def explain_bodies(
     """
     used = np.flatnonzero((base.columns < 10 * model.n_links) & np.isfinite(difference))
     K = base.regrouping[used]
-    seen = null_space(_open_columns(model, base)[used].T)
+    seen = null_space(_select_open_columns(model, base)[used].T)
     if not seen.shape[1]:
         return BodyDifference()
     d, C = seen.T @ difference[used], seen.T @ covariance[np.ix_(used, used)] @ seen
@@ -131,7 +131,7 @@ def explain_bodies(
     return BodyDifference(tuple(found), float(chdtrc(1, max(ratio, 0.0))) < RULES.level)
 
 
-def _open_columns(model: RobotModel, base: BaseParameters) -> Array:
+def _select_open_columns(model: RobotModel, base: BaseParameters) -> Array:
     """Return the columns of what CAD says nothing of: drives, and links without mass.
 
     A rotor is part of the inertia about its axis. Offsets are small next to weights: they hide no

@@ -392,9 +392,8 @@ def _measure_from_sums(
     result: IdentificationResult, cause_data: CauseData, beta: Array, like: TorqueMetrics
 ) -> TorqueMetrics:
     """Return the metrics of a prediction on the validation motion, from sums of squares alone."""
-    rms = cause_data.error_of(result.base.names, beta)
-    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in cause_data.judged]) / np.sqrt(
-        cause_data.n_judged
+    rms, torque = (
+        cause_data.error_of(result.base.names, each) for each in (beta, np.zeros(len(beta)))
     )
     unknown = np.full(len(rms), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

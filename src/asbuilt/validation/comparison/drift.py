@@ -134,7 +134,7 @@ class Drift:
                 align="decimal",
                 of=lambda each: format_estimate(each.after, each.error)[1],
             ),
-            Column(change, align="right", of=self._outcome),
+            Column(change, align="right", of=self._show_outcome),
             Column(
                 "torque",
                 "N m" if {*self.units} <= {"N m"} else "N m, N",
@@ -171,7 +171,7 @@ class Drift:
             important=tuple(order[:MOST_PARAMETERS]) if changed is None else None,
         )
 
-    def _outcome(self, change: ParameterChange) -> Cell:
+    def _show_outcome(self, change: ParameterChange) -> Cell:
         """Return whether a parameter changed, or by how many standard errors it is off."""
         if change.sigmas is None:
             return DROPPED if change.dropped else "not determined"

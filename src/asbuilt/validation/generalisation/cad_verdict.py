@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import stdtr
@@ -15,12 +15,10 @@ from asbuilt.findings import Finding, join_names
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.groups import name_group
 from asbuilt.tables import round_significant
+from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.significance import holm
 from asbuilt.validation.prediction import Validation
-
-if TYPE_CHECKING:
-    from asbuilt.validation.attribution.attribution import Attribution
 
 Outcome = Literal["better", "worse", "undecided"]
 

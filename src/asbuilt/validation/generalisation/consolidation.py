@@ -77,12 +77,12 @@ def consolidate_findings(
         replace(each, severity="info")
         if each.severity == "warning" and present.intersection(EXPLAINED.get(each.code, ()))
         else each
-        for each in (_with_torque(each, shares) for each in merged)
+        for each in (_add_torque(each, shares) for each in merged)
     ]
     return tuple(sorted(kept_findings, key=_rank_finding))
 
 
-def _with_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
+def _add_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
     if finding.torque is not None or finding.joint is None:
         return finding
     return replace(finding, torque=shares.get(finding.joint))

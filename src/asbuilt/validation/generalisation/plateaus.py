@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,15 +15,13 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
 from asbuilt.validation.prediction import torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +121,7 @@ def report_plateaus(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Fin
         )
 
 
-def without_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tuple[Samples, ...]:
+def drop_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tuple[Samples, ...]:
     """Return the samples at which no torque saturates, of recordings that have any."""
     kept = []
     for samples in training:

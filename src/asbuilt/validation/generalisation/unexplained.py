@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.validation.comparison.comparison import recording_name
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-    from asbuilt.validation.prediction import Validation
+from asbuilt.validation.prediction import Validation
 
 UNEXPLAINED = 0.5
 """RMS error over the standard deviation of a joint's torque beyond which it is not explained."""
@@ -111,7 +108,7 @@ class ReturningRules:
 RETURNING = ReturningRules()
 
 
-def nameless_findings(
+def report_nameless(
     training: Sequence[Validation], samples: Sequence[Samples]
 ) -> Iterator[Finding]:
     """Name joints whose torque error returns wherever they pass a position in one direction.

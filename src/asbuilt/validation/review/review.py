@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +13,13 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.findings import Finding
 from asbuilt.identification.errors.block_scatter import mean_degrees, student_probability
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.validation.letter import LETTERS
+from asbuilt.validation.prediction import Validation
 from asbuilt.validation.review.claimed_numbers import (
     Claim,
     ClaimedNumber,
@@ -28,15 +29,11 @@ from asbuilt.validation.review.claimed_numbers import (
 from asbuilt.validation.review.profile import Profile, profile_numbers
 from asbuilt.validation.review.servo_claims import (
     TOGETHER,
+    derive_scale_errors,
+    derive_servo_damping,
     list_servo_aliases,
     review_servo_claims,
-    scale_errors,
-    servo_damping,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-    from asbuilt.validation.prediction import Validation
 
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
@@ -157,7 +154,7 @@ def review_result(
     """
     model, base = described or result.model, result.base
     numbers = list_claimed_numbers(model, base.drive, tolerance)
-    scale, added = scale_errors(result), servo_damping(result, model)
+    scale, added = derive_scale_errors(result), derive_servo_damping(result, model)
     values = ComparedValues.free(result)
     claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0) + added
     rows = np.flatnonzero(values.determined & (values.std_errors > 0) & ~values.dropped)

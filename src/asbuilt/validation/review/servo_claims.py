@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +11,9 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 from asbuilt.identification.errors.block_scatter import student_probability
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.prediction import Validation
 from asbuilt.validation.review.claimed_numbers import Claim
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-    from asbuilt.validation.prediction import Validation
 
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
@@ -35,7 +32,7 @@ SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
 
-def scale_errors(result: IdentificationResult) -> Array:
+def derive_scale_errors(result: IdentificationResult) -> Array:
     """Return the relative error of the torque of each joint from its stiffness, shape (n,)."""
     errors, servo = result.servo_errors, result.servo
     if errors is None or servo is None or not errors.kp:
@@ -43,7 +40,7 @@ def scale_errors(result: IdentificationResult) -> Array:
     return np.asarray(np.array(errors.kp) / np.array(servo.kp))
 
 
-def servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
+def derive_servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
     """Return what the claimed damping of servos adds to the standard parameters (n_standard,).
 
     Where the damping of the servo was not given, viscous friction as built includes it.

@@ -138,7 +138,7 @@ def average_errors(recordings: Sequence[RecordingErrors]) -> dict[str, float | N
     return found
 
 
-def without_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
+def drop_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
     """Return simulated positions (W, L, n), NaN from where a window diverges.
 
     It does where a position is not finite, or a revolute joint a whole turn from the measured one.
@@ -150,7 +150,7 @@ def without_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
     return np.where(lost[..., None], np.nan, simulated)
 
 
-def diverges_after(times: Array, simulated: Array) -> float:
+def find_divergence(times: Array, simulated: Array) -> float:
     """Return when the first of some windows (W, L, n) diverges [s]; infinite if none does.
 
     `times` (L,) count from the start of a window to each sample.
@@ -181,7 +181,7 @@ def measure_rollout_errors(
         None: of this robot.
     """
     if until is None:
-        until = min(map(diverges_after, times, simulated))
+        until = min(map(find_divergence, times, simulated))
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     free = model.n_floating

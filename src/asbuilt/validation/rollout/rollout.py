@@ -15,16 +15,18 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
 from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.tables import Cell, Column, Shown, Table, round_significant
 from asbuilt.validation.rollout.errors import (
     OUTLYING,
     OutlyingWindow,
     RecordingErrors,
     RolloutErrors,
     average_errors,
-    diverges_after,
+    drop_lost,
+    find_divergence,
     find_outlying_windows,
     measure_rollout_errors,
-    without_lost,
+    position_unit,
 )
 from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
 
@@ -148,7 +150,7 @@ def roll_out(
             if path is None or isinstance(path, str) or name in why:
                 kept.append(None)
             else:
-                kept.append(without_lost(model, cut.q, path))
+                kept.append(drop_lost(model, cut.q, path))
         return kept
 
     by_cad = simulated("cad", paths[: len(windows)])
@@ -194,7 +196,7 @@ def _measure_errors(
     times, measured = [each.windows.times for each in motions], [each.windows.q for each in motions]
     both = [each.cad for each in motions], [each.as_built for each in motions]
     ends = [
-        diverges_after(t, path)
+        find_divergence(t, path)
         for paths in both
         for t, path in zip(times, paths, strict=True)
         if path is not None
@@ -340,3 +342,40 @@ def _format_size(errors: RolloutErrors) -> str:
 
 def _name_model(name: str) -> str:
     return "by CAD" if name == "cad" else "as built"
+
+
+def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
+    """Return the errors of every joint for one horizon."""
+    unit = "mrad or mm" if model.n_floating else position_unit(model)
+    cad, built = rollout.cad, rollout.as_built
+    errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
+    ends = {"end, as built": built, "end, CAD": cad}
+    values = {
+        **{name: None if each is None else each.rms for name, each in errors.items()},
+        **{name: None if each is None else each.final for name, each in ends.items()},
+    }
+    rows = tuple(
+        (
+            name,
+            *(
+                None if each is None else format_in_milli(float(each[k]))
+                for each in values.values()
+            ),
+        )
+        for k, name in enumerate(model.joint_names)
+    )
+    columns = (
+        Column("joint", width=20),
+        *(Column(name, unit, "decimal", detail=name in ends) for name in values),
+    )
+    title = f"Position error of rollouts of {rollout.horizon:g} s, held out"
+    return Table(columns, rows, title).filled()
+
+
+def format_in_milli(value: float | None) -> Cell:
+    """Return a length or angle in thousandths of its unit, as a cell."""
+    if value is None:
+        return None
+    if not np.isfinite(value):
+        return Shown(None, "diverged")
+    return Shown(1e3 * value, round_significant(1e3 * value))

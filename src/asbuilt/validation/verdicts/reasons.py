@@ -45,7 +45,7 @@ def list_reasons_against(
         *_list_error_reasons(error, measure),
         *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
         *_list_finding_reasons(findings, result.effects, len(result.validation), measure),
-        *(_make_effect_reason(each) for each in result.effects if _dims(each)),
+        *(_make_effect_reason(each) for each in result.effects if _is_omitted(each)),
         *_list_joint_reasons(validations if measure == "torque" else ()),
         *_list_consistency_reasons(result),
         *_list_body_reasons(result),
@@ -82,7 +82,7 @@ def _list_finding_reasons(
     measure: Measure,
 ) -> Iterator[Reason]:
     """Yield the findings that dim a verdict, in the order of `DIMMING`, but what is an effect."""
-    named = {each.effect for each in effects if _dims(each)}
+    named = {each.effect for each in effects if _is_omitted(each)}
     for code, phrase in DIMMING.items():
         found = [each for each in findings if each.code == code]
         passed_over = (
@@ -95,7 +95,7 @@ def _list_finding_reasons(
             yield Reason(code, phrase.format(at=f" at {join_names(names, 3)}" if names else ""))
 
 
-def _dims(each: FoundEffect) -> bool:
+def _is_omitted(each: FoundEffect) -> bool:
     """Return whether an effect is left out that a model or a sheet could hold."""
     family = EFFECTS[each.effect]
     return not each.in_model and (family.in_model or family.of_log)

@@ -28,7 +28,7 @@ from asbuilt.validation.generalisation.consolidation import consolidate_findings
 from asbuilt.validation.generalisation.coverage import check_coverage, check_repetitions
 from asbuilt.validation.generalisation.generalisation import check_validations
 from asbuilt.validation.generalisation.plateaus import report_plateaus
-from asbuilt.validation.generalisation.unexplained import nameless_findings, report_unexplained
+from asbuilt.validation.generalisation.unexplained import report_nameless, report_unexplained
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
@@ -142,7 +142,7 @@ def conclude_study(
         *([] if prepared.validation else check_coverage(fits.model, prepared.training)),
         *too_short,
         *report_unexplained(trained),
-        *nameless_findings(trained, fits.samples),
+        *report_nameless(trained, fits.samples),
         *_report_model(fits, result, attribution, options),
         *report_cad_verdicts(validations),
         *report_springs(result),

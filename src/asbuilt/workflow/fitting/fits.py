@@ -30,7 +30,7 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.validation.generalisation.plateaus import Plateau, find_plateaus, without_plateaus
+from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
@@ -146,7 +146,9 @@ def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared
         try:
             return fitted(prepared)
         except IdentifiabilityError:
-            prepared = prepared.undivided()
+            prepared = replace(
+                prepared, training=prepared.whole, held_out=(), whole=(), holdout=None
+            )
     return fitted(prepared)
 
 
@@ -204,7 +206,7 @@ def _fit_all(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    model, choice, effects, flat = _with_effects(model, prepared, options)
+    model, choice, effects, flat = _add_effects(model, prepared, options)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -255,7 +257,7 @@ def _fit_all(
     )
 
 
-def _with_effects(
+def _add_effects(
     model: RobotModel, prepared: Prepared, options: StudyOptions
 ) -> tuple[RobotModel, DriveChoice, Effects, tuple[Plateau, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
@@ -278,9 +280,9 @@ def _with_effects(
         effects = find_effects(
             model,
             drive,
-            without_plateaus(samples, flat),
+            drop_plateaus(samples, flat),
             keys=None if open_to_all else stated,
-            applied=_open_effects(model, options) | stated,
+            applied=_list_open_effects(model, options) | stated,
             stated=stated,
         ).beside_plateaus({model.joint_names[each.joint] for each in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
@@ -288,7 +290,7 @@ def _with_effects(
     return effects.model, choice, effects, flat
 
 
-def _open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
+def _list_open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     """Return the keys of the effects that may become part of the model.
 
     Drive terms that are stated, by the user or the description, leave no others open.

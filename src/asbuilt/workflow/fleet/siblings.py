@@ -120,7 +120,9 @@ def estimate_prior(
     pooled = methods.find("consistent").estimate(data)
     fits = [fit_least_squares(each, weights="joint", prior=pooled.beta) for each in parts]
     effect = float(
-        np.median([_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)])
+        np.median(
+            [_estimate_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)]
+        )
     )
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
     estimates, m = np.array([fit.beta for fit in fits]), len(fits)
@@ -240,7 +242,7 @@ def _measure_distance(prior: SiblingPrior, information: SquareRootInformation) -
     return float(np.mean(found**2 / (1.0 + 1.0 / values[kept]))), len(kept)
 
 
-def _design_effect(information: SquareRootInformation, fit: Estimate) -> float:
+def _estimate_design_effect(information: SquareRootInformation, fit: Estimate) -> float:
     """Return the variance of estimates by time blocks, over its value for independent samples."""
     honest = estimate_block_uncertainty(information, fit)
     return float(np.clip(information.n_samples / max(honest.effective_samples, 1.0), 1.0, 100.0))

@@ -23,9 +23,9 @@ from asbuilt.workflow.masses.mass_findings import (
     Plausibility,
     check_described_mass,
     check_surface,
-    copy_findings,
     has_plausible_size,
     make_link_finding,
+    report_copies,
     sort_by_plausibility,
 )
 
@@ -124,15 +124,15 @@ def link_masses(
                 "a table does not state its conventions; give about ('com' or 'origin') and"
                 " products ('tensor' or 'integral')"
             )
-        links, findings = _from_table(model, Path(table), about, products)
+        links, findings = _read_table(model, Path(table), about, products)
     else:
         folder = None if meshes is None else Path(meshes)
         if folder is not None and not folder.is_dir():
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
-        links, findings = _from_solids(model, solids, _read_materials(model, density, material))
+        links, findings = _weigh_solids(model, solids, _read_materials(model, density, material))
     findings += [found for each in links for found in check_described_mass(each, limits)]
-    findings += copy_findings(links, limits)
+    findings += report_copies(links, limits)
     return LinkMasses(model, sort_by_plausibility(links, findings), rank_findings(findings))
 
 
@@ -160,7 +160,7 @@ def _read_materials(
     return found
 
 
-def _from_solids(
+def _weigh_solids(
     model: RobotModel, solids: tuple[LinkSolid, ...], densities: Mapping[str, float] | None
 ) -> tuple[list[LinkMass], list[Finding]]:
     links, findings = list[LinkMass](), list[Finding]()
@@ -209,7 +209,7 @@ def _find_density(
     return mass / solid.inertia.mass if mass > 0.0 and solid.inertia.mass > 0.0 else None
 
 
-def _from_table(
+def _read_table(
     model: RobotModel,
     path: Path,
     about: Literal["com", "origin"],

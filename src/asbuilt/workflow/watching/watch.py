@@ -16,6 +16,7 @@ from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring import Observed, Observer, Thresholds, set_thresholds
 from asbuilt.monitoring.events import Event, find_events, join_events
+from asbuilt.validation import torque_units
 from asbuilt.workflow.prepare import Progress, is_trained_on
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.watching.observation import (
@@ -219,7 +220,7 @@ def _watch_log(
     if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
     found = join_events(events, thresholds.block_seconds)
-    units = tuple("N m" if joint.is_revolute else "N" for joint in observer.model.joints)
+    units = torque_units(observer.model)
     of_log = [
         *report_log(thresholds, tally),
         *report_model(tally, predict_error_size(result, options.model), units, name, found),

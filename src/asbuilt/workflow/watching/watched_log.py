@@ -193,7 +193,7 @@ class WatchedLog:
         )
         return Table(
             columns,
-            tuple(self._row(event) for event in self.events),
+            tuple(self._make_row(event) for event in self.events),
             notes=(
                 f"A contact acts at the link named or beyond it. Torque and limit"
                 f" [{format_torque_unit(self.units)}] of the"
@@ -213,7 +213,7 @@ class WatchedLog:
             parts += ["", self.table().as_text(full).rstrip("\n")]
         return "\n".join(parts) + "\n"
 
-    def _row(self, event: Event) -> tuple[Any, ...]:
+    def _make_row(self, event: Event) -> tuple[Any, ...]:
         ratio = np.abs(event.residual) / event.threshold
         k = int(np.argmax(ratio))
         force, errors = event.contact.force, event.contact.force_error

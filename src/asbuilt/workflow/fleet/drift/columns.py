@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.validation import torque_units
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 
@@ -116,8 +117,7 @@ class FleetColumns:
     def of(cls, settings: TypeSettings) -> FleetColumns:
         """Return the columns of a type of a ledger."""
         model, support = settings.model, tuple(settings.plan.support)
-        units = tuple("N" if joint.kind == "prismatic" else "N m" for joint in model.joints)
-        return cls(settings.base, support, model.joint_names, units, model.tool_link)
+        return cls(settings.base, support, model.joint_names, torque_units(model), model.tool_link)
 
     @property
     def n_joints(self) -> int:

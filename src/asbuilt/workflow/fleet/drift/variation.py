@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from asbuilt.arrays import Array
 from asbuilt.workflow.fleet.drift.change_points import (
     NullDistribution,
+    Scan,
     scan,
     scan_probability,
 )
@@ -70,8 +71,7 @@ class History:
             return self
         centred = self.covariates - np.nanmedian(self.covariates, axis=0)
         y = np.nan_to_num(centred, nan=0.0) @ coefficients
-        score = self.score - np.einsum("drs,ds->dr", self.information, y)
-        return History(self.information, score, self.covariates)
+        return replace(self, score=self.score - np.einsum("drs,ds->dr", self.information, y))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ class Variation:
     null: NullDistribution
 
 
-def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Variation:
+def estimate_variation(histories: Sequence[History]) -> Variation:
     """Estimate the variation of robots of a type by moments of weighted residuals.
 
     `y_t = mu + v_t + e_t` with a mean for each robot; V by scoring steps, which solve the moment
@@ -115,12 +115,12 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
     coefficients = _fit_temperature(histories)
     found = [each.without(coefficients) for each in histories]
     r = found[0].score.shape[1]
-    V = _start(found)
+    V = _estimate_first(found)
     inflations, degrees, rho = np.ones(len(found)), 0.0, 0.0
     for _ in range(ITERATIONS):
         parts = [
-            _split_history(each, _find_clear_change(each, V, s) if cut else None)
-            for each, s in zip(found, inflations, strict=True)
+            _split_history(each, scan(each.information, each.score, V, inflation=s))
+            for each, s in zip(found, inflations.tolist(), strict=True)
         ]
         counts = np.array([sum(len(score) - 1 for _, score in each) for each in parts])
         degrees = float(counts.sum())
@@ -130,12 +130,11 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
             V = _step_scoring([segment for each in parts for segment in each], V)
         whitened = [[_whiten_residuals(J, s, V) for J, s in each] for each in parts]
         own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
-        spread = (r * OWN_DAYS + own) / (r * (OWN_DAYS + counts))
         rho = _estimate_autocorrelation([z for each in whitened for z in each])
-        inflations = np.maximum(spread, 1.0)
+        inflations = np.maximum((r * OWN_DAYS + own) / (r * (OWN_DAYS + counts)), 1.0)
     quiet = [
-        (each, float(s))
-        for each, s, segments in zip(found, inflations, parts, strict=True)
+        (each, s)
+        for each, s, segments in zip(found, inflations.tolist(), parts, strict=True)
         if len(segments) == 1 and len(segments[0][1]) == each.n_days
     ]
     null = _simulate_null_distribution(quiet, V, degrees)
@@ -167,7 +166,7 @@ def _simulate_null_distribution(
     return replace(null, power=min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12))))
 
 
-def _start(histories: Sequence[History]) -> Array:
+def _estimate_first(histories: Sequence[History]) -> Array:
     """Return the covariance of differences of neighbouring days, far ones with less weight."""
     r = histories[0].score.shape[1]
     differences = [np.diff(each.estimates, axis=0) / np.sqrt(2.0) for each in histories]
@@ -185,17 +184,12 @@ def _start(histories: Sequence[History]) -> Array:
     return np.asarray(S)
 
 
-def _find_clear_change(history: History, V: Array, inflation: float) -> int | None:
-    found = scan(history.information, history.score, V, inflation=inflation)
-    return found.place if found is not None and found.p_value < CLEAR else None
-
-
-def _split_history(history: History, place: int | None) -> list[tuple[Array, Array]]:
-    """Return information and score of the days before and after a change."""
+def _split_history(history: History, change: Scan | None) -> list[tuple[Array, Array]]:
+    """Return information and score of the days before and after a clear change."""
     J, s = history.information, history.score
-    if place is None:
+    if change is None or change.p_value >= CLEAR:
         return [(J, s)]
-    spans = (slice(0, max(place - WIDE, 0)), slice(place + WIDE, None))
+    spans = (slice(0, max(change.place - WIDE, 0)), slice(change.place + WIDE, None))
     return [(J[span], s[span]) for span in spans if len(s[span]) > 1]
 
 

@@ -92,34 +92,22 @@ class Ledger:
         return sorted(found)
 
     def current_names(
-        self,
-        robot_id: str,
-        since: datetime | None = None,
-        until: datetime | None = None,
-        types: dict[str, TypeSettings] | None = None,
+        self, robot_id: str, types: dict[str, TypeSettings] | None = None
     ) -> list[tuple[EntryName, TypeSettings]]:
-        """Return a robot's entries of the latest settings with these, by date, each log once.
-
-        Dates are `since <= date < until`.
-        """
+        """Return a robot's entries of the latest settings with these, by date, each log once."""
         found: dict[str, tuple[EntryName, TypeSettings]] = {}
-        for name, settings in self._all_current(robot_id, since, until, types):
-            found.setdefault(name.source, (name, settings))
+        for each in self._all_current(robot_id, types):
+            found.setdefault(each[0].source, each)
         return list(found.values())
 
     def _all_current(
-        self,
-        robot_id: str,
-        since: datetime | None,
-        until: datetime | None,
-        types: dict[str, TypeSettings] | None,
+        self, robot_id: str, types: dict[str, TypeSettings] | None
     ) -> list[tuple[EntryName, TypeSettings]]:
         """Return the names of entries of the latest settings; a log may have several."""
-        known = self.types() if types is None else types
-        by_digest = {each.digest: each for each in known.values()}
-        names = self.names(robot_id)
-        current = {name.source for name in names if name.settings in by_digest}
-        left_out = len({name.source for name in names} - current)
+        latest = self.types() if types is None else types
+        by_digest, names = {each.digest: each for each in latest.values()}, self.names(robot_id)
+        current = [(n, by_digest[n.settings]) for n in names if n.settings in by_digest]
+        left_out = len({name.source for name in names} - {name.source for name, _ in current})
         if left_out:
             self._report(
                 Finding(
@@ -130,13 +118,7 @@ class Ledger:
                     Cure("rebuild the ledger from all logs, these too", call="rebuild_ledger"),
                 )
             )
-        return [
-            (name, by_digest[name.settings])
-            for name in names
-            if name.settings in by_digest
-            and (since is None or name.date >= since)
-            and (until is None or name.date < until)
-        ]
+        return current
 
     def read(self, name: EntryName, settings: TypeSettings) -> Entry | None:
         """Return an entry; None if its file is damaged, which is named in `findings`."""
@@ -155,8 +137,9 @@ class Ledger:
     ) -> list[Entry]:
         """Return a robot's sound entries of the latest settings, `since <= date < until`."""
         found: dict[str, Entry] = {}
-        for name, settings in self._all_current(robot_id, since, until, types):
-            entry = None if name.source in found else self.read(name, settings)
+        for name, settings in self._all_current(robot_id, types):
+            asked = (not since or since <= name.date) and (not until or name.date < until)
+            entry = self.read(name, settings) if asked and name.source not in found else None
             if entry is not None:
                 found[name.source] = entry
         return list(found.values())
