@@ -294,8 +294,8 @@ def compare(
                 shared_with=cost.shared_with(j, left, result.base.names),
             )
         compared.append(found)
-    held = (
-        None
+    held, needed, beyond = (
+        (None, None, ())
         if tolerance is None or not tested.any()
         else check_tolerance(
             tolerance,
@@ -317,10 +317,10 @@ def compare(
         torque=_pair_metrics(result, cad, values, validation),
         level=level,
         chi_square=select_tested_values(result).test_against(values) if tested.any() else None,
-        chi_square_tolerance=None if held is None else held.chi_square,
+        chi_square_tolerance=held,
         tolerance=tolerance,
-        tolerance_needed=None if held is None else held.needed,
-        beyond_tolerance=() if held is None else held.beyond,
+        tolerance_needed=needed,
+        beyond_tolerance=beyond,
         errors=result.errors_sentence,
         judged_by="" if result.cause_data is None else recording_name(result.cause_data.judged_by),
     )

@@ -230,7 +230,7 @@ def _fit_all(
         return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
     from asbuilt.workflow.simulation.refinement import refine_study  # noqa: PLC0415 - light start
 
-    found = refine_study(
+    final, servo, refined, drive = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
         parts,
@@ -239,22 +239,12 @@ def _fit_all(
         report,
         choose=not isinstance(options.drive, DriveSet),
     )
-    if found.drive is not choice.drive:
-        choice = replace(choice, drive=found.drive, sentences=(*choice.sentences, ADDED))
-    if found.servo is not None:
+    if drive is not choice.drive:
+        choice = replace(choice, drive=drive, sentences=(*choice.sentences, ADDED))
+    if servo is not None:
         late = tuple((each.source, each.digest) for each in prepared.delay)
-        prepared = replace(prepared, delay=make_recording_delays(found.servo, late))
-    return Fits(
-        model,
-        prepared,
-        found.fit,
-        found.fit,
-        choice,
-        effects,
-        flat,
-        found.servo,
-        found.refined,
-    )
+        prepared = replace(prepared, delay=make_recording_delays(servo, late))
+    return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
 
 
 def _add_effects(

@@ -128,16 +128,6 @@ class Refined:
         return (finding,) if self.undetermined else ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RefinedStudy:
-    """Hold a refined fit, its servo, how the refinement went, and its drive terms."""
-
-    fit: Fit
-    servo: ServoEstimate | None
-    refined: Refined
-    drive: DriveSet
-
-
 def refine_study(
     fitted: Callable[[DriveSet], Fit],
     drive: DriveSet,
@@ -147,7 +137,7 @@ def refine_study(
     report: Callable[[str, float], None],
     *,
     choose: bool = False,
-) -> RefinedStudy:
+) -> tuple[Fit, ServoEstimate | None, Refined, DriveSet]:
     """Continue a fit by trajectories of training data.
 
     Parameters
@@ -169,6 +159,11 @@ def refine_study(
         Whether Stribeck friction is added if by Akaike's criterion the trajectories call for it and
         motion that was not fitted is simulated better with it, as of every effect: torques hardly
         show it, since joints at rest, and slow ones under a filter, do not count.
+
+    Returns
+    -------
+    Fit, ServoEstimate or None, Refined, DriveSet
+        The refined fit, its servo, how the refinement went, and its drive terms.
 
     Raises
     ------
@@ -218,9 +213,9 @@ def refine_study(
     tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
     tried = _validate_refinement(tried, found.robot, parts.held_out or parts.trained)
     if not tried.kept:
-        return RefinedStudy(fit, servo, tried, given)
+        return fit, servo, tried, given
     better = servo if servo is None or driven is None else _update_servo(servo, found)
-    return RefinedStudy(found.fit, better, tried, drive)
+    return found.fit, better, tried, drive
 
 
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
