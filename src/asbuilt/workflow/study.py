@@ -40,9 +40,9 @@ from asbuilt.validation import (
 from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict_error import choose_decisive_rollout
+from asbuilt.workflow.conclusion import conclude_study
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.fitting.conclusion import conclude_study
-from asbuilt.workflow.fitting.fits import fit_study
+from asbuilt.workflow.fits import fit_study
 from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import (
     Prepared,

@@ -24,9 +24,10 @@ from asbuilt.validation.review.claimed_numbers import (
     Claim,
     ClaimedNumber,
     ClaimVerdict,
+    Profile,
     list_claimed_numbers,
+    profile_numbers,
 )
-from asbuilt.validation.review.profile import Profile, profile_numbers
 from asbuilt.validation.review.servo_claims import (
     TOGETHER,
     derive_scale_errors,

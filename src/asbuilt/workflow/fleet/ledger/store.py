@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -99,43 +99,6 @@ def find_identity(pattern: str, path: str) -> str | None:
     return None
 
 
-class Store(Protocol):
-    """Read and write whole files by their path below the root, parts separated by `/`."""
-
-    root: str
-
-    def names(self, folder: str) -> list[str]:
-        """Return the names of files and folders in a folder, sorted; none if it is absent."""
-        ...
-
-    def read(self, path: str) -> bytes:
-        """Return the content of a file; raises `ResultError` if that is impossible."""
-        ...
-
-    def write(self, path: str, content: bytes) -> None:
-        """Write a file that appears whole or not at all; raises `UsageError` with the reason."""
-        ...
-
-    def create(self, path: str, content: bytes) -> bool:
-        """Write a file unless it is there, of several writers one; return whether it was."""
-        ...
-
-
-def open_store(root: str) -> Store:
-    """Return the store of a folder, or of a URL such as `s3://bucket/ledger`.
-
-    Raises
-    ------
-    MissingExtraError
-        If the file system of the URL is not installed.
-    UsageError
-        If there is no such protocol.
-    """
-    if "://" not in root or root.startswith("file://"):
-        return LocalStore(root.removeprefix("file://"))
-    return RemoteStore(root)
-
-
 class LocalStore:
     """Files in a folder of this machine, or of a share that it mounts."""
 
@@ -144,7 +107,10 @@ class LocalStore:
         self._folder = Path(root)
 
     def names(self, folder: str) -> list[str]:
-        """Return the names in a folder, without files that are being written."""
+        """Return the names in a folder, sorted, without files that are being written.
+
+        There are none if the folder is absent.
+        """
         place = self._folder / folder
         try:
             return sorted(path.name for path in place.iterdir() if not path.name.startswith("."))
@@ -158,15 +124,15 @@ class LocalStore:
             ) from None
 
     def read(self, path: str) -> bytes:
-        """Return the content of a file."""
+        """Return the content of a file; raises `ResultError` if that is impossible."""
         return read_bytes(self._folder / path, "ledger file", ResultError, LARGEST)
 
     def write(self, path: str, content: bytes) -> None:
-        """Write a file."""
+        """Write a file that appears whole or not at all; raises `UsageError` with the reason."""
         atomic_write(self._folder / path, content, mode=READABLE, own=True)
 
     def create(self, path: str, content: bytes) -> bool:
-        """Write a file unless it is there; return whether it was written."""
+        """Write a file unless it is there, of several writers one; return whether it was."""
         try:
             atomic_write(self._folder / path, content, mode=READABLE, create=True)
         except FileExistsError:
@@ -235,6 +201,25 @@ class RemoteStore:
                 f"cannot write {len(content)} bytes to {self.root}/{path}:"
                 f" {describe_problem(problem)}"
             ) from problem
+
+
+Store = LocalStore | RemoteStore
+"""Whole files by their path below a root, parts separated by `/`."""
+
+
+def open_store(root: str) -> Store:
+    """Return the store of a folder, or of a URL such as `s3://bucket/ledger`.
+
+    Raises
+    ------
+    MissingExtraError
+        If the file system of the URL is not installed.
+    UsageError
+        If there is no such protocol.
+    """
+    if "://" not in root or root.startswith("file://"):
+        return LocalStore(root.removeprefix("file://"))
+    return RemoteStore(root)
 
 
 def _make_unreachable_error(root: str, problem: Exception) -> ResultError:

@@ -32,7 +32,7 @@ from asbuilt.validation.generalisation.unexplained import report_nameless, repor
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
-from asbuilt.workflow.fitting.fits import Fits, predict_samples
+from asbuilt.workflow.fits import Fits, predict_samples
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import describe_servo_torque, report_servo
 
