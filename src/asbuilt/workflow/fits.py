@@ -38,8 +38,8 @@ from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
-    from asbuilt.workflow.simulation.refinement import Refined
-    from asbuilt.workflow.simulation.rollout import SimulatedParts
+    from asbuilt.workflow.refinement import Refined
+    from asbuilt.workflow.rollout import SimulatedParts
 
 ADDED = (
     "Stribeck friction was added since the simulated motion calls for it; simulators whose dry"
@@ -228,7 +228,7 @@ def _fit_all(
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
         return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
-    from asbuilt.workflow.simulation.refinement import refine_study  # noqa: PLC0415 - light start
+    from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
     final, servo, refined, drive = refine_study(
         lambda drive: fitted(used, drive),

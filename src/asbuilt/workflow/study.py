@@ -56,8 +56,8 @@ from asbuilt.workflow.servo import drop_unexplained, make_recording_delays, sett
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
-    from asbuilt.workflow.simulation.refinement import Refined
-    from asbuilt.workflow.simulation.rollout import Simulated
+    from asbuilt.workflow.refinement import Refined
+    from asbuilt.workflow.rollout import Simulated
 
 HORIZON_OF_VERDICT = 0.5
 """Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
@@ -261,7 +261,7 @@ def identify(
     if not horizons and servo is not None and find_spec("mujoco") is not None:
         horizons = (HORIZON_OF_VERDICT,)
     if options.refine or horizons:
-        from asbuilt.workflow.simulation.rollout import select_simulated_parts  # noqa: PLC0415 - light start
+        from asbuilt.workflow.rollout import select_simulated_parts  # noqa: PLC0415 - light start
 
         parts = select_simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     del filters  # motions of whole recordings
@@ -341,7 +341,7 @@ def _roll_out(
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
-    from asbuilt.workflow.simulation.rollout import simulate_rollouts  # noqa: PLC0415 - light start
+    from asbuilt.workflow.rollout import simulate_rollouts  # noqa: PLC0415 - light start
 
     if not held:
         raise _make_all_fitted_error()

@@ -16,7 +16,7 @@ from asbuilt.validation.rollout.errors import RolloutErrors, average_errors, pos
 from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:
-    from asbuilt.workflow.simulation.refinement import Refined
+    from asbuilt.workflow.refinement import Refined
 
 TITLE = "Rollout: position error of the simulation from the measured state, driven by the {}"
 

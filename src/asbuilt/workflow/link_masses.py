@@ -18,7 +18,7 @@ from asbuilt.description.formats.xml import close_match
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Finding, rank_findings
-from asbuilt.workflow.masses.mass_findings import (
+from asbuilt.workflow.mass_findings import (
     LinkMass,
     Plausibility,
     check_described_mass,
