@@ -33,7 +33,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
+from asbuilt.validation.generalisation.coverage import measure_repeated_share
 from asbuilt.validation.prediction import Validation, validate_samples
 from asbuilt.workflow.delays import settle_delays
 from asbuilt.workflow.prepare import digest_recording

@@ -27,7 +27,7 @@ import numpy as np
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
-from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
+from asbuilt.validation.generalisation.coverage import measure_repeated_share
 from asbuilt.workflow.study import Study, identify
 from asbuilt.workflow.validation import validate
 from drive_terms import SHARED

@@ -73,7 +73,7 @@ from .workflow.fleet.options import FleetOptions as FleetOptions
 from .workflow.fleet.overview import fleet_overview as fleet_overview
 from .workflow.fleet.reduction.add import add_logs as add_logs
 from .workflow.fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
-from .workflow.masses.link_masses import link_masses as link_masses
+from .workflow.link_masses import link_masses as link_masses
 from .workflow.options import ChannelOptions as ChannelOptions
 from .workflow.options import ControllerOptions as ControllerOptions
 from .workflow.options import GainOptions as GainOptions
@@ -83,8 +83,8 @@ from .workflow.options import ValidationOptions as ValidationOptions
 from .workflow.prepare import prepare as prepare
 from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
-from .workflow.simulation.rollout import roll_out_result as roll_out_result
-from .workflow.simulation.rollout import roll_out_robot as roll_out_robot
+from .workflow.rollout import roll_out_result as roll_out_result
+from .workflow.rollout import roll_out_robot as roll_out_robot
 from .workflow.study import Study as Study
 from .workflow.study import identify as identify
 from .workflow.validation import review as review

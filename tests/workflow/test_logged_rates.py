@@ -19,7 +19,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.band_choice import choose_band
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, plan_grid
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.workflow.logged_rates import settle_rates
+from asbuilt.workflow.delays import settle_rates
 
 URDF = """<robot name="monopod">
   <link name="trunk"><inertial><origin xyz=".02 .01 .05"/><mass value="4"/>

@@ -120,7 +120,6 @@ def find_smallest_forces(
     tool: tuple[int, Array],
     *,
     filtered: bool,
-    within: float = WITHIN,
 ) -> Array:
     """Return the smallest steps of force [N] at the tool that alarm in time, in some poses (m,).
 
@@ -136,16 +135,10 @@ def find_smallest_forces(
         Link that carries the tool, counted from 0, and pose (4, 4) of the tool's frame in it.
     filtered
         Whether positions and torques went through the causal filter.
-    within
-        Time from the step to the alarm [s].
     """
-    rng = np.random.default_rng(0)
-    steps = np.diff(observed.t)
-    pole, spacing = (
-        choose_pole(steps, observer.bandwidth) if filtered else None,
-        float(np.median(steps)),
-    )
-    share = excess_response(observer, within, spacing, pole)
+    rng, steps = np.random.default_rng(0), np.diff(observed.t)
+    pole = choose_pole(steps, observer.bandwidth) if filtered else None
+    share = excess_response(observer, WITHIN, float(np.median(steps)), pole)
     found = []
     for k in np.unique(np.linspace(0.1, 0.9, POSES) * (len(observed.t) - 1)).astype(int):
         along = rng.normal(size=3)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.codec import make_plain
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.monitoring.contact import Contact, estimate_contact
 from asbuilt.monitoring.observed import Observed
@@ -135,13 +135,12 @@ def join_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
     for event in events:
         if found and event.start - found[-1].end <= apart:
             before = found.pop()
-            names = dict.fromkeys((*before.joints, *event.joints))
             larger = max(
                 (before, event),
                 key=lambda each: float(np.max(np.abs(each.residual) / each.threshold)),
             )
-            whole = replace(larger, start=before.start, end=event.end, joints=tuple(names))
-            found.append(whole)
+            names = tuple(dict.fromkeys((*before.joints, *event.joints)))
+            found.append(replace(larger, start=before.start, end=event.end, joints=names))
         else:
             found.append(event)
     return tuple(found)
@@ -168,7 +167,7 @@ def _make_event(
         end=float(t[-1]),
         peak=float(observed.t[peak]),
         joints=tuple(model.joint_names[k] for k in responding),
-        link=model.link_names[_find_last_joint(model.parents, responding, ratio)],
+        link=model.link_names[_find_last_joint(model, responding, ratio)],
         residual=r,
         threshold=limit[peak],
         contact=estimate_contact(model, q, r, error, *tool),
@@ -184,22 +183,12 @@ def _make_event(
     return event
 
 
-def _find_last_joint(parents: Sequence[int], responding: NDArray[Any], ratio: Array) -> int:
+def _find_last_joint(model: RobotModel, responding: Indices, ratio: Array) -> int:
     """Return the responding joint farthest from the root; of branches that responding most."""
-    carriers = range(len(parents))
-    depth = [sum(_is_above(parents, other, k) for other in carriers) for k in carriers]
-    ends = [int(k) for k in responding if not any(_is_above(parents, k, j) for j in responding)]
-    return max(ends, key=lambda k: (float(ratio[:, k].max()), depth[k]))
-
-
-def _is_above(parents: Sequence[int], joint: int, other: int) -> bool:
-    """Whether a joint carries another."""
-    other = parents[other]
-    while other >= 0:
-        if other == joint:
-            return True
-        other = parents[other]
-    return False
+    routes = {k: model.ancestors(k) for k in responding.tolist()}
+    carriers = {k for route in routes.values() for k in route[:-1]}
+    ends = sorted(routes.keys() - carriers)
+    return int(max(ends, key=lambda k: (float(ratio[:, k].max()), len(routes[k]))))
 
 
 def estimate_payload_change(
@@ -212,11 +201,8 @@ def estimate_payload_change(
     and Zeger, 1986).
     """
     t = observed.t
-    spacing = max(
-        5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t))),
-        len(t) / RULES.most_rows,
-    )
-    rows = np.arange(0, len(t), max(1, round(spacing)))
+    memory = 5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t)))
+    rows = np.arange(0, len(t), max(1, round(max(memory, len(t) / RULES.most_rows))))
     weight = 1.0 / np.maximum(scale[rows], 1e-9).ravel()
     columns = 10 * link + np.arange(6, 10)
     state = (observed.q[rows], observed.qd[rows], observed.qdd[rows])
@@ -226,12 +212,10 @@ def estimate_payload_change(
     if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > RULES.determined:
         return None
     found = np.linalg.lstsq(A, b, rcond=None)[0]
-    left = float(np.sum((b - A @ found) ** 2))
-    times = np.repeat(t[rows], observed.q.shape[1])
-    error = _estimate_clustered_error(A, b - A @ found, np.floor((times - t[0]) / RULES.cluster))
-    if left > (1.0 - RULES.explained) * float(b @ b) or abs(found[3]) < RULES.clear * error:
-        return None
-    return float(found[3]), float(error)
+    left, times = b - A @ found, np.repeat(t[rows], observed.q.shape[1])
+    error = _estimate_clustered_error(A, left, np.floor((times - t[0]) / RULES.cluster))
+    explained = float(np.sum(left**2)) <= (1.0 - RULES.explained) * float(b @ b)
+    return (float(found[3]), error) if explained and abs(found[3]) >= RULES.clear * error else None
 
 
 def _estimate_clustered_error(A: Array, left: Array, cluster: Array) -> float:

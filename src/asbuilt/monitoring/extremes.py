@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
 
@@ -75,11 +75,16 @@ def block_maxima(t: Array, values: Array, seconds: float) -> Array:
     t, values
         Times (N,) [s], increasing, and values (N, n).
     """
-    block = np.floor((t - t[0]) / seconds).astype(np.int64)
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
-    counts = np.diff(np.append(starts, len(t)))
+    starts, counts = divide_into_blocks(t, seconds)
     full = counts >= 0.5 * seconds / float(np.median(np.diff(t)))
     return np.asarray(np.maximum.reduceat(values, starts, axis=0)[full])
+
+
+def divide_into_blocks(t: Array, seconds: float) -> tuple[Indices, Indices]:
+    """Return the first samples of blocks of `seconds`, and their numbers of samples, two (B,)."""
+    block = np.floor((t - t[0]) / seconds).astype(np.int64)
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    return starts, np.diff(np.append(starts, len(t)))
 
 
 def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAILS) -> Tail:
@@ -122,8 +127,7 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
 
 def _fit_tail(x: Array, peaks: int, probability: float) -> Tail:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
-    blocks = len(x)
-    start, mean = _start(x, peaks)
+    blocks, (start, mean) = len(x), _find_tail(x, peaks)
     shape, scale, weight = _evaluate_posterior((x[-peaks:] - start) / mean)
     above = (peaks + 1) / (blocks + 1)
     low, high = 0.0, 1.0
@@ -158,11 +162,11 @@ def _count_peaks(blocks: int, share: float) -> int:
 def exponential_level(maxima: Array, probability: float) -> float:
     """Return the level that maxima (B,) exceed at a probability if their tail is exponential."""
     x, peaks = np.sort(maxima), len(select_largest(maxima))
-    start, mean = _start(x, peaks)
+    start, mean = _find_tail(x, peaks)
     return start + mean * max(float(np.log(peaks / (len(x) * probability))), 0.0)
 
 
-def _start(x: Array, peaks: int) -> tuple[float, float]:
+def _find_tail(x: Array, peaks: int) -> tuple[float, float]:
     """Return the start and the mean excess of the tail of the largest `peaks` of sorted maxima."""
     start = float(x[-peaks - 1])
     mean = float(np.mean(x[-peaks:] - start))

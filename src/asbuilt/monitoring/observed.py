@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import DriveSet, observation_matrix
 from asbuilt.identification.result.result import IdentificationResult
 
 CHUNK = 2000

@@ -7,9 +7,8 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics import TorqueModel, described_drive, drive_torque
 from asbuilt.dynamics.momentum import Momentum, apply_lag
-from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
@@ -173,9 +172,8 @@ class Observer:
         self._t: float | None = None
         self._p = self._s = self._tau = np.zeros(n)
         self._friction = np.zeros((2, n))
-        self.q, self.qd, self.qdd = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.residual, self.slowness, self.step = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.unknown_friction = np.zeros(n)
+        self.q, self.qd, self.qdd, self.residual = np.zeros((4, n))
+        self.slowness, self.step, self.unknown_friction = np.zeros((3, n))
 
     def update(self, t: float, q: ArrayLike, tau: ArrayLike, qd: ArrayLike | None = None) -> Array:
         """Return the residual (n,) [N m or N] after one more sample.
@@ -206,14 +204,11 @@ class Observer:
         if dt > LONGEST_STEP:
             self.restart()
             self._filter = None
-        q, tau = given[:2]
-        qd = given[2] if qd is not None else None
-        if qd is None:
-            q, qd, tau = self._filtered(dt, q, tau)
+        q, v, tau = self._pass_filter(dt, *given) if qd is None else (given[0], given[2], given[1])
         self._t = t
         if self._filter is not None and not self._filter.is_settled:
             dt = np.inf
-        self._advance(dt, q, qd, tau)
+        self._advance(dt, q, v, tau)
         return self.residual.copy()
 
     @property
@@ -279,16 +274,15 @@ class Observer:
         parts = (apply_lag(share, x) for x in (rate, step, unknown, external))
         return Observed(times, share, q, v, *parts)
 
-    def _filtered(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
+    def _pass_filter(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
         """Return filtered position, velocity and torque; the second sample settles the filter."""
         both, n = np.concatenate([q, tau]), q.size
         if not np.isfinite(dt) or self._filter is None:
             self._filter = CausalFilter(filter_pole(self.bandwidth, 1e3))
             self._filter.start(both)
-            self._unsettled = True
             return q, np.zeros(n), tau
-        if self._unsettled:
-            self._filter.pole, self._unsettled = filter_pole(self.bandwidth, 1.0 / dt), False
+        if self._filter.age == 0.0:  # the first step shows the rate
+            self._filter.pole = filter_pole(self.bandwidth, 1.0 / dt)
         x, v = self._filter.update(dt, both)
         return x[:n].copy(), v[:n].copy(), x[n:].copy()
 

@@ -17,6 +17,7 @@ from asbuilt.findings import Cure
 from asbuilt.monitoring.extremes import (
     TAILS,
     block_maxima,
+    divide_into_blocks,
     exponential_level,
     gumbel_level,
     select_largest,
@@ -165,10 +166,8 @@ class Thresholds:
 
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
-        before = delay_velocities(observed)
-        slowness = apply_lag(observed.share, self.slow(before, observed.qd))
-        model = error.std(observed.q, observed.qd, observed.qdd)
-        scale = self.scale(observed.qd, slowness, model)
+        slowness = apply_lag(observed.share, self.slow(delay_velocities(observed), observed.qd))
+        scale = self.scale(observed.qd, slowness, error.std(observed.q, observed.qd, observed.qdd))
         return scale, self.level * scale + bound_residual(observed)
 
     def covariance(self, observed: Observed, scale: Array, error: ModelError) -> Array:
@@ -203,8 +202,7 @@ def sampling_rates(t: Array) -> Array:
 
 def least_speed(before: Array, qd: Array) -> Array:
     """Return the least speed between two velocities: 0 where the sign changes."""
-    smaller = np.minimum(np.abs(before), np.abs(qd))
-    return np.asarray(np.where(before * qd < 0.0, 0.0, smaller))
+    return np.asarray(np.where(before * qd < 0.0, 0.0, np.minimum(np.abs(before), np.abs(qd))))
 
 
 def delay_velocities(observed: Observed) -> Array:
@@ -375,16 +373,13 @@ def _solve_nonnegative(columns: Array, target: Array) -> Array:
     """Return nonnegative coefficients of least squares, from the normal equations."""
     normal = columns.T @ columns
     root = np.linalg.cholesky(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)))
-    found: Array = nnls(root.T, np.linalg.solve(root, columns.T @ target))[0]
-    return found
+    return np.asarray(nnls(root.T, np.linalg.solve(root, columns.T @ target))[0])
 
 
 def _find_quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
     """Return which samples lie in the quieter half of the blocks."""
-    block = np.floor((log.t - log.t[0]) / seconds).astype(np.int64)
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    starts, counts = divide_into_blocks(log.t, seconds)
     largest = np.maximum.reduceat(ratio.max(axis=1), starts)
-    counts = np.diff(np.append(starts, len(block)))
     return np.repeat(largest <= np.median(largest), counts)
 
 

@@ -18,7 +18,7 @@ from .recovery import compare_with_truth as compare_with_truth
 from .residuals import ResidualAnalysis as ResidualAnalysis
 from .residuals import VelocityCurve as VelocityCurve
 from .residuals import analyse_residual as analyse_residual
-from .review.claim import Claim as Claim
+from .review.claimed_numbers import Claim as Claim
 from .review.review import Review as Review
 from .review.review import review_result as review_result
 from .rollout.errors import RolloutErrors as RolloutErrors

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Column, Table, round_significant
 from asbuilt.tables import format_share as percentage
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,30 +122,16 @@ def compare_with_nearest(result: IdentificationResult, beta: ArrayLike) -> Neare
     cause_data = result.cause_data
     if cause_data is None:
         return None
-    places = cause_data.places(result.base.names)
-    fitted, held_out = (
-        [
-            np.column_stack([factor[:, places], factor[:, -1]]) / np.sqrt(n)
-            for factor in cause_data.whole(factors)
-        ]
-        for factors, n in (
-            (cause_data.fitted, cause_data.n_fitted),
-            (cause_data.judged, cause_data.n_judged),
-        )
-    )
-    values = np.asarray(beta, dtype=np.float64)
-
-    def error(rows: list[Array], parameters: Array) -> Array:
-        return np.array([np.linalg.norm(row[:, -1] - row[:, :-1] @ parameters) for row in rows])
-
+    names, values = result.base.names, np.asarray(beta, dtype=np.float64)
+    fitted = replace(cause_data, judged=cause_data.fitted, n_judged=cause_data.n_fitted)
     return NearestModel(
         joint_names=result.joint_names,
         units=torque_units(result.model),
         judged_by=recording_name(cause_data.judged_by),
-        torque=error(held_out, np.zeros(len(values))),
-        identified=error(held_out, result.estimates),
-        nearest=error(held_out, values),
-        cad=error(held_out, np.nan_to_num(result.cad_values, nan=0.0)),
-        identified_fitted=error(fitted, result.estimates),
-        nearest_fitted=error(fitted, values),
+        torque=cause_data.error_of(names, np.zeros(len(values))),
+        identified=cause_data.error_of(names, result.estimates),
+        nearest=cause_data.error_of(names, values),
+        cad=cause_data.error_of(names, np.nan_to_num(result.cad_values, nan=0.0)),
+        identified_fitted=fitted.error_of(names, result.estimates),
+        nearest_fitted=fitted.error_of(names, values),
     )

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.dynamics import (
+    BaseParameters,
+    described_drive,
+    drive_torque,
+    gravity_torque,
+    inverse_dynamics,
+)
 from asbuilt.errors import ResultError
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification import IdentificationResult, TorqueMetrics
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
-    TorqueMetrics,
     pair_with_measured,
     predict_in_spans,
     predict_torque,
@@ -28,10 +32,6 @@ from asbuilt.validation.residuals import (
     analyse_residual,
     bin_by_velocity,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-    from asbuilt.identification.result.result import IdentificationResult
 
 SAME_GEOMETRY = 1e-6
 """Largest difference of joint frames [rad or m] of two descriptions of one robot."""
@@ -61,10 +61,9 @@ class Validation:
     metrics_exported: TorqueMetrics | None = None
 
     def __post_init__(self) -> None:
-        for values in (self.t, self.velocity, self.measured, self.predicted):
+        for values in (self.t, self.velocity, self.measured, self.predicted, self.predicted_cad):
             values.setflags(write=False)
-        for values in (self.predicted_cad, self.drive):
-            values.setflags(write=False)
+        self.drive.setflags(write=False)
 
     def __repr__(self) -> str:
         rms = ", ".join(f"{value:.3g}" for value in self.metrics_as_built.rms)

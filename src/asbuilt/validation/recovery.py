@@ -72,8 +72,6 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
             " DataLogger(accelerations=True)"
         )
     truth = base.values(simulated.truth)
-    estimate = np.array([parameter.estimate for parameter in result.parameters])
-    cad = np.nan_to_num(np.array([parameter.cad for parameter in result.parameters]))
     W = observation_matrix(
         result.model,
         recording.q,
@@ -87,9 +85,9 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
         robot=result.model.name,
         names=base.names,
         truth=truth,
-        estimate=estimate,
-        std_error=np.array([parameter.std_error for parameter in result.parameters]),
+        estimate=result.estimates,
+        std_error=result.std_errors,
         of_links=base.columns < 10 * result.model.n_links,
-        torque_error=float(np.linalg.norm(W @ (estimate - truth))) / size,
-        cad_error=float(np.linalg.norm(W @ (cad - truth))) / size,
+        torque_error=float(np.linalg.norm(W @ (result.estimates - truth))) / size,
+        cad_error=float(np.linalg.norm(W @ (np.nan_to_num(result.cad_values) - truth))) / size,
     )

@@ -46,14 +46,11 @@ def find_contiguous_segments(t: Array) -> Segments:
     >>> find_contiguous_segments(np.array([0.0, 0.1, 0.2, 1.0, 1.1, 0.0]))
     ((0, 3), (3, 5), (5, 6))
     """
-    if len(t) == 0:
-        return ()
     steps = np.diff(t)
     forward = steps[steps > 0]
     limit = SETTINGS.gap * float(np.median(forward)) if len(forward) else np.inf
     cuts = np.flatnonzero((steps <= 0) | (steps > limit)) + 1
-    edges = [0, *cuts.tolist(), len(t)]
-    return tuple(pairwise(edges))
+    return tuple(pairwise([0, *cuts.tolist(), len(t)])) if len(t) else ()
 
 
 def autocorrelation(residual: Array, segments: Segments, max_lag: int) -> Array:
@@ -62,9 +59,8 @@ def autocorrelation(residual: Array, segments: Segments, max_lag: int) -> Array:
     rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed. Pairs never span two
     segments; lags longer than every segment are zero.
     """
-    e = residual - residual.mean()
+    e, rho = residual - residual.mean(), np.zeros(max_lag + 1)
     energy = float(e @ e)
-    rho = np.zeros(max_lag + 1)
     if energy == 0:
         rho[0] = 1.0
         return rho
@@ -198,15 +194,13 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
 
 def _estimate_spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, Array]:
     """Return frequencies (F,) and one-sided density (F, n): Welch, Hann windows in each segment."""
-    lengths = [stop - start for start, stop in segments]
-    window = min(SETTINGS.window, max(lengths))
+    window = min(SETTINGS.window, max(stop - start for start, stop in segments))
     total, weight = np.zeros((window // 2 + 1, residual.shape[1])), 0
+    for start, stop in segments:
+        if stop - start >= window:
+            total += (stop - start) * power_density(residual[start:stop], rate, window)
+            weight += stop - start
     frequencies = np.arange(window // 2 + 1, dtype=np.float64) * rate / window
-    for (start, stop), length in zip(segments, lengths, strict=True):
-        if length < window:
-            continue
-        total += length * power_density(residual[start:stop], rate, window)
-        weight += length
     return frequencies, total / max(weight, 1)
 
 

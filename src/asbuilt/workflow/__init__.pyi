@@ -21,9 +21,9 @@ from .fleet.reduction.log_task import LogReport as LogReport
 from .fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
 from .information_efficiency import RecordedInformation as RecordedInformation
 from .information_efficiency import recorded_information as recorded_information
-from .masses.link_masses import LinkMasses as LinkMasses
-from .masses.link_masses import link_masses as link_masses
-from .masses.mass_findings import LinkMass as LinkMass
+from .link_masses import LinkMasses as LinkMasses
+from .link_masses import link_masses as link_masses
+from .mass_findings import LinkMass as LinkMass
 from .options import ChannelOptions as ChannelOptions
 from .options import ControllerOptions as ControllerOptions
 from .options import GainOptions as GainOptions
@@ -34,8 +34,8 @@ from .prepare import Prepared as Prepared
 from .prepare import prepare as prepare
 from .result_files import read_result as read_result
 from .result_files import read_study as read_study
-from .simulation.rollout import roll_out_result as roll_out_result
-from .simulation.rollout import roll_out_robot as roll_out_robot
+from .rollout import roll_out_result as roll_out_result
+from .rollout import roll_out_robot as roll_out_robot
 from .study import Study as Study
 from .study import identify as identify
 from .validation import review as review

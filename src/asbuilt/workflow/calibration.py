@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.errors import UsageError
+from asbuilt.experiment import Recording, Samples, SignalChain, head_of
 from asbuilt.experiment.command.servo_torque import drop_slow_rows
-from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
@@ -19,9 +18,6 @@ from asbuilt.experiment.logs.recordings import (
     read_fitted_recordings,
 )
 from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.added_moments import AddedMoments, identify_added_moments
 from asbuilt.identification.calibration.payload import (
@@ -94,18 +90,12 @@ def identify_payload(
     """
     options = options or PayloadOptions()
     result = result.result if isinstance(result, Study) else result
-    model = result.model
-    prepared = prepare(
-        model,
-        as_recordings(model, recordings),
-        others=(as_recordings(model, unloaded), as_recordings(model, validation)),
-        chain=_with_delay(options.chain, result),
-        holdout=options.holdout,
-        checked=options.checked,
-        progress=progress,
+    prepared = _prepare_loaded(
+        result, recordings, (unloaded, validation), options, options.holdout, progress
     )
     if options.checked:
-        refuse_swapped(result, prepared.training, *choose_payload_frame(model, options.frame)[1:])
+        _, link, placement = choose_payload_frame(result.model, options.frame)
+        refuse_swapped(result, prepared.training, link, placement)
     bare, others = prepared.others
     return identify_payload_samples(
         result,
@@ -137,24 +127,31 @@ def identify_moments(
     """
     options = options or PayloadOptions()
     result = result.result if isinstance(result, Study) else result
-    prepared = prepare(
-        result.model,
-        as_recordings(result.model, recordings),
-        others=(as_recordings(result.model, unloaded),),
-        chain=_with_delay(options.chain, result),
-        holdout=None,
-        checked=options.checked,
-        progress=progress,
-    )
+    prepared = _prepare_loaded(result, recordings, (unloaded,), options, None, progress)
     (bare,) = prepared.others
     return identify_added_moments(result, prepared.training, unloaded=bare, frame=options.frame)
 
 
-def _with_delay(chain: SignalChain | None, result: IdentificationResult) -> SignalChain:
-    """Return the chain with the delay that the arm was identified with, if it states none."""
-    chain = chain or SignalChain()
+def _prepare_loaded(
+    result: IdentificationResult,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    others: Sequence[RecordingLike | Sequence[RecordingLike]],
+    options: PayloadOptions,
+    holdout: str | None,
+    progress: Progress | None,
+) -> Prepared:
+    """Prepare recordings with the delay that the arm was identified with, if none is stated."""
+    chain, model = options.chain or SignalChain(), result.model
     known = None if result.chain is None else result.chain.delay
-    return replace(chain, delay=known) if chain.delay == "auto" else chain
+    return prepare(
+        model,
+        as_recordings(model, recordings),
+        others=[as_recordings(model, each) for each in others],
+        chain=replace(chain, delay=known) if chain.delay == "auto" else chain,
+        holdout=holdout,
+        checked=options.checked,
+        progress=progress,
+    )
 
 
 def find_gains(
@@ -227,9 +224,8 @@ def _select_known_direction(samples: Samples, item: Recorded, prepared: Prepared
     if isinstance(item, Samples) or prepared.chain is None:
         return samples
     head = head_of(item)
-    if head.torque_source != "command":
-        return samples
-    return drop_slow_rows(samples, head, prepared.chain.cutoff or np.inf)
+    cutoff = prepared.chain.cutoff or np.inf
+    return drop_slow_rows(samples, head, cutoff) if head.torque_source == "command" else samples
 
 
 def identify_channels(
@@ -303,13 +299,14 @@ def _match_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Record
     if not (isinstance(sensor, Recording) and isinstance(motor, Recording)):
         return sensor, motor
     common = np.intersect1d(sensor.t, motor.t)
-    if common.size < COMMON * min(sensor.n_samples, motor.n_samples):
+    least = COMMON * min(sensor.n_samples, motor.n_samples)
+    if common.size < least:
         raise UsageError(
             f"{sensor.source} and {motor.source} are not of the same instants: {common.size} of"
             f" {sensor.n_samples} and {motor.n_samples} time stamps are equal",
             cure=Cure("log sensors and motors together, with the same time stamps"),
             value=common.size,
-            lower=COMMON * min(sensor.n_samples, motor.n_samples),
+            lower=least,
         )
     if common.size < max(sensor.n_samples, motor.n_samples):
         shared = (np.isin(sensor.t, motor.t), np.isin(motor.t, sensor.t))

@@ -9,20 +9,24 @@ from typing import Any
 import numpy as np
 
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment import Recording, RecordingStream, Samples, read_recording
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
 from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import TorqueMetrics, torque_metrics
+from asbuilt.identification import (
+    IdentificationResult,
+    TorqueMetrics,
+    identify_samples,
+    torque_metrics,
+)
 from asbuilt.tables import Table, format_share, wrap_text
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.comparison.drift import Drift, compare_results
+from asbuilt.validation import (
+    Drift,
+    compare_results,
+    recording_name,
+    torque_units,
+    validate_samples,
+)
 from asbuilt.validation.comparison.torque_change import tabulate_named_errors
-from asbuilt.validation.prediction import torque_units, validate_samples
 from asbuilt.workflow.options import ControllerOptions
 from asbuilt.workflow.prepare import prepare
 from asbuilt.workflow.study import Study
@@ -76,14 +80,13 @@ class ControllerComparison:
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
-        metrics = {
-            name: getattr(self, name).as_dict()
-            for name in ("controller", "cad", "as_built", "rebuilt")
-        }
         return {
             "robot": self.robot,
             "verdict": self.verdict(),
-            **metrics,
+            **{
+                name: getattr(self, name).as_dict()
+                for name in ("controller", "cad", "as_built", "rebuilt")
+            },
             "difference": self.difference.as_document(),
         }
 

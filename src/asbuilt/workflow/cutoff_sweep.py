@@ -7,23 +7,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.errors import AsbuiltError, RecordingError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recording, SignalChain, resolve_chain
 from asbuilt.experiment.signal.hold_out import parse_rule
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import identify_samples
 from asbuilt.tables import MISSING, Column, Table, round_significant
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.validation.residuals import measure_whiteness
 from asbuilt.workflow.prepare import divide_recordings
-
-Array = NDArray[np.float64]
 
 MULTIPLES = (0.2, 0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.2, 4.8, 7.0)
 """Cutoffs that are tried, in multiples of the one that the chain would choose."""
@@ -72,8 +68,8 @@ class CutoffTrial:
     rms: Array
     durbin_watson: float
     effective_share: float
-    score: float
-    in_band: float
+    score: float = 1.0
+    in_band: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,20 +130,7 @@ class CutoffSweep:
             "chosen": self.chosen,
             "why": self.why,
             "holdout": self.holdout,
-            "trials": [
-                {
-                    "cutoff": trial.cutoff,
-                    "score": trial.score,
-                    "in_band": trial.in_band,
-                    "rms_recorded": trial.rms_recorded.tolist(),
-                    "rms": trial.rms.tolist(),
-                    "durbin_watson": (
-                        trial.durbin_watson if np.isfinite(trial.durbin_watson) else None
-                    ),
-                    "effective_share": trial.effective_share,
-                }
-                for trial in self.trials
-            ],
+            "trials": make_plain(self.trials),
         }
 
 
@@ -205,7 +188,7 @@ def sweep_cutoffs(
     rule = holdout or (SHORT_HOLDOUT if short else HOLDOUT)
     parse_rule(rule)
     base = find_base_parameters(model, drive)
-    found: list[tuple[float, Array, Array, float, float]] = []
+    found: list[CutoffTrial] = []
     last: AsbuiltError | None = None
     for k, cutoff in enumerate(tried):
         if progress is not None:
@@ -229,25 +212,22 @@ def sweep_cutoffs(
         whiteness, share = np.mean(
             [measure_whiteness(each.t, each.error, cutoff) for each in validations], axis=(0, 2)
         )
-        found.append((cutoff, recorded, band, float(whiteness), float(share)))
+        found.append(CutoffTrial(cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
         raise RecordingError(
             "no cutoff leaves enough samples to train and to validate; record longer (at"
             f" {tried[-1]:.3g} Hz: {last})"
         )
-    best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)
-    scores = np.array([np.sqrt(np.mean((recorded / best) ** 2)) for _, recorded, _, _, _ in found])
-    bands = (
-        np.array([np.sqrt(np.mean((band / best) ** 2)) for _, _, band, _, _ in found])
-        / scores.min()
+    best = np.min([trial.rms_recorded for trial in found], axis=0)
+    scores, bands = (
+        np.array([np.sqrt(np.mean((rms / best) ** 2)) for rms in each])
+        for each in ([trial.rms_recorded for trial in found], [trial.rms for trial in found])
     )
-    scores /= scores.min()
     trials = tuple(
-        CutoffTrial(*trial, float(score), float(band))
+        replace(trial, score=float(score / scores.min()), in_band=float(band / scores.min()))
         for trial, score, band in zip(found, scores, bands, strict=True)
     )
-    good = [trial for trial in trials if trial.score <= SWEEP.as_good]
-    chosen = good[0]
+    chosen = next(trial for trial in trials if trial.score <= SWEEP.as_good)
     worst = max(trials, key=lambda trial: trial.score)
     why = (
         f"{round_significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within"
@@ -261,7 +241,5 @@ def sweep_cutoffs(
 
 
 def _list_cutoffs(usual: float, highest: float) -> list[float]:
-    below = [
-        multiple * usual for multiple in MULTIPLES if multiple * usual * SWEEP.apart <= highest
-    ]
+    below = [each * usual for each in MULTIPLES if each * usual * SWEEP.apart <= highest]
     return [*below, min(MULTIPLES[-1] * usual, highest)] if len(below) < len(MULTIPLES) else below

@@ -1,4 +1,4 @@
-"""Delays of the torque of recordings: estimated or stated, then part of each signal chain."""
+"""Choices of the signal chain that the torque decides: delays, and rates of a free base."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment import Recording, Samples, hold_out, resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.signal_chain import SignalChain, Velocity
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
+from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.recording_delay import (
     JointDelay,
     RecordingDelay,
@@ -47,14 +47,12 @@ class Delays:
     def applied(self, samples: Samples, digest: str) -> Samples:
         """Return samples of a recording with the standard errors of their delay."""
         own = self.of(digest)
-        return (
-            samples if own is None or not own.errors else replace(samples, delay_errors=own.errors)
-        )
+        return replace(samples, delay_errors=own.errors) if own and own.errors else samples
 
     def chain_of(self, digest: str) -> SignalChain:
         """Return the signal chain of a recording."""
         own = self.of(digest)
-        return self.chain if own is None else replace(self.chain, delay=own.delays or None)
+        return replace(self.chain, delay=own.delays or None) if own else self.chain
 
 
 def settle_delays(
@@ -98,20 +96,15 @@ def settle_delays(
     try:
         filters = filters or MotionFilters()
         motions = [filters.prepare(head, chain) for head in heads]
-        found = find_delays(
-            model, prepared, drive=_choose_drive(model, heads[0].torque_source), count=len(heads)
-        )
+        usual = choose_usual_drive(model, heads[0].torque_source)
+        drive = DriveSet((*usual.terms, *FRICTION.without(*usual.keys).terms))
+        found = find_delays(model, prepared, drive=drive, count=len(heads))
     except (AsbuiltError, np.linalg.LinAlgError):
         return Delays(replace(chain, delay=None))
     recordings = tuple(
         _make_recording_delay(head, digests[r], found, r) for r, head in enumerate(heads)
     )
     return Delays(replace(chain, delay=_average_delays(recordings)), recordings)
-
-
-def _choose_drive(model: RobotModel, source: str) -> DriveSet:
-    usual = choose_usual_drive(model, source)
-    return DriveSet((*usual.terms, *FRICTION.without(*usual.keys).terms))
 
 
 def _make_recording_delay(
@@ -136,8 +129,7 @@ def _average_delays(recordings: Sequence[RecordingDelay]) -> float | tuple[float
         return None
     n = max(len(each.delays) for each in recordings)
     values = np.array([np.broadcast_to(each.delays or (0.0,), (n,)) for each in recordings])
-    errors = np.array([each.std_error for each in recordings])
-    weight = 1.0 / np.maximum(errors, 1e-6) ** 2
+    weight = 1.0 / np.maximum(np.array([each.std_error for each in recordings]), 1e-6) ** 2
     weight = weight if weight.sum() > 0.0 else np.ones(len(recordings))
     mean = (weight @ values / weight.sum()).tolist()
     return mean[0] if n == 1 else tuple(mean)
@@ -155,21 +147,19 @@ def report_delays(
     errors = np.nan_to_num(result.std_errors, nan=np.inf)
     ratio = np.divide(np.abs(shift), errors, out=np.zeros_like(errors), where=errors > 0)
     worst = int(np.argmax(ratio))
-    matters = float(ratio[worst]) > 1.0
     cost = (
         f"; without the correction {result.base.names[worst]} would move by"
         f" {ratio[worst]:.2g} standard errors"
-        if matters
+        if ratio[worst] > 1.0
         else ""
     )
     joints = " (joints differ)" if any(each.joints for each in late) else ""
     # Standard errors that a delay must exceed for a warning: of fault-free recordings 5 % exceed 2.
     sure = any(each.joints or abs(each.estimate) > 3.0 * each.std_error for each in late)
-    alarming = matters and sure
     return (
         Finding(
             "torque_delayed",
-            "warning" if alarming else "info",
+            "warning" if cost and sure else "info",
             f"Torques {'are' if sure else 'may be'} late against positions by {listed}{joints};"
             f" they were shifted back{cost}",
             Cure(
@@ -177,3 +167,32 @@ def report_delays(
             ),
         ),
     )
+
+
+def settle_rates(
+    model: RobotModel, heads: Sequence[Recording], chain: SignalChain, filters: MotionFilters
+) -> SignalChain:
+    """Return the chain with the rates from which the torque of a free base follows better.
+
+    Feet that touch down turn joints faster than positions at the rate of a log resolve, so that
+    high frequencies are no measure of noise, as they are for an arm (`compare_velocities`). What
+    rates are for decides: the torque. Rows, torques and parameters of both fits are the same, so
+    that the smaller residual of least squares decides. The chain stays open where the root is fixed
+    or a log holds no velocities.
+    """
+    if chain.velocity != "auto" or not model.n_floating or any(head.qd is None for head in heads):
+        return chain
+    alike = resolve_chain(chain, *heads, filters=filters)
+    base = find_base_parameters(model, choose_usual_drive(model, heads[0].torque_source))
+
+    def residual(velocity: Velocity) -> float:
+        own = replace(alike, velocity=velocity, delay=None)
+        samples = [filters.prepare(head, own).samples() for head in heads]
+        factor = triangular_factor(accumulate_stream(model, base, samples).stacked())
+        return float(factor[-1, -1])
+
+    try:
+        measured = residual("measured") < residual("derived")
+    except (AsbuiltError, np.linalg.LinAlgError):
+        return chain
+    return replace(chain, velocity="measured" if measured else "derived")

@@ -14,15 +14,9 @@ from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
+from asbuilt.excitation import InformationEfficiency, MotionBounds, information_efficiency
 from asbuilt.excitation.information.information import complete_limits
-from asbuilt.excitation.information.information_bound import (
-    InformationEfficiency,
-    information_efficiency,
-)
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment import Recording, RecordingStream, Samples, head_of
 from asbuilt.findings import Cure, join_names
 from asbuilt.workflow.prepare import prepare
 
@@ -97,37 +91,36 @@ class RecordedInformation:
         paragraphs = [
             f"The motion has {100 * self.efficiency.d_efficiency:.2g} % of the information that the"
             f" joint limits allow at most (drive terms {self.drive}{limits})."
-            f"{self._beyond()}"
+            f"{self._word_excess()}"
         ]
         if self._lacking:
             slow = [k for k in self._lacking if self.top_speed[k] < RULES.slow]
             narrow = [k for k in self._lacking if self.travel[k] < RULES.narrow]
             rest = [self.joint_names[k] for k in self._lacking if k not in {*slow, *narrow}]
             parts = [
-                self._listed(slow, self.top_speed, "of the speed limit"),
-                self._listed(narrow, self.travel, "of the range"),
+                self._list_shares(slow, self.top_speed, "of the speed limit"),
+                self._list_shares(narrow, self.travel, "of the range"),
                 f"{join_names(rest)}, gently or in step with others" if rest else "",
             ]
             advice = cure_text(BETTER_MOTION)
             paragraphs += [
                 f"Joints that moved too little: {'; '.join(part for part in parts if part)}.",
-                f"{self._worst()} {advice[:1].upper()}{advice[1:]}.",
+                f"{self._word_worst()} {advice[:1].upper()}{advice[1:]}.",
             ]
         return "\n".join(textwrap.fill(each, 80, subsequent_indent="  ") for each in paragraphs)
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers and names; None is a standard error that is infinite."""
-        by_joint = {
-            "by_joint": self.efficiency.by_joint,
-            "std_error_ratio": self.std_error_ratios,
-            "travel": self.travel,
-            "top_speed": self.top_speed,
-        }
         return {
             "d_efficiency": self.efficiency.d_efficiency,
             **{
                 key: dict(zip(self.joint_names, make_plain(values), strict=True))
-                for key, values in by_joint.items()
+                for key, values in (
+                    ("by_joint", self.efficiency.by_joint),
+                    ("std_error_ratio", self.std_error_ratios),
+                    ("travel", self.travel),
+                    ("top_speed", self.top_speed),
+                )
             },
             "moved_too_little": list(self.too_little),
             "drive": str(self.drive),
@@ -138,34 +131,31 @@ class RecordedInformation:
     def _lacking(self) -> list[int]:
         return [k for k, part in enumerate(self.efficiency.by_joint) if part < RULES.too_little]
 
-    def _listed(self, joints: list[int], parts: Array, of_what: str) -> str:
+    def _list_shares(self, joints: list[int], parts: Array, of_what: str) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
         return f"{join_names(named)} {of_what}" if named else ""
 
-    def _beyond(self) -> str:
+    def _word_excess(self) -> str:
         outside = [
             f"{name} {factor:.2g} times"
             for name, factor in zip(self.joint_names, self.efficiency.beyond, strict=True)
             if factor > RULES.beyond
         ]
-        if not outside:
-            return ""
-        return (
+        text = (
             " The bound holds for the speeds and accelerations recorded, noise included, which"
             f" exceed the limits: {join_names(outside)}."
         )
+        return text if outside else ""
 
-    def _worst(self) -> str:
-        ratios = self.std_error_ratios
+    def _word_worst(self) -> str:
+        ratios, names = self.std_error_ratios, self.efficiency.base.names
         worst = sorted(self._lacking, key=lambda k: -ratios[k])[: RULES.most_named]
-        names = [
-            (self.efficiency.base.names[index], ratios[k])
+        listed = [
+            f"{names[index]} {float(f'{ratios[k]:.2g}'):g} times"
+            if np.isfinite(ratios[k])
+            else f"{names[index]} infinite"
             for k in worst
             if (index := self.efficiency.worst[k]) is not None
-        ]
-        listed = [
-            f"{name} {float(f'{ratio:.2g}'):g} times" if np.isfinite(ratio) else f"{name} infinite"
-            for name, ratio in names
         ]
         return f"Largest standard errors relative to the best motion: {join_names(listed)}."
 
@@ -185,13 +175,11 @@ def recorded_information(
     source = head_of(recording).torque_source
     drive = choose_usual_drive(model, source) if model.usual_drive else DriveSet.default(source)
     (samples,) = prepare(model, [recording], checked=False).training
-    travel, top_speed = _measure_limit_use(model, samples)
     return RecordedInformation(
         model.joint_names,
         drive,
         information_efficiency(model, drive, samples),
-        travel,
-        top_speed,
+        *_measure_limit_use(model, samples),
         complete_limits(model)[1],
     )
 

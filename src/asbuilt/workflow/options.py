@@ -39,10 +39,6 @@ def _parse_drive(text: str) -> DriveSet | str:
     return text if automatic else DriveSet.parse(text)
 
 
-def _parse_method(text: str) -> str:
-    return methods.find(text).name
-
-
 HORIZONS = Range(1e-4, 3600.0, "s")
 """Lengths of simulated windows."""
 
@@ -173,7 +169,7 @@ class StudyOptions:
         "auto",
         "NAME",
         "estimator; auto chooses one, an unknown name lists all",
-        parse=_parse_method,
+        parse=lambda text: methods.find(text).name,
         names=lambda: list(methods),
     )
     chain: SignalChain | None = None
@@ -241,16 +237,10 @@ class StudyOptions:
 
     def __post_init__(self) -> None:
         _check_rule(self.holdout)
-        if isinstance(self.effects, str):
-            object.__setattr__(self, "effects", EffectsWanted.parse(self.effects))
-        if isinstance(self.drive, str):
-            object.__setattr__(self, "drive", _parse_drive(self.drive))
-        if isinstance(self.total_mass, str):
-            object.__setattr__(self, "total_mass", total_mass_from_text(self.total_mass))
-        if isinstance(self.link_mass, str):
-            object.__setattr__(self, "link_mass", link_masses_from_text(self.link_mass))
-        if isinstance(self.siblings, str | Path):
-            object.__setattr__(self, "siblings", read_sibling(self.siblings))
+        for name in ("effects", "drive", "total_mass", "link_mass", "siblings"):
+            given, parse = getattr(self, name), self.__dataclass_fields__[name].metadata["parse"]
+            if isinstance(given, str | Path):
+                object.__setattr__(self, name, parse(given))
 
     @property
     def wanted_effects(self) -> EffectsWanted:

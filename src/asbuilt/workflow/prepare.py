@@ -8,21 +8,25 @@ from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment import (
+    Recorded,
+    Recording,
+    RecordingStream,
+    Samples,
+    SignalChain,
+    head_of,
+    resolve_chain,
+)
 from asbuilt.experiment.command.servo_torque import drop_saturated
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import choose_usual_rule, hold_out
-from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.hold_out import SHORTEST_DIVIDED, choose_usual_rule, hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.pose_noise import with_equation_noise
 from asbuilt.identification.result.recording_delay import RecordingDelay
-from asbuilt.workflow.delays import Delays, settle_delays
-from asbuilt.workflow.logged_rates import settle_rates
-from asbuilt.workflow.options import AUTOMATIC
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.workflow.delays import Delays, settle_delays, settle_rates
+from asbuilt.workflow.options import AUTOMATIC, StudyOptions
 
 Progress = Callable[[str, float], None]
 FEWEST = 10
@@ -63,10 +67,6 @@ class Prepared:
     digests: tuple[str, ...]
     delay: tuple[RecordingDelay, ...] = ()
     whole: tuple[Samples, ...] = ()
-
-    def undivided(self) -> Prepared:
-        """Return the same with nothing held out, if that was so by default."""
-        return replace(self, training=self.whole, held_out=(), whole=(), holdout=None)
 
 
 def prepare(
@@ -133,28 +133,25 @@ def prepare(
         raise UsageError(f"no recording of {model.name} is given; give at least one")
     report, filters = progress or (lambda what, fraction: None), filters or MotionFilters()
     report("check", 0.0)
-    groups = (recordings, validation, *others)
-    checks = (
-        _check_recordings(model, [item for group in groups for item in group], tolerated)
-        if checked
-        else ()
-    )
+    every = [item for group in (recordings, validation, *others) for item in group]
+    heads = _list_recording_heads(every if checked else ())
+    checks = tuple(check_recording(model, head) for head in heads)
+    for check in checks:
+        check.raise_errors(but=tolerated)
     report("filter", 0.0)
-    chosen, settled = _list_recording_heads([*recordings, *validation]), chain or SignalChain()
+    own = _list_recording_heads(recordings)
+    chosen, settled = [*own, *_list_recording_heads(validation)], chain or SignalChain()
     if chosen:
         settled = settle_rates(model, chosen, settled, filters)
         settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
-        settled = settle(settled, _list_recording_heads(recordings))
+        settled = settle(settled, own)
     automatic, holdout = holdout == AUTOMATIC, settle_rule(recordings, holdout)
-    digests = tuple(digest_recording(head) for head in _list_recording_heads(recordings))
-    late = Delays(settled, tuple(delays))
+    digests, late = tuple(map(digest_recording, own)), Delays(settled, tuple(delays))
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
         report("delay", 0.0)
         rule = None if automatic else holdout
-        late = settle_delays(
-            model, _list_recording_heads(recordings), digests, settled, rule, filters
-        )
+        late = settle_delays(model, own, digests, settled, rule, filters)
         settled = late.chain
     whole = with_equation_noise(
         model, [_prepare_samples(item, settled, filters, late) for item in recordings]
@@ -162,7 +159,6 @@ def prepare(
     parts = _divide_if_enough(whole, holdout) if automatic else _divide_samples(whole, holdout)
     if parts is None:
         holdout, parts = None, (whole, ())
-    training, held_out = parts
 
     def alike(item: Recorded) -> Samples:
         return replace(_prepare_samples(item, settled, filters), noise=whole[0].noise)
@@ -171,8 +167,8 @@ def prepare(
         chain=settled if chosen else None,
         holdout=holdout,
         checks=checks,
-        training=training,
-        held_out=held_out,
+        training=parts[0],
+        held_out=parts[1],
         validation=tuple(alike(item) for item in validation),
         others=tuple(tuple(alike(item) for item in group) for group in others),
         digests=digests,
@@ -208,17 +204,9 @@ def digest_recording(recording: Recording) -> str:
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
-def _check_recordings(
-    model: RobotModel, recordings: Sequence[Recorded], tolerated: Collection[str]
-) -> tuple[RecordingCheck, ...]:
-    checks = tuple(
-        check_recording(model, head_of(item))
-        for item in recordings
-        if not isinstance(item, Samples)
-    )
-    for check in checks:
-        check.raise_errors(but=tolerated)
-    return checks
+def is_trained_on(result: IdentificationResult, item: Recorded) -> bool:
+    """Return whether a result was identified from a recording; of samples nothing is known."""
+    return not isinstance(item, Samples) and digest_recording(head_of(item)) in result.digests
 
 
 def _list_recording_heads(recordings: Sequence[Recorded]) -> list[Recording]:
@@ -257,12 +245,65 @@ def _prepare_samples(
 ) -> Samples:
     if isinstance(item, Samples):
         return item
-    own = ""
-    if delays is not None and delays.recordings:
-        own = digest_recording(head_of(item))
+    own = digest_recording(head_of(item)) if delays and delays.recordings else ""
+    if delays and own:
         chain = delays.chain_of(own)
     if isinstance(item, RecordingStream):
         samples = item.prepared(resolve_chain(chain, item.head))
     else:
         samples = drop_saturated(filters.prepare(item, chain).samples(chain.delay), item)
     return samples if delays is None else delays.applied(samples, own)
+
+
+def with_settled_holdout(
+    options: StudyOptions, recordings: Sequence[Recorded], validation: Sequence[Recorded]
+) -> StudyOptions:
+    """Return options whose `holdout` stays automatic only if a part can be held out by default.
+
+    Other recordings to validate on take the place of what would be held out. A refinement, which
+    would take twice as long, is fitted to the training part alone.
+    """
+    if options.holdout != AUTOMATIC:
+        return options
+    if validation or settle_rule(recordings, AUTOMATIC) is None:
+        return replace(options, holdout=None)
+    if options.refine is not None:
+        return replace(options, holdout=settle_rule(recordings, AUTOMATIC))
+    return options
+
+
+def report_holdout(
+    wanted: StudyOptions, prepared: Prepared, recordings: Sequence[Recorded], validated: bool
+) -> tuple[Finding, ...]:
+    """Return what a study with such options says of what it held out by default.
+
+    `validated` says whether there is anything to validate on.
+    """
+    if wanted.holdout != AUTOMATIC:
+        return ()
+    if prepared.whole:
+        return (
+            Finding(
+                "final_fit",
+                "info",
+                f"Held-out errors are of a fit without what was held out ({prepared.holdout});"
+                " parameters, their errors and the training error are of the final fit to"
+                " everything",
+            ),
+        )
+    if validated:
+        return ()
+    seconds = measure_shortest(recordings)
+    why = (
+        f"{seconds:.3g} s are too short to hold out a part ({SHORTEST_DIVIDED:g} s)"
+        if seconds < SHORTEST_DIVIDED
+        else f"too little of {seconds:.3g} s is left if a part is held out and filtered"
+    )
+    return (
+        Finding(
+            "nothing_held_out",
+            "warning",
+            f"No validation data: {why}; errors are those of the training data and are too small",
+            Cure("validate on another recording, or record longer"),
+        ),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,13 +14,16 @@ from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, rea
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment import (
+    Recorded,
+    RecordingStream,
+    Samples,
+    SignalChain,
+    head_of,
+    resolve_chain,
+)
 from asbuilt.experiment.command.servo_torque import drive_by_command, drop_slow_rows
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.uncertainty import estimate_recording_variances
@@ -48,7 +51,7 @@ def settle_servo(
 ) -> tuple[list[Recorded], list[Recorded], ServoEstimate | None, StudyOptions]:
     """Return recordings with the torque of their position servo, what it is, and the options.
 
-    Nothing changes unless the torque of the recordings is that of a servo that follows a command.
+    Nothing changes unless the torque of the recordings comes from a servo that follows a command.
     `filters` filter their motions, if some serve others too.
 
     Raises
@@ -57,10 +60,15 @@ def settle_servo(
         If recordings have different servos, or only some have one.
     """
     servos = [_read_servo(item) for item in (*recordings, *validation)]
-    if not any(servo is not None for servo in servos):
+    if all(servo is None for servo in servos):
         return [*recordings], [*validation], None, options
-    first = servos[0]
-    if first is None or any(servo is None or not _is_same_servo(servo, first) for servo in servos):
+    if any(
+        each is None
+        or servos[0] is None
+        or not np.array_equal(getattr(each, name), getattr(servos[0], name), equal_nan=True)
+        for each in servos
+        for name in PER_JOINT
+    ):
         raise UsageError(
             "the recordings have torques of different kinds, or of different position servos;"
             " identify from recordings of one servo"
@@ -85,10 +93,11 @@ def settle_servo(
     seconds = sum(block.stop - block.start for block in found.unexplained)
     if seconds > EXCEPTION * sum(float(np.ptp(item.t)) for item in heads):
         found = replace(found, unexplained=())
+    numbers = np.cumsum([not isinstance(item, Samples) for item in recordings]) - 1
     return (
         [
-            with_servo(item, found.servo if isinstance(item, Samples) else found.of_recording(k))
-            for k, item in _number_recordings(recordings)
+            item if isinstance(item, Samples) else with_servo(item, found.of_recording(k))
+            for k, item in zip(numbers.tolist(), recordings, strict=True)
         ],
         [with_servo(item, found.servo) for item in validation],
         found,
@@ -96,26 +105,10 @@ def settle_servo(
     )
 
 
-def _number_recordings(recordings: Sequence[Recorded]) -> list[tuple[int, Recorded]]:
-    """Return recordings with their place among those that are no samples."""
-    numbers = np.cumsum([not isinstance(item, Samples) for item in recordings]) - 1
-    return list(zip(numbers.tolist(), recordings, strict=True))
-
-
-def list_servo_delays(
-    found: ServoEstimate | None, recordings: Sequence[Recorded], digests: Sequence[str]
-) -> tuple[RecordingDelay, ...]:
-    """Return the delay of the command of every recording."""
-    if found is None:
-        return ()
-    names = [recording_name(item.source) for item in recordings]
-    return make_recording_delays(found, tuple(zip(names, digests, strict=True)))
-
-
 def make_recording_delays(
     found: ServoEstimate, recordings: Sequence[tuple[str, str]]
 ) -> tuple[RecordingDelay, ...]:
-    """Return the delay of a servo as that of recordings, given by name and digest."""
+    """Return the delay of a servo as the delay of recordings, given by name and digest."""
     late, error = found.servo.delay, found.errors.delay
     if late is None:
         return ()
@@ -186,42 +179,28 @@ def drop_unexplained(
     if found is None or prepared.chain is None:
         return prepared
     cutoff = prepared.chain.cutoff or np.inf
-    return replace(
-        prepared,
-        training=_drop_unexplained(prepared.training, recordings, found, cutoff),
-        whole=_drop_unexplained(prepared.whole, recordings, found, cutoff)
-        if prepared.whole
-        else (),
-    )
 
+    def drop(parts: Sequence[Samples]) -> tuple[Samples, ...]:
+        kept = []
+        for samples, item in zip(parts, recordings if parts else (), strict=True):
+            windows = [
+                (block.start, block.stop)
+                for block in found.unexplained
+                if block.source == samples.source
+            ]
+            try:
+                left = samples.outside(windows)
+            except RecordingError:  # too short for the filters
+                continue
+            if left.n_filtered and not isinstance(item, Samples):
+                kept.append(drop_slow_rows(left, head_of(item), cutoff))
+        return tuple(kept) or tuple(parts)
 
-def _drop_unexplained(
-    parts: Sequence[Samples], recordings: Sequence[Recorded], found: ServoEstimate, cutoff: float
-) -> tuple[Samples, ...]:
-    kept = []
-    for samples, item in zip(parts, recordings, strict=True):
-        windows = [
-            (block.start, block.stop)
-            for block in found.unexplained
-            if block.source == samples.source
-        ]
-        left = _select_outside(samples, windows)
-        if left is not None and not isinstance(item, Samples):
-            kept.append(drop_slow_rows(left, head_of(item), cutoff))
-    return tuple(kept) or tuple(parts)
-
-
-def _select_outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Samples | None:
-    """Return the samples outside the windows; None if they are too short for the filters."""
-    try:
-        left = samples.outside(windows)
-    except RecordingError:
-        return None
-    return left if left.n_filtered else None
+    return replace(prepared, training=drop(prepared.training), whole=drop(prepared.whole))
 
 
 def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
-    """Return a fit whose errors have those of the delay of a servo and of what was taken away.
+    """Return a fit whose errors include the servo's delay and what was taken away.
 
     They are at least those that the scatter between recordings shows.
     """
@@ -272,17 +251,13 @@ def describe_servo_torque(model: RobotModel, found: ServoEstimate | None) -> tup
         for name, kp, error in [*zip(model.joint_names, servo.kp, errors.kp, strict=True)][free:]
     )
     late = f"{_format_estimate(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
-    goal = ""
-    if any(servo.deadband):
-        goal = (
-            "; no torque within"
-            f" {_format_estimate(1e3 * max(servo.deadband), 1e3 * errors.deadband)} mrad"
-        )
+    width = _format_estimate(1e3 * max(servo.deadband, default=0.0), 1e3 * errors.deadband)
+    goal = f"; no torque within {width} mrad" if any(servo.deadband) else ""
     if any(servo.falling):
         goal += "; torque limits that fall with the speed"
     if servo.limits_goal:
-        limit = min(servo.goal_acceleration)
-        goal += f"; goal limited to {_format_estimate(limit, errors.goal_acceleration)} rad/s^2"
+        limit = _format_estimate(min(servo.goal_acceleration), errors.goal_acceleration)
+        goal += f"; goal limited to {limit} rad/s^2"
     return (
         "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command held"
         f" until the next; kp [N m/rad] {gains}; delay {late}{goal}.",
@@ -291,87 +266,77 @@ def describe_servo_torque(model: RobotModel, found: ServoEstimate | None) -> tup
 
 def report_servo(
     model: RobotModel, found: ServoEstimate | None, drive: DriveSet
-) -> tuple[Finding, ...]:
-    """Return what is worth knowing of an identified servo."""
+) -> Iterator[Finding]:
+    """Yield what is worth knowing of an identified servo."""
     if found is None:
-        return ()
-    errors, findings, free = found.errors, [], model.n_floating
+        return
+    errors, free = found.errors, model.n_floating
     names = np.array(model.joint_names)
     unknown = np.array([each != "given" for each in errors.scale])
     relative = np.array(errors.kp) / np.where(unknown, found.servo.kp, 1.0)
     # Relative standard error of a stiffness beyond which only ratios to it are determined.
     lost = unknown & ~(relative < 0.5)
     if np.any(lost):
-        findings.append(
-            Finding(
-                "servo_gain_undetermined",
-                "warning",
-                f"The stiffness of the position servo of {join_names(names[lost].tolist())} is"
-                " undetermined: only ratios of parameters to it are determined",
-                Cure("give it, or record a motion with more gravity, or a known payload"),
-            )
+        yield Finding(
+            "servo_gain_undetermined",
+            "warning",
+            f"The stiffness of the position servo of {join_names(names[lost].tolist())} is"
+            " undetermined: only ratios of parameters to it are determined",
+            Cure("give it, or record a motion with more gravity, or a known payload"),
         )
     elif np.any(unknown):
         sources = sorted({each for each in errors.scale if each != "given"})
         one = "one stiffness for all joints" if errors.shared else "a stiffness for each joint"
-        findings.append(
-            Finding(
-                "servo_gain_from_cad",
-                "info",
-                f"The stiffness of the position servo was unknown: {one},"
-                f" {_format_estimate(found.servo.kp[free], errors.kp[free])} N m/rad for"
-                f" {names[unknown][0]}, from the"
-                f" {' and '.join(sources)} of CAD. All torques have its relative error",
-                Cure(
-                    "give the stiffness if it is known, or find it from a payload of known mass",
-                    call="find_gains",
-                ),
-            )
+        yield Finding(
+            "servo_gain_from_cad",
+            "info",
+            f"The stiffness of the position servo was unknown: {one},"
+            f" {_format_estimate(found.servo.kp[free], errors.kp[free])} N m/rad for"
+            f" {names[unknown][0]}, from the"
+            f" {' and '.join(sources)} of CAD. All torques have its relative error",
+            Cure(
+                "give the stiffness if it is known, or find it from a payload of known mass",
+                call="find_gains",
+            ),
         )
-    findings += _report_goals(found)
+    yield from _report_goals(found)
     late = _format_estimate(1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)
     if errors.lead:
         lead = _format_estimate(1e3 * max(found.servo.lead), 1e3 * errors.lead)
-        findings.append(
-            Finding(
-                "servo_lead",
-                "info",
-                "The torque preceded the command, which no delay does: the servo was taken to have"
-                f" a gain on the rate of its control error, {lead} ms times its stiffness, beside a"
-                f" delay of {late} ms; viscous friction includes its damping. Positions that are"
-                " logged late look alike in smooth motion",
-                Cure("state the lead and the torque limit if they are known, or record steps"),
-            )
+        yield Finding(
+            "servo_lead",
+            "info",
+            "The torque preceded the command, which no delay does: the servo was taken to have"
+            f" a gain on the rate of its control error, {lead} ms times its stiffness, beside a"
+            f" delay of {late} ms; viscous friction includes its damping. Positions that are"
+            " logged late look alike in smooth motion",
+            Cure("state the lead and the torque limit if they are known, or record steps"),
         )
     elif found.precedes_command:
-        findings.append(
-            Finding(
-                "servo_ahead",
-                "info",
-                "The torque precedes the command by"
-                f" {_format_estimate(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms,"
-                " which no"
-                " delay does: positions are logged later than commands, or the servo has another"
-                " law, such as a gain on the rate of its control error. Torques do not tell which;"
-                " under larger steps of the command these differ",
-                Cure(
-                    "refine by rollouts, which fits such a gain, state the lead and the torque"
-                    " limit, or record steps of the command",
-                ),
-            )
+        yield Finding(
+            "servo_ahead",
+            "info",
+            "The torque precedes the command by"
+            f" {_format_estimate(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms,"
+            " which no"
+            " delay does: positions are logged later than commands, or the servo has another"
+            " law, such as a gain on the rate of its control error. Torques do not tell which;"
+            " under larger steps of the command these differ",
+            Cure(
+                "refine by rollouts, which fits such a gain, state the lead and the torque"
+                " limit, or record steps of the command",
+            ),
         )
     if errors.deadband:
         width, error = 1e3 * max(found.servo.deadband), 1e3 * errors.deadband
-        findings.append(
-            Finding(
-                "servo_deadband",
-                "info",
-                f"The servo gives no torque within {_format_estimate(width, error)} mrad of its"
-                " goal (mm for"
-                " a sliding joint), which time that was not fitted confirms; the fit and"
-                " simulations have this deadband",
-                Cure("give the deadband if it is known"),
-            )
+        yield Finding(
+            "servo_deadband",
+            "info",
+            f"The servo gives no torque within {_format_estimate(width, error)} mrad of its"
+            " goal (mm for"
+            " a sliding joint), which time that was not fitted confirms; the fit and"
+            " simulations have this deadband",
+            Cure("give the deadband if it is known"),
         )
     if found.expected is None:
         why, cure = (
@@ -385,40 +350,33 @@ def report_servo(
                 "log torques too, or record slow motion with a fine encoder",
             )
         )
-        findings.append(
-            Finding(
-                "servo_not_replayed",
-                "warning",
-                f"{why}, so that errors by noise of the positions and by friction at reversals are"
-                " not corrected; standard errors are too small",
-                Cure(cure),
-            )
+        yield Finding(
+            "servo_not_replayed",
+            "warning",
+            f"{why}, so that errors by noise of the positions and by friction at reversals are"
+            " not corrected; standard errors are too small",
+            Cure(cure),
         )
     if found.unexplained:
-        findings.append(_report_unexplained(found))
-    findings += _report_currents(model, found)
+        yield _report_unexplained(found)
+    yield from _report_currents(model, found)
     if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
-        findings.append(
-            Finding(
-                "servo_damping_in_friction",
-                "info",
-                "The damping of the position servo is unknown: viscous friction includes it, since"
-                " only their sum acts",
-                Cure("give the damping if it is known"),
-            )
+        yield Finding(
+            "servo_damping_in_friction",
+            "info",
+            "The damping of the position servo is unknown: viscous friction includes it, since"
+            " only their sum acts",
+            Cure("give the damping if it is known"),
         )
-    return tuple(findings)
 
 
-def _report_currents(model: RobotModel, found: ServoEstimate) -> list[Finding]:
-    """Return what magnitudes logged beside the commands show of the servo's damping."""
+def _report_currents(model: RobotModel, found: ServoEstimate) -> Iterator[Finding]:
+    """Yield what magnitudes logged with the commands show of the servo's damping."""
     listed = [
         (name, law)
         for name, law in zip(model.joint_names, found.currents or (), strict=False)
         if law is not None and law.holds
     ]
-    if not listed:
-        return []
     late = found.servo.delay or 0.0
     lags = "; ".join(
         f"{name} {_format_estimate(1e3 * (law.lag - late), 1e3 * law.lag_error)} ms, {law.kind}"
@@ -426,8 +384,8 @@ def _report_currents(model: RobotModel, found: ServoEstimate) -> list[Finding]:
         f" {100.0 * law.explained:.0f} % explained"
         for name, law in listed
     )
-    return [
-        Finding(
+    if listed:
+        yield Finding(
             "servo_current_explained",
             "info",
             "The log has currents without a sign beside the commands, which the servo explains"
@@ -435,31 +393,24 @@ def _report_currents(model: RobotModel, found: ServoEstimate) -> list[Finding]:
             " voltage that its motor induces; the rest of viscous friction is the joint's",
             Cure("give the damping as stiffness times this, to tell one from the other"),
         )
-    ]
 
 
-def _report_goals(found: ServoEstimate) -> list[Finding]:
-    """Return what recordings show of a limit of the goal's acceleration."""
-    findings = []
-    for goal in found.goals:
-        if goal is None:
-            continue
+def _report_goals(found: ServoEstimate) -> Iterator[Finding]:
+    """Yield what recordings show of a limit of the goal's acceleration."""
+    everywhere = all(each is not None for each in found.goals)
+    for goal in filter(None, found.goals):
         first, seconds = goal.acts[0], sum(each.stop - each.start for each in goal.acts)
-        everywhere = all(each is not None for each in found.goals)
-        findings.append(
-            Finding(
-                "servo_goal_limited",
-                "info",
-                "The servo limits the acceleration of its goal to"
-                f" {_format_estimate(goal.acceleration, goal.std_error)} rad/s^2 in"
-                f" {recording_name(first.source)} (seen in {seconds:.3g} s, first at"
-                f" {first.start:.1f} s); the command is passed through this limit"
-                + ("" if everywhere else " in this recording, as the others do not show it"),
-                Cure("give the limit if it is known; logs validated later need it stated"),
-                time=first.start,
-            )
+        yield Finding(
+            "servo_goal_limited",
+            "info",
+            "The servo limits the acceleration of its goal to"
+            f" {_format_estimate(goal.acceleration, goal.std_error)} rad/s^2 in"
+            f" {recording_name(first.source)} (seen in {seconds:.3g} s, first at"
+            f" {first.start:.1f} s); the command is passed through this limit"
+            + ("" if everywhere else " in this recording, as the others do not show it"),
+            Cure("give the limit if it is known; logs validated later need it stated"),
+            time=first.start,
         )
-    return findings
 
 
 def _report_unexplained(found: ServoEstimate) -> Finding:
@@ -469,18 +420,16 @@ def _report_unexplained(found: ServoEstimate) -> Finding:
 
     blocks = found.unexplained
     seconds = sum(block.stop - block.start for block in blocks)
-    listed = join_names(
-        [
-            f"{recording_name(block.source)} {block.start:.0f} to {block.stop:.0f} s"
-            for block in blocks
-        ]
-    )
+    listed = [
+        f"{recording_name(block.source)} {block.start:.0f} to {block.stop:.0f} s"
+        for block in blocks
+    ]
     return Finding(
         "unexplained_motion",
         "warning",
         f"{seconds:.3g} s were left out, in which the torque of the command differs from the"
-        f" robot's {UNEXPLAINED:g} times as much as usual ({listed}): contact, or a limit of the"
-        " servo",
+        f" robot's {UNEXPLAINED:g} times as much as usual ({join_names(listed)}): contact, or a"
+        " limit of the servo",
         Cure("record without contact and with slower commands, or give the torque limit"),
         time=blocks[0].start,
     )
@@ -491,13 +440,6 @@ def _read_servo(item: Recorded) -> PositionServo | None:
         return None
     head = head_of(item)
     return head.servo if head.torque_source == "command" and head.command is not None else None
-
-
-def _is_same_servo(one: PositionServo, other: PositionServo) -> bool:
-    return all(
-        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
-        for name in PER_JOINT
-    )
 
 
 def _select_linear_terms(drive: DriveSet | str | None) -> DriveSet | None:

@@ -11,47 +11,53 @@ from typing import TYPE_CHECKING, Any
 
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, restore_dataclass
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
-from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment import ReadingOptions, Recording, RecordingCheck, SignalChain
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, read_fitted_recordings
-from asbuilt.experiment.quality.checks import RecordingCheck
-from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.physics import import_mujoco
 from asbuilt.findings import Cure, Finding, rank_findings
-from asbuilt.identification.effects.effect import FoundEffect
-from asbuilt.identification.result.determination import Determination, determination
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination
 from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.registry import divide_settings
-from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import Comparison, compare
-from asbuilt.validation.prediction import Validation
-from asbuilt.validation.rollout.joint_errors import tabulate_joint_errors
-from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
+from asbuilt.validation import (
+    Attribution,
+    Comparison,
+    Rollout,
+    Validation,
+    Verdict,
+    compare,
+    recording_name,
+    rollout_findings,
+    study_verdict,
+)
+from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.validation.verdicts.reasons import OF_TORQUE
-from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.validation.verdicts.verdict_error import choose_decisive_rollout
+from asbuilt.workflow.conclusion import conclude_study
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.fitting.conclusion import conclude_study
-from asbuilt.workflow.fitting.fits import fit_study
-from asbuilt.workflow.fitting.hold_out_plan import hold_out_findings, with_settled_holdout
+from asbuilt.workflow.fits import fit_study
 from asbuilt.workflow.options import BLOCKS, StudyOptions
-from asbuilt.workflow.prepare import Prepared, Progress, prepare, settle_rule
-from asbuilt.workflow.servo import drop_unexplained, list_servo_delays, settle_servo
+from asbuilt.workflow.prepare import (
+    Prepared,
+    Progress,
+    prepare,
+    report_holdout,
+    settle_rule,
+    with_settled_holdout,
+)
+from asbuilt.workflow.servo import drop_unexplained, make_recording_delays, settle_servo
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
-    from asbuilt.workflow.simulation.refinement import Refined
-    from asbuilt.workflow.simulation.rollout import Simulated
+    from asbuilt.workflow.refinement import Refined
+    from asbuilt.workflow.rollout import Simulated
 
 HORIZON_OF_VERDICT = 0.5
 """Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
@@ -122,8 +128,7 @@ class Study:
 
     def plot(self, kind: str = "torque", axes: Any = None) -> Array:
         """Draw a figure as `IdentificationResult.plot`, of what was held out if anything was."""
-        shown = (*self.validations, *self.training, None)[0]
-        return self.result.plot(kind, shown, axes)
+        return self.result.plot(kind, (*self.validations, *self.training, None)[0], axes)
 
     @cached_property
     def comparison(self) -> Comparison:
@@ -144,9 +149,8 @@ class Study:
 
     def to_json(self) -> str:
         """Return result and findings as JSON that `from_json` reads back to the last bit."""
-        warnings = [{"code": each.code, "message": each.text} for each in self.findings]
         return self.result.to_json(
-            warnings=warnings,
+            warnings=[{"code": each.code, "message": each.text} for each in self.findings],
             study={"findings": make_plain(self.findings), "verdict": make_plain(self.verdict)},
         )
 
@@ -253,16 +257,18 @@ def identify(
         raise _make_all_fitted_error()
     prepared, cutoffs = _prepare_recordings(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts, horizons = None, options.rollout or _choose_verdict_horizons(servo)
+    parts, horizons = None, options.rollout
+    if not horizons and servo is not None and find_spec("mujoco") is not None:
+        horizons = (HORIZON_OF_VERDICT,)
     if options.refine or horizons:
-        from asbuilt.workflow.simulation.rollout import select_simulated_parts  # noqa: PLC0415 - light start
+        from asbuilt.workflow.rollout import select_simulated_parts  # noqa: PLC0415 - light start
 
         parts = select_simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     del filters  # motions of whole recordings
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
-    held_out_findings = hold_out_findings(
+    held_out_findings = report_holdout(
         wanted, prepared, trained, bool(others) or bool(prepared.held_out)
     )
     concluded = conclude_study(fits, options, cutoffs, held_out_findings)
@@ -315,14 +321,10 @@ def _prepare_recordings(
     )
     prepared = drop_unexplained(prepared, trained, servo)
     if servo is not None:
-        prepared = replace(prepared, delay=list_servo_delays(servo, trained, prepared.digests))
+        names = [recording_name(item.source) for item in trained]
+        named = tuple(zip(names, prepared.digests, strict=True))
+        prepared = replace(prepared, delay=make_recording_delays(servo, named))
     return prepared, sweeps[0] if sweeps else None
-
-
-def _choose_verdict_horizons(servo: ServoEstimate | None) -> tuple[float, ...]:
-    """Return the length of the rollouts that a verdict on a robot under commands goes by."""
-    simulates = servo is not None and find_spec("mujoco") is not None
-    return (HORIZON_OF_VERDICT,) if simulates else ()
 
 
 def _make_all_fitted_error() -> UsageError:
@@ -339,7 +341,7 @@ def _roll_out(
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
-    from asbuilt.workflow.simulation.rollout import simulate_rollouts  # noqa: PLC0415 - light start
+    from asbuilt.workflow.rollout import simulate_rollouts  # noqa: PLC0415 - light start
 
     if not held:
         raise _make_all_fitted_error()
@@ -365,15 +367,14 @@ def _sweep_cutoff(
         raise UsageError(
             "a cutoff can be chosen for recordings only; these samples are filtered already"
         )
-    drive = (
-        options.drive
-        if isinstance(options.drive, DriveSet)
-        else choose_usual_drive(model, recordings[0].torque_source)
-    )
     return sweep_cutoffs(
         model,
         recordings,
-        drive=drive,
+        drive=(
+            options.drive
+            if isinstance(options.drive, DriveSet)
+            else choose_usual_drive(model, recordings[0].torque_source)
+        ),
         method=options.method,
         chain=chain,
         holdout=settle_rule(recordings, options.holdout),

@@ -9,30 +9,32 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
+from asbuilt.experiment import Samples, head_of
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
     as_recordings,
     read_fitted_recordings,
 )
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import TorqueMetrics
-from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.prediction import Validation, validate_description, validate_samples
+from asbuilt.identification import IdentificationResult, TorqueMetrics
+from asbuilt.validation import (
+    CadTolerance,
+    Rollout,
+    Validation,
+    Verdict,
+    study_verdict,
+    validate_description,
+    validate_samples,
+)
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
-from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.options import AUTOMATIC, StudyOptions, ValidationOptions
-from asbuilt.workflow.prepare import Progress, digest_recording, prepare
+from asbuilt.workflow.prepare import Progress, is_trained_on, prepare
 from asbuilt.workflow.servo import has_open_servo, with_servo
 from asbuilt.workflow.study import Study, identify
 
@@ -97,14 +99,9 @@ def decide_validation_verdict(
     `validations` and `rollouts` are of these recordings.
     """
     logged = as_recordings(result.model, recordings)
-    own = result.holdout is None and all(
-        not isinstance(each, Samples) and digest_recording(head_of(each)) in result.digests
-        for each in logged
-    )
-    in_training = (
-        Finding("nothing_held_out", "warning", "the result was identified from these logs"),
-    )
-    return study_verdict(result, in_training if own else (), validations, rollouts)
+    own = result.holdout is None and all(is_trained_on(result, each) for each in logged)
+    finding = Finding("nothing_held_out", "warning", "the result was identified from these logs")
+    return study_verdict(result, (finding,) if own else (), validations, rollouts)
 
 
 def validate_robot(
@@ -135,9 +132,9 @@ def validate_robot(
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
-    for name in (each.source for each in logged if has_open_servo(each)):
+    for each in filter(has_open_servo, logged):
         raise UsageError(
-            f"{name} holds commands and no gains of the servo, so that it has"
+            f"{each.source} holds commands and no gains of the servo, so that it has"
             " no torque to compare with",
             cure=Cure("compare simulated motion", {"rollout": "0.5"}),
         )
@@ -161,15 +158,12 @@ def _prepare_recording(
 ) -> Samples:
     """Return the samples of a recording; those held out, if the result was identified from it."""
     recording = with_servo(recording, result.servo)
-    trained = (
-        not isinstance(recording, Samples)
-        and digest_recording(head_of(recording)) in result.digests
-    )
+    known = options.chain is None and is_trained_on(result, recording)
     prepared = prepare(
         result.model,
         [recording],
         chain=options.chain or result.chain,
-        holdout=result.holdout if trained and options.chain is None else None,
+        holdout=result.holdout if known else None,
         checked=options.checked,
         estimate_delay=True,
         delays=result.delay if options.chain is None else (),

@@ -12,7 +12,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
 from asbuilt.excitation.collision.capsules import build_surroundings
-from asbuilt.workflow.masses.link_masses import link_masses
+from asbuilt.workflow.link_masses import link_masses
 from asbuilt.writers.models.urdf import format_urdf
 
 SHAPES = [

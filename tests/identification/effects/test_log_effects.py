@@ -23,9 +23,9 @@ from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.effects.report import report_effects
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.validation.generalisation.plateaus import (
+    drop_plateaus,
     find_plateaus,
     report_plateaus,
-    without_plateaus,
 )
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -163,7 +163,7 @@ def findings(name: str, recording: Recording) -> dict[str, Finding]:
     """Return the findings of a log by their codes."""
     model, samples = bundled_robot(name), [prepare_samples(recording)]
     flat = find_plateaus(model, DRIVE, samples)
-    effects = find_effects(model, DRIVE, without_plateaus(samples, flat))
+    effects = find_effects(model, DRIVE, drop_plateaus(samples, flat))
     effects = effects.beside_plateaus({model.joint_names[each.joint] for each in flat})
     said = (*report_plateaus(model, flat), *report_effects(effects))
     return {each.code: each for each in said}

@@ -12,7 +12,6 @@ from asbuilt.validation.comparison.significance import (
     chi_square,
     holm,
     size_probability,
-    two_sided_probability,
 )
 
 
@@ -32,12 +31,6 @@ def test_holm_rejects_what_its_steps_reject() -> None:
         rejected[i] = True
     assert np.array_equal(holm(p) <= 0.05, rejected)
     assert np.all(holm(p) >= benjamini_hochberg(p))
-
-
-def test_probabilities_are_those_of_a_normal_variable() -> None:
-    np.testing.assert_allclose(
-        two_sided_probability([-1.0, 3.0]), 2 * stats.norm.sf([1.0, 3.0]), rtol=1e-12
-    )
 
 
 def test_chi_square_is_that_of_the_distribution_and_takes_singular_covariances() -> None:

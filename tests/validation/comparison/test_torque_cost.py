@@ -38,9 +38,6 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
     np.testing.assert_allclose(
         cost.torque, np.sqrt(np.mean(contributions**2, axis=0)).T, rtol=1e-6, atol=1e-9
     )
-    np.testing.assert_allclose(
-        cost.together, np.sqrt(np.mean((W @ difference) ** 2, axis=0)), rtol=1e-6
-    )
     rows = W.reshape(-1, result.n_base)
     for j in (0, 17, 30, result.n_base - 1):
         others = np.delete(rows, j, axis=1)

@@ -17,7 +17,7 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
+from asbuilt.validation.generalisation.coverage import measure_repeated_share
 from asbuilt.workflow.study import StudyOptions, identify
 
 ROBOT = bundled_robot("scara")

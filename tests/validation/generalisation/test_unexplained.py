@@ -16,7 +16,7 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.generalisation.unexplained import (
-    nameless_findings,
+    report_nameless,
     report_unexplained,
     returning_share,
 )
@@ -79,7 +79,7 @@ def nameless(recording: Recording) -> list[Finding]:
     samples = prepare_samples(recording)
     drive = DriveSet.parse("viscous,coulomb")
     result = identify_samples(MODEL, samples, drive=drive, method="entropic")
-    return list(nameless_findings([validate_samples(result, samples)], [samples]))
+    return list(report_nameless([validate_samples(result, samples)], [samples]))
 
 
 def test_noise_does_not_return() -> None:

@@ -16,8 +16,11 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.review.claimed_numbers import ClaimedNumber, list_claimed_numbers
-from asbuilt.validation.review.profile import profile_numbers
+from asbuilt.validation.review.claimed_numbers import (
+    ClaimedNumber,
+    list_claimed_numbers,
+    profile_numbers,
+)
 from asbuilt.workflow.options import StudyOptions
 from studied_cases import first_of
 

@@ -13,9 +13,8 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.executor import open_workers
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cut_windows
-from asbuilt.validation.rollout.errors import measure_rollout_errors
+from asbuilt.validation.rollout.errors import find_outlying_windows, measure_rollout_errors
 from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
-from asbuilt.validation.rollout.outlying import find_outlying_windows
 from asbuilt.validation.rollout.rollout import roll_out, rollout_findings
 
 pytest.importorskip("mujoco")

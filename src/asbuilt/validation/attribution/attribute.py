@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -21,6 +20,7 @@ from asbuilt.identification.effects.groups import (
     name_group,
 )
 from asbuilt.identification.information.cause_data import TILT, CauseData
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import format_plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
 from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
@@ -28,9 +28,6 @@ from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recor
 from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.significance import holm
 from asbuilt.validation.prediction import derive_cad_values, torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 BODIES = (Payload.key, LinkMass.key)
 
@@ -78,8 +75,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     parts = {key: np.sum(own * (e + left), axis=1) / energy for key, own in y.items()}
     sure = _find_significant(result, values, changes, bodies)
     added = {str(k): _regroup_body(result, each) for k, each in enumerate(bodies.bodies)}
-    by_body = _predict_torques(result, data, values, added)[1]
-    separate = [by_body[key] for key in added]
+    _, separate, _ = _predict_torques(result, data, values, added)
     single = _find_single_bodies(result, bodies, separate, left, torque, data.n_judged)
     shares = [
         EffectShare(
@@ -118,8 +114,7 @@ def _predict_torques(
     terms = block_diag(np.column_stack([values, *changes.values()]), np.eye(len(tilts)))
     terms[len(values) :, 0] = -1.0  # columns of links hold under the gravity of the tilt
     rows = data.whole(data.judged)
-    size = max(map(len, rows))
-    both = np.zeros((1 + terms.shape[1], len(rows), size))
+    both = np.zeros((1 + terms.shape[1], len(rows), max(map(len, rows))))
     for k, each in enumerate(rows):
         both[0, k, : len(each)] = each[:, -1]
         both[1:, k, : len(each)] = (each[:, places] @ terms).T
@@ -137,8 +132,8 @@ def _estimate_bodies(
     free = select_tested_values(result)
     known = free.determined & ~free.dropped & (free.std_errors > 0.0)
     difference = np.where(known, free.estimates - by_design, np.nan)
-    right = not any(EFFECTS[each.effect].of_log for each in result.effects)
-    return explain_bodies(cad, result.base, difference, free.covariance, right_log=right)
+    wrong = any(EFFECTS[each.effect].of_log for each in result.effects)
+    return explain_bodies(cad, result.base, difference, free.covariance, right_log=not wrong)
 
 
 def _list_changes(
@@ -154,7 +149,7 @@ def _list_changes(
     for each in bodies.bodies:
         own = _regroup_body(result, each)
         found[each.key] = found.get(each.key, 0.0) + own
-        found[LINKS] = found[LINKS] - own
+        found[LINKS] -= own
     return {key: each for key, each in found.items() if each.any()}
 
 
@@ -189,7 +184,7 @@ def _find_significant(
 def _find_single_bodies(
     result: IdentificationResult,
     bodies: BodyDifference,
-    torques: Sequence[Array],
+    torques: Mapping[str, Array],
     left: Array,
     torque: Array,
     n: int,
@@ -197,8 +192,8 @@ def _find_single_bodies(
     """Return bodies of these torques, next to what the model leaves of the torque of n samples."""
     names, joints = result.joint_names, result.base.link_joints
     found = []
-    for each, y in zip(bodies.bodies, torques, strict=True):
-        family = EFFECTS[each.key]
+    for k, each in enumerate(bodies.bodies):
+        family, y = EFFECTS[each.key], torques[str(k)]
         joint = None if each.key == Payload.key else names[joints[each.link]]
         before, after = (
             float(np.linalg.norm(own) / np.linalg.norm(torque)) for own in (left + y, left)
@@ -239,15 +234,12 @@ def _word_sizes(
         if find_group(term) == key
         for symbol in term.symbols
     }
-    found = []
-    for k in range(n):
-        parts = []
-        for j in locate_drive_parameters(result.base, k).get(key, []):
-            own = result.parameters[j]
-            change = format_plus_minus(own.estimate - float(values[j]), own.std_error)
-            more = " more than in CAD" if values[j] else ""
-            parts.append(
-                f"{words.get(own.name.rstrip('0123456789'), '')} {change} {own.unit}{more}"
-            )
-        found.append(", ".join(part.strip() for part in parts))
-    return tuple(found)
+
+    def word(j: int) -> str:
+        own = result.parameters[j]
+        change = format_plus_minus(own.estimate - float(values[j]), own.std_error)
+        more = " more than in CAD" if values[j] else ""
+        return f"{words.get(own.name.rstrip('0123456789'), '')} {change} {own.unit}{more}".strip()
+
+    own = (locate_drive_parameters(result.base, k).get(key, []) for k in range(n))
+    return tuple(", ".join(map(word, places)) for places in own)

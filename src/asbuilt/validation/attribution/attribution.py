@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,43 +97,69 @@ class Attribution:
     @property
     def findings(self) -> tuple[str, ...]:
         """Sentences on the sizes of the effects, and on what the recordings cannot decide."""
-        return report_attribution(self)
+        lines = []
+        if self.payload is not None:
+            caveat = (
+                "; its error holds what the links differ from CAD by themselves"
+                if "links" in self.payload.alternatives
+                else ""
+            )
+            lines.append(f"The robot carries a {self.payload.text}{caveat}.")
+        lines += [f"In this result: {each.text}." for each in self.masses]
+        for each in self.effects:
+            if not each.in_model:
+                where = "Not in the model, so that others may hold what it explains"
+                lines.append(f"{where}: {each.text}.")
+            elif each.effect in EFFECTS and EFFECTS[each.effect].removable:
+                lines.append(f"Corrected in this result: {each.text}.")
+        lines += [
+            f"This recording cannot separate {each.text.partition(':')[0]} from"
+            f" {join_names(each.alternatives)}."
+            for each in self.effects
+            if each.alternatives
+        ]
+        missing = [title for key, title in GROUPS.items() if key not in self.chosen]
+        missing += ["payload"] if self.payload is None else []
+        if missing:
+            lines.append(f"Not needed to explain this recording: {join_names(missing)}.")
+        return tuple(lines)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What explains the CAD error of each joint, with sizes."""
-        return tuple(describe_joint_error(self, k) for k in range(len(self.joint_names)))
+        return tuple(
+            f"{name}: RMS error of CAD {round_significant(float(self.rms_cad[k]))} {unit};"
+            f" {describe_joint_effects(self, k)}."
+            for k, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True))
+        )
 
     def joint_table(self, as_built: Array) -> Table:
         """Return RMS torque, errors of CAD and as built (n,), and the effects, joint by joint."""
-        rms = (self.torque, self.rms_cad, as_built)
-        ends = (Column("causes of the CAD error"), Column("with their size", detail=True))
-        texts = [
-            (describe_joint_effects(self, k, brief=True), describe_joint_effects(self, k))
-            for k in range(len(as_built))
-        ]
+        rows = (
+            (*start, describe_joint_effects(self, k, brief=True), describe_joint_effects(self, k))
+            for k, start in enumerate(self._begin_rows(as_built))
+        )
         return Table(
-            (*self._heads("torque", "CAD error", "as built"), *ends),
-            tuple((*self._starts(k, rms), *text) for k, text in enumerate(texts)),
+            (
+                *self._heads,
+                Column("causes of the CAD error"),
+                Column("with their size", detail=True),
+            ),
+            tuple(rows),
             title=f"RMS torque and errors on {self.judged_by}",
         )
 
     def share_table(self) -> Table:
         """Return the share of every effect in the squared CAD error, joint by joint."""
-        columns = [(each.effect, each.share) for each in self.shares]
-        columns.append(("unexplained", self.unexplained))
-        rows = [
-            (
-                *self._starts(k, (self.torque, self.rms_cad, self.rms_chosen)),
-                *(Shown(float(part[k]), percentage(float(part[k]), 0)) for _, part in columns),
-            )
-            for k in range(len(self.joint_names))
-        ]
+        parts = {each.effect: each.share for each in self.shares}
+        parts["unexplained"] = self.unexplained
+        rows = (
+            (*start, *(Shown(float(x[k]), percentage(float(x[k]), 0)) for x in parts.values()))
+            for k, start in enumerate(self._begin_rows(self.rms_chosen))
+        )
+        heads = (Column(name.replace("_", " "), align="right") for name in parts)
         return Table(
-            (
-                *self._heads("torque", "CAD error", "as built"),
-                *(Column(name.replace("_", " "), align="right") for name, _ in columns),
-            ),
+            (*self._heads, *heads),
             tuple(rows),
             title="Shares of the effects in the squared CAD error",
             details=(
@@ -142,16 +168,21 @@ class Attribution:
             ),
         )
 
-    def _heads(self, *names: str) -> tuple[Column, ...]:
-        """Return the heads of joints, of their units if these differ, and of RMS values."""
+    @property
+    def _heads(self) -> tuple[Column, ...]:
+        """The heads of joints, of their units if these differ, and of RMS values."""
         unit = self.units[0] if len(set(self.units)) == 1 else ""
-        joint = (Column("joint", width=20), *([] if unit else [Column("unit")]))
-        return (*joint, *(Column(name, unit, "decimal") for name in names))
+        rms = (Column(name, unit, "decimal") for name in ("torque", "CAD error", "as built"))
+        return (Column("joint", width=20), *([] if unit else [Column("unit")]), *rms)
 
-    def _starts(self, k: int, values: Sequence[Array]) -> tuple[Cell, ...]:
-        unit = () if len(set(self.units)) == 1 else self.units[k : k + 1]
-        shown = (Shown(float(v[k]), round_significant(float(v[k]))) for v in values)
-        return (self.joint_names[k], *unit, *shown)
+    def _begin_rows(self, as_built: Array) -> Iterator[tuple[Cell, ...]]:
+        """Yield the cells of each joint below these heads."""
+        alike = len(set(self.units)) == 1
+        for name, unit, *values in zip(
+            self.joint_names, self.units, self.torque, self.rms_cad, as_built, strict=True
+        ):
+            rms = (Shown(float(value), round_significant(float(value))) for value in values)
+            yield name, *([] if alike else [unit]), *rms
 
     def as_text(self, full: bool = False) -> str:
         """Return sentences and a table for a terminal; `full` has all joints' sentences."""
@@ -176,43 +207,6 @@ class Attribution:
         }
 
 
-def report_attribution(found: Attribution) -> tuple[str, ...]:
-    """Return sentences on the sizes of the effects, and on what the recordings cannot decide."""
-    lines = []
-    if found.payload is not None:
-        caveat = ""
-        if "links" in found.payload.alternatives:
-            caveat = "; its error holds what the links differ from CAD by themselves"
-        lines.append(f"The robot carries a {found.payload.text}{caveat}.")
-    lines += [f"In this result: {each.text}." for each in found.masses]
-    for each in found.effects:
-        if each.in_model and not (each.effect in EFFECTS and EFFECTS[each.effect].removable):
-            continue
-        where = "Corrected in this result"
-        if not each.in_model:
-            where = "Not in the model, so that others may hold what it explains"
-        lines.append(f"{where}: {each.text}.")
-    lines += [
-        f"This recording cannot separate {each.text.partition(':')[0]} from"
-        f" {join_names(each.alternatives)}."
-        for each in found.effects
-        if each.alternatives
-    ]
-    missing = [title for key, title in GROUPS.items() if key not in found.chosen]
-    missing += ["payload"] if found.payload is None else []
-    return (
-        (*lines, f"Not needed to explain this recording: {join_names(missing)}.")
-        if missing
-        else (*lines,)
-    )
-
-
-def describe_joint_error(found: Attribution, k: int) -> str:
-    """Return the CAD error of joint k and what explains it."""
-    error = f"{round_significant(float(found.rms_cad[k]))} {found.units[k]}"
-    return f"{found.joint_names[k]}: RMS error of CAD {error}; {describe_joint_effects(found, k)}."
-
-
 def _word_shares(shown: Sequence[EffectShare], k: int) -> str:
     """Return the largest effects with their share; all where some work against the others."""
     if all(each.share[k] > 0 for each in shown):
@@ -227,21 +221,16 @@ def describe_joint_effects(found: Attribution, k: int, *, brief: bool = False) -
     left = float(found.unexplained[k])
     shown = [e for e in found.shares if e.named and abs(e.share[k]) >= SHOWN.share]
     shown.sort(key=lambda each: -abs(float(each.share[k])))
-    texts = {
-        each.effect: (each.effect if brief else name_group(each.effect), each.sizes[k])
-        for each in shown
-    }
     if not any(each.share[k] > 0 for each in shown) or left > SHOWN.left:
-        if brief:
-            return "unexplained"
-        return f"nothing explains {'it' if left > 1.0 - SHOWN.share else 'most of it'}"
+        whole = "it" if left > 1.0 - SHOWN.share else "most of it"
+        return "unexplained" if brief else f"nothing explains {whole}"
     if brief:
         return _word_shares(shown, k)
     with_it, against = (
         [
-            f"{percentage(float(each.share[k]), 0)} {name}{f' ({size})' if size else ''}"
+            f"{percentage(float(each.share[k]), 0)} {name_group(each.effect)}"
+            f"{f' ({each.sizes[k]})' if each.sizes[k] else ''}"
             for each in shown
-            for name, size in (texts[each.effect],)
             if sign * each.share[k] > 0
         ]
         for sign in (1, -1)

@@ -97,7 +97,7 @@ def explain_bodies(
     """
     used = np.flatnonzero((base.columns < 10 * model.n_links) & np.isfinite(difference))
     K = base.regrouping[used]
-    seen = null_space(_open_columns(model, base)[used].T)
+    seen = null_space(_select_open_columns(model, base)[used].T)
     if not seen.shape[1]:
         return BodyDifference()
     d, C = seen.T @ difference[used], seen.T @ covariance[np.ix_(used, used)] @ seen
@@ -114,17 +114,16 @@ def explain_bodies(
             break
         best, fit = min(fits, key=lambda each: each[1].least)
         gain = alone.least - fit.least
-        if (
-            _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level
-        ):  # amounts are not negative
+        # Twice the level, since amounts are not negative.
+        if _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level:
             break
         alike = {
             (each.key, each.link): None
             for each, own in fits
             if each.link != best.link and alone.least - own.least > RULES.alike * gain
         }
-        spread = fit.covariance(best.root)
-        found.append(Body(best.key, best.link, fit.mean(best.root), spread, tuple(alike)))
+        mean, spread = fit.mean(best.root), fit.covariance(best.root)
+        found.append(Body(best.key, best.link, mean, spread, tuple(alike)))
         own = K[:, best.link] @ best.root * fit.amount
         C, left = C + own @ own.T, [each for each in left if each.link != best.link]
     by_data = alone.deviance - DOUBT[:, None]
@@ -132,7 +131,7 @@ def explain_bodies(
     return BodyDifference(tuple(found), float(chdtrc(1, max(ratio, 0.0))) < RULES.level)
 
 
-def _open_columns(model: RobotModel, base: BaseParameters) -> Array:
+def _select_open_columns(model: RobotModel, base: BaseParameters) -> Array:
     """Return the columns of what CAD says nothing of: drives, and links without mass.
 
     A rotor is part of the inertia about its axis. Offsets are small next to weights: they hide no

@@ -116,19 +116,6 @@ class CadTolerance:
         return CadTolerance(factor * self.mass, factor * self.centre, factor * self.inertia)
 
 
-@dataclass(frozen=True, slots=True)
-class ToleranceTest:
-    """Hold a test of differences against tolerances of CAD.
-
-    `beyond` names the parameters that exceed theirs. `needed` is the factor on the tolerances that
-    covers the differences, None if 1 does or none up to `WIDEST`.
-    """
-
-    chi_square: ChiSquare
-    needed: float | None
-    beyond: tuple[str, ...]
-
-
 def check_tolerance(
     tolerance: CadTolerance,
     model: RobotModel,
@@ -138,20 +125,17 @@ def check_tolerance(
     tested: ArrayLike,
     *,
     level: float,
-    degrees_of_freedom: ArrayLike | None = None,
-) -> ToleranceTest:
+    degrees_of_freedom: ArrayLike,
+) -> tuple[ChiSquare, float | None, tuple[str, ...]]:
     """Test differences from CAD (p,) with their covariance (p, p) against tolerances.
 
     `tested` (p,) selects parameters; `degrees_of_freedom` (p,) belong to the variances, which are
-    widened for them.
+    widened for them. Returned are the test, the factor on the tolerances that covers the
+    differences, None if 1 does or none up to `WIDEST`, and the parameters that exceed theirs.
     """
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
-    freedom = (
-        np.full(len(chosen), np.inf)
-        if degrees_of_freedom is None
-        else np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
-    )
+    freedom = np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
     wide = widening(freedom)
     sampled = np.asarray(covariance, dtype=np.float64)[own] / np.outer(wide, wide)
 
@@ -171,15 +155,10 @@ def check_tolerance(
     exceeded = (
         benjamini_hochberg(student_probability(d / (error * widening(of_each)), of_each)) <= level
     )
-    return ToleranceTest(
-        chi_square=held,
-        needed=(
-            None
-            if held.probability > level
-            else _find_widening(lambda factor: together(factor).probability - level)
-        ),
-        beyond=tuple(base.names[j] for j, out in zip(chosen, exceeded, strict=True) if out),
-    )
+    needed = None
+    if held.probability <= level:
+        needed = _find_widening(lambda factor: together(factor).probability - level)
+    return held, needed, tuple(base.names[j] for j in chosen[exceeded])
 
 
 def _find_widening(excess: Callable[[float], float]) -> float | None:

@@ -26,42 +26,52 @@ from asbuilt.validation.comparison.torque_change import MATTERS
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 
 
-@dataclass(frozen=True, slots=True)
-class ComparedParameter:
-    """Hold one base parameter by design and as built; what is unknown is None.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterTest:
+    """Hold one base parameter and the test of a difference; what is unknown is None.
 
     | attribute | meaning |
     |---|---|
+    | `words` | description of the parameter |
     | `sigmas` | difference in standard errors |
     | `p_value` | probability of as large a difference by chance (Student) |
-    | `degrees_of_freedom` | of the standard error; None: many |
     | `false_discovery`, `holm` | the same for as many tests (Benjamini and Hochberg; Holm) |
-    | `torque` | RMS torque of the difference at every joint, on the validation motion |
-    | `torque_total` | the same over all joints |
-    | `torque_own` | part of it that no other parameter can make up for |
-    | `matters` | whether that part is large compared with the error of some joint |
+    | `torque_total` | RMS torque of the difference over all joints, on the validation motion |
+    | `matters` | whether the part that is its own is large compared with some joint's error |
     | `shared_with` | parameters that could make up for the rest, if only all of it is large |
-    | `words` | description of the parameter |
     """
 
     id: int
     name: str
     expression: str
     unit: str
-    cad: float | None
-    estimate: float
-    std_error: float | None
+    words: str = ""
     sigmas: float | None
-    verdict: Verdict
     p_value: float | None = None
     false_discovery: float | None = None
     holm: float | None = None
-    torque: tuple[float, ...] | None = None
     torque_total: float | None = None
-    torque_own: float | None = None
     matters: bool | None = None
-    words: str = ""
     shared_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparedParameter(ParameterTest):
+    """Hold one base parameter by design and as built; what is unknown is None.
+
+    | attribute | meaning |
+    |---|---|
+    | `degrees_of_freedom` | of the standard error; None: many |
+    | `torque` | RMS torque of the difference at every joint, on the validation motion |
+    | `torque_own` | part of `torque_total` that no other parameter can make up for |
+    """
+
+    cad: float | None
+    estimate: float
+    std_error: float | None
+    verdict: Verdict
+    torque: tuple[float, ...] | None = None
+    torque_own: float | None = None
     degrees_of_freedom: float | None = None
 
     @property
@@ -82,11 +92,6 @@ def _show_std_error(parameter: ComparedParameter) -> Cell:
     return format_estimate(parameter.estimate, parameter.std_error)[1]
 
 
-def _show_cad(parameter: ComparedParameter) -> Cell:
-    cad = parameter.cad
-    return None if cad is None else Shown(cad, round_beside(cad, parameter.std_error))
-
-
 def _show_outcome(parameter: ComparedParameter) -> Cell:
     """Return the verdict, or the standard errors by which a parameter that agrees is off."""
     agreeing = format_deviation(parameter.sigmas, np.inf)
@@ -94,17 +99,16 @@ def _show_outcome(parameter: ComparedParameter) -> Cell:
     return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
 
 
-def _evaluate_own_part(parameter: ComparedParameter) -> float | None:
-    own, total = parameter.torque_own, parameter.torque_total
-    return own / total if own is not None and total else None
-
-
 COLUMNS = (
     Column("id", align="right", of="id"),
     Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
     Column("description", detail=True, of="words"),
     Column("unit", of="unit"),
-    Column("CAD", align="decimal", of=_show_cad),
+    Column(
+        "CAD",
+        align="decimal",
+        of=lambda p: None if p.cad is None else Shown(p.cad, round_beside(p.cad, p.std_error)),
+    ),
     Column("as built", align="decimal", of=lambda p: format_estimate(p.estimate, p.std_error)[0]),
     Column("std err", align="decimal", of=_show_std_error),
     Column(
@@ -114,7 +118,12 @@ COLUMNS = (
 )
 TORQUE_COLUMNS = (
     Column(
-        "its own", "", "right", partial(format_share, digits=0), detail=True, of=_evaluate_own_part
+        "its own",
+        "",
+        "right",
+        partial(format_share, digits=0),
+        detail=True,
+        of=lambda p: p.torque_own / p.torque_total if p.torque_total else None,
     ),
     Column(
         "joint",

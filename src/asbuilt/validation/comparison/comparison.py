@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.findings import join_names
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
-from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.tables import Table, format_share, round_significant, stack_tables, wrap_text
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import (
@@ -24,11 +24,7 @@ from asbuilt.validation.comparison.compared_parameter import (
 )
 from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.parameter_text import describe_parameters
-from asbuilt.validation.comparison.significance import (
-    ChiSquare,
-    benjamini_hochberg,
-    holm,
-)
+from asbuilt.validation.comparison.significance import ChiSquare, compare_each
 from asbuilt.validation.comparison.torque_change import evaluate_torque_cost, tabulate_named_errors
 from asbuilt.validation.prediction import Validation, derive_cad_values, torque_units
 
@@ -90,15 +86,16 @@ class Comparison:
     @property
     def n_mattering(self) -> int | None:
         """Number of parameters that differ and matter to the torque; None if that is unknown."""
-        if all(parameter.matters is None for parameter in self.parameters):
-            return None
-        return sum(bool(each.matters) and each.verdict == "differs" for each in self.parameters)
+        known = [
+            each.matters and each.verdict == "differs"
+            for each in self.parameters
+            if each.matters is not None
+        ]
+        return sum(known) if known else None
 
     @property
     def ranked(self) -> tuple[ComparedParameter, ...]:
         """The parameters, those whose difference changes the torque most first."""
-        if all(parameter.torque_total is None for parameter in self.parameters):
-            return self.parameters
         return tuple(
             sorted(
                 self.parameters,
@@ -256,47 +253,38 @@ def compare(
     determined = np.array(
         [p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters]
     )
-    tested = determined & np.isfinite(values)
+    tested, freedom = determined & np.isfinite(values), result.degrees_of_freedom
     difference = np.where(tested, result.estimates - values, np.nan)
-    sigmas = difference[tested] / result.std_errors[tested]
-    freedom = result.degrees_of_freedom
-    p_values = student_probability(sigmas, freedom[tested])
-    discovery, strict = benjamini_hochberg(p_values), holm(p_values)
-    tests = iter(zip(sigmas, p_values, discovery, strict, strict=True))
+    tests = compare_each(difference, result.std_errors, freedom, tested)
     cause_data, texts = result.cause_data, describe_parameters(result.base)
     if cause_data is not None:
         cost = evaluate_torque_cost(cause_data, result.base, result.estimates - values)
         left = cause_data.error_of(result.base.names, result.estimates)
     compared = []
-    for j, (parameter, cad_value) in enumerate(
-        zip(result.parameters, values.tolist(), strict=True)
-    ):
-        error, known = parameter.std_error, np.isfinite(cad_value)
-        missing: Verdict = "no CAD value" if determined[j] else "not determined"
+    for j, parameter in enumerate(result.parameters):
+        sigmas, p_value, false_discovery, familywise = make_plain(tests[:, j])
+        verdict: Verdict = "no CAD value" if determined[j] else "not determined"
+        if tested[j]:
+            verdict = "differs" if false_discovery <= level else "agrees"
+        elif parameter.dropped:
+            verdict = "dropped"
         found = ComparedParameter(
             id=parameter.id,
             name=parameter.name,
             expression=parameter.expression,
             unit=parameter.unit,
-            cad=cad_value if known else None,
-            estimate=parameter.estimate,
-            std_error=error if np.isfinite(error) and error > 0 else None,
-            sigmas=None,
-            verdict="dropped" if parameter.dropped else missing,
             words=texts[j],
+            cad=make_plain(values[j]),
+            estimate=parameter.estimate,
+            std_error=make_plain(parameter.std_error) or None,
+            sigmas=sigmas,
+            p_value=p_value,
+            false_discovery=false_discovery,
+            holm=familywise,
+            verdict=verdict,
+            degrees_of_freedom=make_plain(freedom[j]) if tested[j] else None,
         )
-        if tested[j]:
-            off, p_value, false_discovery, familywise = map(float, next(tests))
-            found = replace(
-                found,
-                sigmas=off,
-                degrees_of_freedom=float(freedom[j]) if np.isfinite(freedom[j]) else None,
-                verdict="differs" if false_discovery <= level else "agrees",
-                p_value=p_value,
-                false_discovery=false_discovery,
-                holm=familywise,
-            )
-        if cause_data is not None and known:
+        if cause_data is not None and found.cad is not None:
             found = replace(
                 found,
                 torque=tuple(cost.torque[j].tolist()),
@@ -306,8 +294,8 @@ def compare(
                 shared_with=cost.shared_with(j, left, result.base.names),
             )
         compared.append(found)
-    held = (
-        None
+    held, needed, beyond = (
+        (None, None, ())
         if tolerance is None or not tested.any()
         else check_tolerance(
             tolerance,
@@ -329,10 +317,10 @@ def compare(
         torque=_pair_metrics(result, cad, values, validation),
         level=level,
         chi_square=select_tested_values(result).test_against(values) if tested.any() else None,
-        chi_square_tolerance=None if held is None else held.chi_square,
+        chi_square_tolerance=held,
         tolerance=tolerance,
-        tolerance_needed=None if held is None else held.needed,
-        beyond_tolerance=() if held is None else held.beyond,
+        tolerance_needed=needed,
+        beyond_tolerance=beyond,
         errors=result.errors_sentence,
         judged_by="" if result.cause_data is None else recording_name(result.cause_data.judged_by),
     )
@@ -347,10 +335,9 @@ def tabulate_paired_torques(
 
     Several recordings are numbered, with a legend.
     """
-    number = [f" [{k + 1}]" if len(pairs) > 1 else "" for k in range(len(pairs))]
     named = [
-        (f"{what}{number[k]}", metrics)
-        for k, pair in enumerate(pairs)
+        (f"{what} [{number}]" if len(pairs) > 1 else what, metrics)
+        for number, pair in enumerate(pairs, start=1)
         for what, metrics in zip(names, pair, strict=True)
         if metrics is not None
     ]
@@ -405,9 +392,8 @@ def _measure_from_sums(
     result: IdentificationResult, cause_data: CauseData, beta: Array, like: TorqueMetrics
 ) -> TorqueMetrics:
     """Return the metrics of a prediction on the validation motion, from sums of squares alone."""
-    rms = cause_data.error_of(result.base.names, beta)
-    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in cause_data.judged]) / np.sqrt(
-        cause_data.n_judged
+    rms, torque = (
+        cause_data.error_of(result.base.names, each) for each in (beta, np.zeros(len(beta)))
     )
     unknown = np.full(len(rms), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.codec import make_plain
 from asbuilt.errors import ResultError
-from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
@@ -33,11 +33,7 @@ from asbuilt.validation.comparison.drift_text import (
 )
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, put_on_equal_terms
 from asbuilt.validation.comparison.parameter_text import describe_parameters
-from asbuilt.validation.comparison.significance import (
-    ChiSquare,
-    benjamini_hochberg,
-    holm,
-)
+from asbuilt.validation.comparison.significance import ChiSquare, compare_each
 from asbuilt.validation.comparison.torque_change import (
     JointChange,
     derive_joint_changes,
@@ -48,6 +44,8 @@ from asbuilt.validation.comparison.torque_change import (
 from asbuilt.validation.prediction import derive_cad_values, torque_units
 
 MOST_SENTENCES = 4
+TESTS = ("sigmas", "p_value", "false_discovery", "holm")
+"""Fields of a parameter in the order of `compare_each`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -95,10 +93,9 @@ class Drift:
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         compared = sum(parameter.sigmas is not None for parameter in self.parameters)
-        together = f"all at once: {self.chi_square.text}"
         return (
             f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate"
-            f" {percentage(self.level, 0)}); {together}."
+            f" {percentage(self.level, 0)}); all at once: {self.chi_square.text}."
         )
 
     @property
@@ -126,9 +123,18 @@ class Drift:
                 width=20,
                 of=lambda each: Shown(each.before, round_beside(each.before, each.error)),
             ),
-            Column(names[1], align="decimal", width=20, of=lambda each: _show_values(each)[0]),
-            Column("std err", align="decimal", of=lambda each: _show_values(each)[1]),
-            Column(change, align="right", of=self._outcome),
+            Column(
+                names[1],
+                align="decimal",
+                width=20,
+                of=lambda each: format_estimate(each.after, each.error)[0],
+            ),
+            Column(
+                "std err",
+                align="decimal",
+                of=lambda each: format_estimate(each.after, each.error)[1],
+            ),
+            Column(change, align="right", of=self._show_outcome),
             Column(
                 "torque",
                 "N m" if {*self.units} <= {"N m"} else "N m, N",
@@ -165,17 +171,14 @@ class Drift:
             important=tuple(order[:MOST_PARAMETERS]) if changed is None else None,
         )
 
-    def _outcome(self, change: ParameterChange) -> Cell:
+    def _show_outcome(self, change: ParameterChange) -> Cell:
         """Return whether a parameter changed, or by how many standard errors it is off."""
+        if change.sigmas is None:
+            return DROPPED if change.dropped else "not determined"
+        outcome = format_deviation(change.sigmas, np.inf)
         if change.changed:
             outcome = "DIFFERS" if self.of_models else "CHANGED"
-        elif change.dropped:
-            outcome = DROPPED
-        else:
-            outcome = format_deviation(change.sigmas, np.inf)
-        if change.sigmas is not None:
-            return Shown(change.sigmas, outcome)
-        return outcome if change.changed or change.dropped else "not determined"
+        return Shown(change.sigmas, outcome)
 
     def as_text(self, full: bool = False) -> str:
         """Return verdict, sentences and tables for a terminal.
@@ -275,11 +278,9 @@ def compare_results(
     dropped = first.dropped[one] | second.dropped[two]
     determined = first.determined[one] & second.determined[two]
     tested = determined & ~dropped & (error > 0)
-    sigmas = difference[tested] / error[tested]
-    p_values = student_probability(sigmas, between.degrees_of_freedom[tested])
-    tests = np.full((4, len(names)), np.nan)
-    tests[:, tested] = sigmas, p_values, benjamini_hochberg(p_values), holm(p_values)
-    cost = left = None
+    tests = compare_each(difference, error, between.degrees_of_freedom, tested)
+    changed = tests[2] <= level
+    felt: list[dict[str, Any]] = [{} for _ in names]
     joints: tuple[JointChange, ...] = ()
     if after.cause_data is not None:
         whole = np.zeros(after.n_base)
@@ -289,40 +290,32 @@ def compare_results(
         joints = derive_joint_changes(
             after, names, difference, between.covariance, between.mean_degrees
         )
+        own = cost.noticed(left, alone=True)
+        felt = [
+            {
+                "torque_total": float(cost.total[j]),
+                "felt_at": 1 + int(np.argmax(cost.torque[j])) if cost.torque[j].any() else None,
+                "matters": bool(differs and own[j]),
+                "shared_with": cost.shared_with(j, left, after.base.names) if differs else (),
+            }
+            for j, differs in zip(two, changed, strict=True)
+        ]
     texts = describe_parameters(after.base)
-    changed = tests[2] <= level
-    own = np.zeros(len(names), dtype=bool)
-    if cost is not None and left is not None:
-        own = cost.noticed(left, alone=True)[two]
     changes = tuple(
         ParameterChange(
             id=int(after.base.ids[j]),
             name=name,
             expression=after.base.expressions[j],
             unit=after.base.units[j],
+            words=texts[j],
             before=float(first.estimates[i]),
             before_error=float(first.std_errors[i]),
             after=float(second.estimates[j]),
             after_error=float(second.std_errors[j]),
-            sigmas=_drop_infinite(tests[0, place]),
-            p_value=_drop_infinite(tests[1, place]),
-            false_discovery=_drop_infinite(tests[2, place]),
-            holm=_drop_infinite(tests[3, place]),
-            torque_total=None if cost is None else float(cost.total[j]),
-            felt_at=(
-                None
-                if cost is None or not cost.torque[j].any()
-                else 1 + int(np.argmax(cost.torque[j]))
-            ),
             changed=bool(changed[place]),
-            matters=None if cost is None else bool(changed[place] and own[place]),
-            words=texts[j],
             dropped=bool(dropped[place]),
-            shared_with=(
-                ()
-                if cost is None or left is None or not changed[place]
-                else cost.shared_with(int(j), left, after.base.names)
-            ),
+            **dict(zip(TESTS, make_plain(tests[:, place]), strict=True)),
+            **felt[place],
         )
         for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
     )
@@ -348,11 +341,3 @@ def compare_results(
         joints=joints,
         of_models=of_models,
     )
-
-
-def _show_values(change: ParameterChange) -> tuple[Shown, Shown, Shown]:
-    return format_estimate(change.after, change.error)
-
-
-def _drop_infinite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

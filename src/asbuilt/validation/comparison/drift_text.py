@@ -10,45 +10,30 @@ from asbuilt.arrays import Mask
 from asbuilt.findings import join_names
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import round_with_error
+from asbuilt.validation.comparison.compared_parameter import ParameterTest
 
 LARGEST_GROWTH = 3.0
 """Largest relative change given in percent; beyond it the first value was near zero."""
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterChange:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterChange(ParameterTest):
     """Hold one base parameter in two results; what is unknown is None.
 
     | attribute | meaning |
     |---|---|
-    | `sigmas`, `p_value` | difference in its standard errors, and the probability by chance |
-    | `false_discovery`, `holm` | the same for as many tests |
-    | `torque_total`, `felt_at` | RMS torque of the change, and the joint with most of it |
+    | `felt_at` | the joint with most of the torque of the change |
     | `changed` | whether it changed significantly |
-    | `matters` | whether its own torque is large compared with some joint's error |
-    | `shared_with` | parameters that could make up for the rest, if only all of it is large |
     | `dropped` | whether a result set it to zero, without an error; it is not tested |
     """
 
-    id: int
-    name: str
-    expression: str
-    unit: str
     before: float
     before_error: float
     after: float
     after_error: float
-    sigmas: float | None
-    p_value: float | None
-    false_discovery: float | None
-    holm: float | None
-    torque_total: float | None
-    felt_at: int | None
+    felt_at: int | None = None
     changed: bool
-    matters: bool | None
-    words: str = ""
     dropped: bool = False
-    shared_with: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
@@ -70,12 +55,9 @@ def describe_other_drives(
         for label, own, others in zip(labels, (one, two), (two, one), strict=True)
     ]
     parts = [f"only {label} has {', '.join(keys)}" for label, keys in alone if keys]
-    changed = [key for key, term in one.items() if two.get(key, term) != term]
-    parts += (
-        [f"both have {', '.join(changed)}, with other nonlinear parameters or at other joints"]
-        if changed
-        else []
-    )
+    changed = ", ".join(key for key, term in one.items() if two.get(key, term) != term)
+    if changed:
+        parts.append(f"both have {changed}, with other nonlinear parameters or at other joints")
     missing = any(keys for _, keys in alone)
     richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
     return (
@@ -100,16 +82,15 @@ def describe_friction_changes(
     models: tuple[str, ...] | None,
 ) -> tuple[str, ...]:
     """Return how the drive terms of every joint changed."""
-    by_name = {change.name: change for change in changes}
+    by_name = {change.name: change for change in changes if change.changed}
     named = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
     found = []
-    for k, joint in enumerate(result.joint_names):
-        parts = []
-        for symbol, what in named.items():
-            change = by_name.get(f"{symbol}{k + 1}")
-            if change is None or not change.changed:
-                continue
-            parts.append(f"{what} {_describe_change(change, models)}")
+    for number, joint in enumerate(result.joint_names, start=1):
+        parts = [
+            f"{what} {_describe_change(by_name[f'{symbol}{number}'], models)}"
+            for symbol, what in named.items()
+            if f"{symbol}{number}" in by_name
+        ]
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
     return tuple(found) or (f"No drive term {'differs' if models else 'changed'} significantly.",)

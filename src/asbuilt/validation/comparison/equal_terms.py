@@ -35,14 +35,12 @@ class ComparedValues:
     @classmethod
     def own(cls, result: IdentificationResult) -> ComparedValues:
         """Return the values as they were identified."""
-        determined = np.array([parameter.determined for parameter in result.parameters])
-        textbook = np.array([parameter.textbook_std_error for parameter in result.parameters])
         return cls(
             result.estimates,
             result.covariance,
             result.std_errors,
-            textbook,
-            determined,
+            np.array([parameter.textbook_std_error for parameter in result.parameters]),
+            np.array([parameter.determined for parameter in result.parameters]),
             result.dropped,
             result.scatter,
         )

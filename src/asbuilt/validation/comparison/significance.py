@@ -6,23 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc, fdtrc, ndtr
+from scipy.special import chdtrc, fdtrc
 
-from asbuilt.arrays import Array, Indices
-from asbuilt.identification.errors.block_scatter import effective_rank
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.identification.errors.block_scatter import effective_rank, student_probability
 from asbuilt.tables import round_significant
 
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of a correlation matrix, relative to the largest, that counts as zero."""
-
-
-def two_sided_probability(sigmas: ArrayLike) -> Array:
-    """Return the probability of a normal variable at least so many standard deviations off.
-
-    >>> float(np.round(two_sided_probability(1.96), 3))
-    0.05
-    """
-    return np.asarray(2.0 * ndtr(-np.abs(np.asarray(sigmas, dtype=np.float64))))
 
 
 def benjamini_hochberg(probabilities: ArrayLike) -> Array:
@@ -52,6 +43,21 @@ def holm(probabilities: ArrayLike) -> Array:
     p, order = _sort_values(probabilities)
     stepped = np.maximum.accumulate(p * np.arange(len(p), 0, -1))
     return np.minimum(stepped, 1.0)[np.argsort(order)]
+
+
+def compare_each(
+    difference: Array, std_errors: Array, degrees_of_freedom: Array, tested: Mask
+) -> Array:
+    """Return the tests of p differences, each by itself, (4, p); NaN where none is `tested`.
+
+    The rows are the difference in standard errors, its probability by Student's distribution, and
+    the same for as many tests by Benjamini and Hochberg, and by Holm.
+    """
+    found = np.full((4, len(tested)), np.nan)
+    sigmas = difference[tested] / std_errors[tested]
+    p = student_probability(sigmas, degrees_of_freedom[tested])
+    found[:, tested] = sigmas, p, benjamini_hochberg(p), holm(p)
+    return found
 
 
 def _sort_values(probabilities: ArrayLike) -> tuple[Array, Indices]:

@@ -61,7 +61,6 @@ def derive_joint_changes(
         size_probability(row[:, :-1] @ difference, spread, degrees_of_freedom)
         for row, spread in zip(rows, spreads, strict=True)
     ]
-    strict = holm(chances)
     return tuple(
         JointChange(
             joint=name,
@@ -78,7 +77,7 @@ def derive_joint_changes(
             rows,
             spreads,
             chances,
-            strict,
+            holm(chances),
             strict=True,
         )
     )
@@ -88,8 +87,6 @@ def describe_torque_changes(
     joints: tuple[JointChange, ...], level: float, *, of_models: bool = False
 ) -> tuple[str, ...]:
     """Return at which joints the torque changed significantly."""
-    if not joints:
-        return ()
     changes = [
         f"{each.joint} by {round_significant(each.torque)} {each.unit} RMS (by chance"
         f" {round_significant(each.by_chance)})"
@@ -97,12 +94,8 @@ def describe_torque_changes(
         if each.holm <= level
     ]
     changed = "differs" if of_models else "changed"
-    return (
-        (
-            "The torque of the same motion"
-            f" {changed}{': ' + ', '.join(changes) if changes else ' significantly at no joint'}."
-        ),
-    )
+    where = f": {', '.join(changes)}" if changes else " significantly at no joint"
+    return (f"The torque of the same motion {changed}{where}.",) if joints else ()
 
 
 def tabulate_joint_changes(
@@ -189,14 +182,12 @@ class TorqueCost:
     | `torque` | (p, n) = \|W_kj d_j\| / sqrt(N) at every joint k |
     | `total` | (p,) = \|W_j d_j\| / sqrt(N) over all joints |
     | `own` | (p,) part of it that no change of the other parameters can make up for |
-    | `together` | (n,) = \|W_k d\| / sqrt(N) of all differences |
     | `partners` | places of the parameters that could make up for most of the rest, best first |
     """
 
     torque: Array
     total: Array
     own: Array
-    together: Array
     partners: tuple[tuple[int, ...], ...]
 
     @property
@@ -222,10 +213,9 @@ def evaluate_torque_cost(
     cause_data: CauseData, base: BaseParameters, difference: Array
 ) -> TorqueCost:
     """Return the torque of differences (p,) of base parameters; NaN counts as none."""
-    places = cause_data.places(base.names)
+    places, n = cause_data.places(base.names), cause_data.n_judged
     d = np.nan_to_num(difference, nan=0.0)
     rows = [factor[:, places] for factor in cause_data.whole(cause_data.judged)]
-    n = cause_data.n_judged
     torque = np.array([np.linalg.norm(W, axis=0) for W in rows]).T * np.abs(d)[:, None] / np.sqrt(n)
     stacked = triangular_factor(np.vstack(rows))
     length = np.linalg.norm(stacked, axis=0)
@@ -244,7 +234,6 @@ def evaluate_torque_cost(
         torque=torque,
         total=np.sqrt(np.sum(torque**2, axis=1)),
         own=own,
-        together=np.array([np.linalg.norm(W @ d) for W in rows]) / np.sqrt(n),
         partners=_find_partners(np.flatnonzero(present), scaled.T @ scaled, len(d)),
     )
 
@@ -257,20 +246,15 @@ def _find_partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ..
     """
     found: list[tuple[int, ...]] = [()] * p
     for j, place in enumerate(present):
-        chosen: list[int] = []
-        left = 1.0
+        chosen, left = list[int](), 1.0
+        weights: Array = np.zeros(0)
         for _ in range(MOST_PARTNERS):
-            weights = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], gram[chosen, j], rcond=None)[0]
             correlation = np.abs(gram[:, j] - gram[:, chosen] @ weights)
             correlation[[j, *chosen]] = 0.0
-            best = int(np.argmax(correlation))
-            together = [*chosen, best]
-            remaining = 1.0 - float(
-                gram[j, together]
-                @ np.linalg.lstsq(gram[np.ix_(together, together)], gram[together, j], rcond=None)[
-                    0
-                ]
-            )
+            together = [*chosen, int(np.argmax(correlation))]
+            inner = gram[np.ix_(together, together)]
+            weights = np.asarray(np.linalg.lstsq(inner, gram[together, j])[0], dtype=np.float64)
+            remaining = 1.0 - float(gram[j, together] @ weights)
             if left - remaining < ABLE * left:
                 break
             chosen, left = together, remaining

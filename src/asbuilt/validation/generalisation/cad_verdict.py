@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import stdtr
@@ -15,12 +15,10 @@ from asbuilt.findings import Finding, join_names
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.groups import name_group
 from asbuilt.tables import round_significant
+from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.significance import holm
 from asbuilt.validation.prediction import Validation
-
-if TYPE_CHECKING:
-    from asbuilt.validation.attribution.attribution import Attribution
 
 Outcome = Literal["better", "worse", "undecided"]
 
@@ -121,16 +119,13 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     squared errors: of few blocks one of fast motion would otherwise be all of the mean, and of its
     standard error. An order that the RMS errors do not have is undecided.
     """
-    cad = validation.measured - validation.predicted_cad
-    built = validation.error
-    block = _number_blocks(validation.t)
-    tiny = np.finfo(np.float64).tiny
+    cad, built = validation.measured - validation.predicted_cad, validation.error
+    block, tiny = _number_blocks(validation.t), np.finfo(np.float64).tiny
     scale = np.maximum(np.mean(cad**2, axis=0), tiny)
     by_cad, as_built = _average_blocks(cad**2, block), _average_blocks(built**2, block)
     gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
     seen = np.isfinite(built).all(axis=0)
     sigmas, p = _test_gains(np.column_stack([gains, gains[:, seen].mean(axis=1)]))
-    strict = holm(p[:-1]) if len(p) > 1 else p
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
     joints = tuple(
         _make_verdict(
@@ -142,7 +137,7 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
                 validation.units,
                 sigmas[:-1].tolist(),
                 p[:-1].tolist(),
-                strict.tolist(),
+                holm(p[:-1]).tolist(),
                 strict=True,
             )
         )
@@ -172,12 +167,13 @@ def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[F
     if attribution is None or not attribution.chosen:
         return ()
     masses = [EFFECTS[each.effect].finding(each, model) for each in attribution.masses]
-    named = join_names([name_group(key) for key in attribution.chosen])
-    said = (
-        f"Causes of the torque error of CAD: {named}, which explain"
-        f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}"
+    causes = Finding(
+        "causes_of_cad_error",
+        "info",
+        "Causes of the torque error of CAD:"
+        f" {join_names([name_group(key) for key in attribution.chosen])}, which explain"
+        f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}",
     )
-    causes = Finding("causes_of_cad_error", "info", said)
     return (*(each for each in masses if each is not None), causes)
 
 

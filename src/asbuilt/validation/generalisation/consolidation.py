@@ -28,7 +28,7 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "not_excited": ("joint_without_torque",),
     }
 )
-"""Findings that follow from another one, or repeat it; beside it they are good to know only."""
+"""Findings that follow from another one, or repeat it; with it they are good to know only."""
 
 WEIGHT: tuple[str, ...] = (
     "joint_without_torque",
@@ -68,7 +68,7 @@ def consolidate_findings(
     findings
         The findings.
     shares
-        Share of the squared torque error at each joint, by name: that of a finding at a joint
+        Share of the squared torque error at each joint, by name, for findings at a joint
         which has none of its own.
     """
     merged = _merge_findings(findings)
@@ -77,12 +77,12 @@ def consolidate_findings(
         replace(each, severity="info")
         if each.severity == "warning" and present.intersection(EXPLAINED.get(each.code, ()))
         else each
-        for each in (_with_torque(each, shares) for each in merged)
+        for each in (_add_torque(each, shares) for each in merged)
     ]
     return tuple(sorted(kept_findings, key=_rank_finding))
 
 
-def _with_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
+def _add_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
     if finding.torque is not None or finding.joint is None:
         return finding
     return replace(finding, torque=shares.get(finding.joint))

@@ -1,4 +1,4 @@
-"""How much of a robot's range and speed a motion covers, without which other motion is untested."""
+"""What a motion shows of others: the range and speed that it covers, and states that it repeats."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names, undesigned
 from asbuilt.tables import format_share
+from asbuilt.validation.comparison.comparison import recording_name
 
 WIDER = Cure("validate on a wider and faster motion", call="design_motion")
 
@@ -88,9 +90,82 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
         )
 
 
-def _measure_range_share(
-    values: NDArray[np.float64], limits: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _measure_range_share(values: Array, limits: Array) -> Array:
     """Return values in their limits (n,), NaN without a finite one."""
     known = np.isfinite(limits) & (limits > 0.0)
     return np.where(known, values / np.where(known, limits, 1.0), np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Nearness:
+    """Say when two states of a robot are near each other; own choices, tested on real robots.
+
+    Each joint must be within `position` of its range and `velocity` of its top speed in the
+    training motion at once. At most `most_states` of either motion are looked at, evenly spread;
+    with fewer than `fewest_joints`, different motions pass near each other anyway. A motion repeats
+    another if it comes near to a share of `repeated` of its states: 0 to 0.2 for other motions, 0.5
+    for 2 s blocks of a slow one.
+    """
+
+    position: float = 0.03
+    velocity: float = 0.1
+    most_states: int = 20_000
+    fewest_joints: int = 3
+    repeated: float = 0.6
+
+
+NEAR = Nearness()
+
+
+def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
+    """Return the share of held-out states (q, qd) that the training motion came near to.
+
+    All joints must be near at the same time; 0 for robots of one or two joints.
+    """
+    if held_out.q.shape[1] < NEAR.fewest_joints:
+        return 0.0
+    (q, qd), joints = _stack_states(fitted), held_out.q.shape[1]
+    fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
+    size = np.concatenate([NEAR.position * np.ptp(q, axis=0), NEAR.velocity * fastest])
+    moving = size > 0.0
+    if not moving[:joints].sum() >= NEAR.fewest_joints:
+        return 0.0
+    before, after = _thin_states(q, qd), _thin_states(*_stack_states([held_out]))
+    tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
+    distance, _ = tree.query(
+        (after / np.where(moving, size, 1.0))[:, moving],
+        p=np.inf,
+        distance_upper_bound=1.0,
+    )
+    return float(np.mean(np.isfinite(distance)))
+
+
+def _stack_states(samples: Sequence[Samples]) -> list[Array]:
+    """Return all positions and velocities (N, n), without a copy if there is one recording."""
+    pairs = zip(
+        *([each.in_segments(x) for x in (each.q, each.qd)] for each in samples), strict=True
+    )
+    return [parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in pairs]
+
+
+def _thin_states(q: Array, qd: Array) -> Array:
+    """Return states (q, qd), evenly spread."""
+    step = max(1, len(q) // NEAR.most_states)
+    return np.hstack([q[::step], qd[::step]])
+
+
+def check_repetitions(
+    training: Sequence[Samples], validation: Sequence[Samples]
+) -> tuple[Finding, ...]:
+    """Return a finding for each validation recording that repeats the training motion."""
+    return tuple(
+        Finding(
+            "held_out_repeats",
+            "warning",
+            f"{recording_name(samples.source)} repeats the training motion in {100 * share:.0f} %"
+            " of its states, so its errors are not those of other motion",
+            Cure("validate on another motion"),
+        )
+        for samples in validation
+        if (share := measure_repeated_share(training, samples)) > NEAR.repeated
+    )

@@ -6,14 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.generalisation.repeated_motion import measure_repeated_share
-from asbuilt.validation.generalisation.standstill import RestingErrors, divide_resting_errors
 from asbuilt.validation.generalisation.unexplained import describe_large_errors
 from asbuilt.validation.prediction import Validation
 
@@ -29,10 +26,7 @@ class GeneralisationLimits:
     noticeable
         Error of a joint as a fraction of its torque, below which `overfit` is no matter.
     behind_cad
-        Error of a joint as built, in multiples of that of CAD.
-    repeated
-        Share of states that the training motion came near to: 0 to 0.2 for other motions, 0.5 for 2
-        s blocks of a slow one.
+        Error of a joint as built, in multiples of CAD's error.
     resting_energy
         Share of a joint's squared error at rest,.
     resting_ratio
@@ -44,7 +38,6 @@ class GeneralisationLimits:
     overfit: float = 2.0
     noticeable: float = 0.1
     behind_cad: float = 1.05
-    repeated: float = 0.6
     resting_energy: float = 0.5
     resting_ratio: float = 2.0
     resting_time: float = 0.05
@@ -53,12 +46,59 @@ class GeneralisationLimits:
 LIMITS = GeneralisationLimits()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RestingErrors:
+    """Divide the torque error of each joint, all (n,), into rest and motion.
+
+    `time` is the share of samples at rest, `energy` the share of the squared error that falls on
+    them; `resting` and `moving` are RMS errors, `relative_moving` the error in motion over the
+    torque in motion. NaN if there are no such samples.
+    """
+
+    time: Array
+    energy: Array
+    resting: Array
+    moving: Array
+    relative_moving: Array
+
+    @property
+    def dominant(self) -> Mask:
+        """Which joints (n,) have an error that is mostly static friction at rest."""
+        return np.asarray(
+            (self.energy > LIMITS.resting_energy)
+            & (self.resting > LIMITS.resting_ratio * self.moving)
+            & (self.time > LIMITS.resting_time)
+        )
+
+
+def divide_resting_errors(validation: Validation) -> RestingErrors:
+    """Divide the errors of a prediction.
+
+    At rest a joint is held by static friction, which may take any value up to break-away. A joint
+    is at rest if its filtered velocity is exactly zero, which the signal chain makes it.
+    """
+    still, error = validation.velocity == 0.0, validation.error
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squares = error**2
+        resting, moving = (
+            np.where(mask, squares, 0.0).sum(axis=0) / mask.sum(axis=0) for mask in (still, ~still)
+        )
+        torque = np.where(still, 0.0, validation.measured**2).sum(axis=0) / (~still).sum(axis=0)
+        return RestingErrors(
+            time=still.mean(axis=0),
+            energy=np.where(still, squares, 0.0).sum(axis=0) / squares.sum(axis=0),
+            resting=np.sqrt(resting),
+            moving=np.sqrt(moving),
+            relative_moving=np.sqrt(moving / torque),
+        )
+
+
 def check_validations(
     train: TorqueMetrics, validations: Sequence[Validation], *, refitted: bool = False
 ) -> tuple[Finding, ...]:
-    """Return what predictions of validation data say beside the training error of the same fit.
+    """Return findings on validation errors, compared with the training error of the same fit.
 
-    `refitted` says that the training errors shown elsewhere are those of another, final fit.
+    `refitted` says that the training errors shown elsewhere belong to another, final fit.
     """
     if not validations:
         return (
@@ -83,41 +123,24 @@ def check_validations(
 
 def _merge_by_code(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
     """Return the first finding of each code, which names the recordings of the others."""
-    groups: dict[str, list[tuple[str, Finding]]] = {}
+    first: dict[str, Finding] = {}
+    others: dict[str, list[str]] = {}
     for source, finding in found:
-        groups.setdefault(finding.code, []).append((source, finding))
-    merged: list[Finding] = []
-    for (_, first), *others in groups.values():
-        also = [source for source, _ in others]
-        said = f"{first.message}; likewise on {join_names(also)}" if also else first.message
-        merged.append(replace(first, message=said))
-    return tuple(merged)
-
-
-def check_repetitions(
-    training: Sequence[Samples], validation: Sequence[Samples]
-) -> tuple[Finding, ...]:
-    """Return a finding for each validation recording that repeats the training motion."""
-    return tuple(
-        Finding(
-            "held_out_repeats",
-            "warning",
-            f"{recording_name(samples.source)} repeats the training motion in {100 * share:.0f} %"
-            " of its states, so its errors are not those of other motion",
-            Cure("validate on another motion"),
-        )
-        for samples in validation
-        if (share := measure_repeated_share(training, samples)) > LIMITS.repeated
-    )
+        if first.setdefault(finding.code, finding) is not finding:
+            others.setdefault(finding.code, []).append(source)
+    for code, sources in others.items():
+        message = f"{first[code].message}; likewise on {join_names(sources)}"
+        first[code] = replace(first[code], message=message)
+    return tuple(first.values())
 
 
 def _report_rest(validation: Validation) -> Iterator[Finding]:
-    """Name joints whose error is mostly that of static friction while they rest."""
+    """Name joints whose error is mostly static friction while they rest."""
     errors = divide_resting_errors(validation)
-    held = np.flatnonzero(_find_resting(errors))
+    held = np.flatnonzero(errors.dominant)
     if held.size:
         listed = "; ".join(
-            f"{errors.joint_names[k]} {100 * errors.energy[k]:.0f} % of the squared error in"
+            f"{validation.joint_names[k]} {100 * errors.energy[k]:.0f} % of the squared error in"
             f" {100 * errors.time[k]:.0f} % of the time, RMS {errors.resting[k]:.3g} at rest and"
             f" {errors.moving[k]:.3g} ({100 * errors.relative_moving[k]:.1f} %) in motion"
             for k in held
@@ -131,24 +154,14 @@ def _report_rest(validation: Validation) -> Iterator[Finding]:
         )
 
 
-def _find_resting(errors: RestingErrors) -> NDArray[np.bool_]:
-    """Return which joints (n,) have an error that is mostly static friction at rest."""
-    return np.asarray(
-        (errors.energy > LIMITS.resting_energy)
-        & (errors.resting > LIMITS.resting_ratio * errors.moving)
-        & (errors.time > LIMITS.resting_time),
-        dtype=np.bool_,
-    )
-
-
 def _report_generalisation(
     train: TorqueMetrics, validation: Validation, refitted: bool
 ) -> Iterator[Finding]:
     built, cad = validation.metrics_as_built, validation.metrics_cad
     source, rest = recording_name(built.source), divide_resting_errors(validation)
-    error = np.where(_find_resting(rest), rest.moving, built.rms)
+    error = np.where(rest.dominant, rest.moving, built.rms)
 
-    def listed(joints: NDArray[np.int64], errors: NDArray[np.float64], than: TorqueMetrics) -> str:
+    def listed(joints: Indices, errors: Array, than: TorqueMetrics) -> str:
         return join_names(
             [
                 f"{built.joint_names[k]} ({errors[k]:.3g} for {than.rms[k]:.3g}"
@@ -182,16 +195,16 @@ def _report_generalisation(
         )
 
 
-def _measure_error_share(metrics: TorqueMetrics, joints: NDArray[np.int64]) -> float:
+def _measure_error_share(metrics: TorqueMetrics, joints: Indices) -> float:
     """Return the share of the squared torque error at some joints."""
     return float(np.sum(metrics.rms[joints] ** 2) / np.nansum(metrics.rms**2))
 
 
-def _word_times(validation: Validation, joints: NDArray[np.int64]) -> str:
+def _word_times(validation: Validation, joints: Indices) -> str:
     """Return when the errors of joints are large, where most of them come at one time."""
-    said = [
+    times = [
         f"{validation.joint_names[k]} {text.removeprefix(', ')}"
         for k in joints
         if (text := describe_large_errors(validation.t, validation.error[:, k]))
     ]
-    return f"; {join_names(said)}" if said else ""
+    return f"; {join_names(times)}" if times else ""

@@ -14,8 +14,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.torque_prediction import predict_torque
+from asbuilt.identification import IdentificationResult, predict_torque
 from asbuilt.tables import round_significant
 
 
@@ -115,6 +114,6 @@ def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array
 
 
 def _measure_remaining_error(error: Array, basis: Array) -> float:
-    """Return the mean square of a weighted error (N, n) beside what a basis (N n, r) explains."""
+    """Return the mean square of a weighted error (N, n) that a basis (N n, r) leaves."""
     y = error.ravel()
     return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size

@@ -8,25 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
 from asbuilt.validation.prediction import torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +44,7 @@ class PlateauRules:
     exceeds
         Excess of the largest torque implied, as a part of the level.
     explained
-        Error of the fit to the whole log there, by that of the fit to the rest, up to which the
+        Error of the fit to the whole log there, relative to the fit to the rest, up to which the
         model explains it: a load that hardly varies leaves nothing else to fit.
     matters
         Level, as a part of the joint's largest torque, below which it is not one.
@@ -126,14 +121,13 @@ def report_plateaus(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Fin
         )
 
 
-def without_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tuple[Samples, ...]:
-    """Return the samples at which no torque saturates; recordings without such samples go."""
+def drop_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tuple[Samples, ...]:
+    """Return the samples at which no torque saturates, of recordings that have any."""
     kept = []
     for samples in training:
         keep = np.ones(samples.n_samples, dtype=np.bool_)
         for each in found:
-            part = samples.tau[:, each.joint] / each.level
-            keep &= part < RULES.left_out
+            keep &= samples.tau[:, each.joint] / each.level < RULES.left_out
         if keep.any():
             kept.append(samples if keep.all() else samples.select(keep))
     return tuple(kept)
@@ -168,7 +162,7 @@ def _find_plateau(
     level = float(np.percentile(np.concatenate(torque), RULES.highest))
     try:
         rest = [
-            samples.within(_find_below(samples, each.t, x, RULES.left_out * level))
+            samples.within(np.interp(samples.t, each.t, x) < RULES.left_out * level)
             for samples, each, x in zip(training, logged, torque, strict=True)
         ]
         values = _fit_weighted(model, base, rest, block_seconds)
@@ -199,10 +193,4 @@ def _fit_weighted(
 ) -> Array:
     """Return weighted least squares estimates of base parameters (p,)."""
     seen = accumulate_stream(model, base, samples, block_seconds=seconds)
-    prior = design_values(model, base)
-    return fit_least_squares(seen, weights="joint", prior=prior).beta
-
-
-def _find_below(samples: Samples, t: Array, torque: Array, level: float) -> NDArray[np.bool_]:
-    """Return the samples whose filtered torque is below a level."""
-    return np.asarray(np.interp(samples.t, t, torque) < level)
+    return fit_least_squares(seen, weights="joint", prior=design_values(model, base)).beta

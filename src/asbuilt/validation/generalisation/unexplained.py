@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.validation.comparison.comparison import recording_name
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-    from asbuilt.validation.prediction import Validation
+from asbuilt.validation.prediction import Validation
 
 UNEXPLAINED = 0.5
 """RMS error over the standard deviation of a joint's torque beyond which it is not explained."""
@@ -34,7 +31,7 @@ def report_unexplained(training: Sequence[Validation]) -> Iterator[Finding]:
     """Name joints whose torque the model explains by less than three quarters of its variance.
 
     Also those whose error is mostly one push, a torque of one sign in one span of time. A torque
-    that is small beside that of other joints is left out: friction and noise may be most of it.
+    that is small compared with other joints' is left out: friction and noise may be most of it.
     """
     for each in training:
         error = np.sqrt(np.mean(each.error**2, axis=0))
@@ -103,7 +100,7 @@ class ReturningRules:
     sure: float = 2.0
     """Standard errors over the parts."""
     share: float = 0.2
-    """Share of the squared error from which on it is said."""
+    """Share of the squared error from which on it is reported."""
     felt: float = 0.01
     """Share of the joint's torque below which it is of no account: torque sensors err as much."""
 
@@ -111,7 +108,7 @@ class ReturningRules:
 RETURNING = ReturningRules()
 
 
-def nameless_findings(
+def report_nameless(
     training: Sequence[Validation], samples: Sequence[Samples]
 ) -> Iterator[Finding]:
     """Name joints whose torque error returns wherever they pass a position in one direction.

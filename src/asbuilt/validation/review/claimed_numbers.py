@@ -1,22 +1,76 @@
-"""Numbers that a description claims, and how each changes the standard parameters."""
+"""Numbers that a description claims, what each changes, and what a recording says of it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import Literal
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_units, parameter_values
+from asbuilt.description import LinkInertia, RobotModel
+from asbuilt.dynamics import DriveSet, parameter_units, parameter_values
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 
 DRIVE_WORDS = {"armature": "armature", "viscous": "damping", "coulomb": "friction loss"}
 """What simulators call the parameter of a drive term."""
+ClaimVerdict = Literal["supported", "contradicted", "undetermined"]
 AXES = "xyz"
 UPPER = tuple((a, b) for a in range(3) for b in range(a, 3))
+WIDEST = 1e3
+"""Standard deviation, in its size, of a number that nothing holds."""
+UNTOUCHED = 1e-9
+"""Part of the variance by which the recording must reduce what is plausible to say anything."""
+LOOSE = 100.0
+"""Factor by which a number is less held while its aliases are searched."""
+ALIKE = 0.5
+"""Correlation of two numbers from which one is an alias of the other."""
+MOST_ALIASES = 3
+_Number = tuple[str, str, float, float, float, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """Hold the verdict on one number of a description.
+
+    Attributes
+    ----------
+    what, joint, unit
+        What it is, of which joint (or of the link that this joint moves).
+    claimed
+        The number in the description.
+    estimate, std_error
+        What the recording says, with nothing that pulls it to the claim; None where it says
+        nothing.
+    verdict
+        Supported, contradicted, or undetermined.
+    alias_of
+        Numbers that could take its place: the torque determines them together only.
+    torque
+        RMS torque of the difference on the recording, over all joints [N m]; None if unknown.
+    p_value, false_discovery
+        Probability of as large a difference by chance, and the same for as many tests.
+    alike
+        Whether the estimate is within a tenth of the claim.
+    note
+        What else there is to say.
+    """
+
+    what: str
+    joint: str
+    unit: str
+    claimed: float
+    estimate: float | None = None
+    std_error: float | None = None
+    verdict: ClaimVerdict = "undetermined"
+    alias_of: tuple[str, ...] = ()
+    torque: float | None = None
+    p_value: float | None = None
+    false_discovery: float | None = None
+    alike: bool = False
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +84,7 @@ class ClaimedNumber:
     claimed
         The value; NaN where the description is silent.
     size
-        What its error is large or small beside: its magnitude, for a centre the radius of
+        What its error is compared with: its magnitude, for a centre the radius of
         gyration, for an inertia the mean moment.
     spread
         Plausible standard deviation of its error; infinite for drive parameters.
@@ -62,7 +116,7 @@ def list_claimed_numbers(
         numbers = (
             _list_link_numbers(link.inertia, tolerance)
             if link.has_mass
-            else _list_unknown_link_numbers()
+            else [("unknown", "", np.nan, 1.0, np.inf, change) for change in np.eye(10)]
         )
         for what, unit, claimed, size, spread, change in numbers:
             column = np.zeros(count)
@@ -71,57 +125,24 @@ def list_claimed_numbers(
     return (*found, *_list_drive_numbers(model, drive, count))
 
 
-_Number = tuple[str, str, float, float, float, Array]
-
-
 def _list_link_numbers(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
     """Return mass, centre and inertia of a link with their changes of its parameters (10,)."""
-    m, c, about = inertia.mass, inertia.com, inertia.inertia_about_com
+    m, c, about, one = inertia.mass, inertia.com, inertia.inertia_about_com, np.eye(3)
     moment = max(float(np.trace(about)), 1e-12)
     gyration = float(np.sqrt(moment / (2.0 * m)))
-    one = np.eye(3)
-    found: list[_Number] = [
-        (
-            "mass",
-            "kg",
-            m,
-            m,
-            tolerance.mass * m,
-            _pack_change((c @ c) * one - np.outer(c, c), c, 1.0),
-        )
-    ]
-    for k in range(3):
-        e = one[k]
+    change = _pack_change((c @ c) * one - np.outer(c, c), c, 1.0)
+    found: list[_Number] = [("mass", "kg", m, m, tolerance.mass * m, change)]
+    for k, e in enumerate(one):
         turned = m * (2.0 * c[k] * one - np.outer(e, c) - np.outer(c, e))
-        found.append(
-            (
-                f"centre {AXES[k]}",
-                "m",
-                float(c[k]),
-                gyration,
-                tolerance.centre * gyration,
-                _pack_change(turned, m * e, 0.0),
-            )
-        )
+        change, spread = _pack_change(turned, m * e, 0.0), tolerance.centre * gyration
+        found.append((f"centre {AXES[k]}", "m", float(c[k]), gyration, spread, change))
     for a, b in UPPER:
         entry = np.zeros((3, 3))
         entry[a, b] = entry[b, a] = 1.0
-        found.append(
-            (
-                f"inertia {AXES[a]}{AXES[b]}",
-                "kg m^2",
-                float(about[a, b]),
-                moment / 3.0,
-                tolerance.inertia * moment / 3.0,
-                _pack_change(entry, np.zeros(3), 0.0),
-            )
-        )
+        change, spread = _pack_change(entry, np.zeros(3), 0.0), tolerance.inertia * moment / 3.0
+        what, claimed = f"inertia {AXES[a]}{AXES[b]}", float(about[a, b])
+        found.append((what, "kg m^2", claimed, moment / 3.0, spread, change))
     return found
-
-
-def _list_unknown_link_numbers() -> list[_Number]:
-    """Return the ten parameters of a link whose description gives none."""
-    return [("unknown", "", np.nan, 1.0, np.inf, change) for change in np.eye(10)]
 
 
 def _pack_change(inertia: Array, first_moment: Array, mass: float) -> Array:
@@ -135,13 +156,90 @@ def _list_drive_numbers(model: RobotModel, drive: DriveSet, count: int) -> list[
         for term in drive.terms
         for symbol in term.symbols
     ]
-    found, j = [], 10 * model.n_links
-    for joint in model.joints:
-        for what in words:
-            claimed = float(values[j])
-            size = abs(claimed) if np.isfinite(claimed) and claimed else 1.0
-            column = np.zeros(count)
-            column[j] = 1.0
-            found.append(ClaimedNumber(what, joint.name, units[j], claimed, size, np.inf, column))
-            j += 1
+    found = []
+    for j, (joint, what) in enumerate(product(model.joints, words), start=10 * model.n_links):
+        claimed, column = float(values[j]), np.eye(1, count, j)[0]
+        size = abs(claimed) if np.isfinite(claimed) and claimed else 1.0
+        found.append(ClaimedNumber(what, joint.name, units[j], claimed, size, np.inf, column))
     return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """Hold k numbers, each estimated with nothing that pulls it to its claimed value.
+
+    `change` (k,) is estimate minus claim, `std_error` (k,) infinite where the recording says
+    nothing, `aliases` the places of the numbers that could take its place, `misfit` the root mean
+    square of what no plausible numbers explain, in standard errors (Birge, Phys. Rev. 40, 1932).
+    """
+
+    change: Array
+    std_error: Array
+    aliases: tuple[tuple[int, ...], ...]
+    misfit: float
+
+
+def profile_numbers(
+    numbers: Sequence[ClaimedNumber], regrouping: Array, difference: Array, covariance: Array
+) -> Profile:
+    """Estimate each number, the others free within what is plausible.
+
+    With `J` the changes of the base parameters with the numbers and `S` the plausible variances,
+    the numbers follow from `(J^T C^-1 J + S^-1) x = J^T C^-1 d`. Without its own row of `S^-1`, a
+    number has the estimate `x_j / (1 - P_jj / S_jj)` and the variance `P_jj / (1 - P_jj / S_jj)`,
+    `P` the inverse of the matrix (Sherman & Morrison, Annals of Math. Statistics 21, 1950).
+
+    Parameters
+    ----------
+    numbers
+        The numbers, k of them.
+    regrouping
+        Of the base parameters that are used, shape (p, n_standard).
+    difference
+        Base parameters as built minus claimed, shape (p,).
+    covariance
+        Theirs, shape (p, p), positive definite.
+    """
+    size = np.array([each.size for each in numbers])
+    spread = np.minimum(np.array([each.spread for each in numbers]) / size, WIDEST)
+    J = regrouping @ np.column_stack([each.column for each in numbers]) * size
+    scale = np.sqrt(np.diag(covariance))
+    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    whitening = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    A, d = whitening.T @ (J / scale[:, None]), whitening.T @ (difference / scale)
+    P = _invert_information(A, spread)
+    x = P @ (A.T @ d)
+    held = spread < WIDEST
+    kept = np.where(held, 1.0 - np.diag(P) / spread**2, 1.0)
+    determined = kept > UNTOUCHED
+    part = np.where(determined, kept, 1.0)
+    variance = np.where(determined, np.diag(P) / part, np.inf)
+    variance[~held & (np.diag(P) > 0.25 * WIDEST**2)] = np.inf
+    left = d - A @ x
+    freedom = max(len(d) - int(np.sum(~held)), 1)
+    chi_square = float(left @ left + np.sum((x / spread)[held] ** 2))
+    misfit = max(1.0, np.sqrt(chi_square / freedom))
+    return Profile(
+        np.where(determined, x / part, np.nan) * size,
+        np.sqrt(variance) * size * misfit,
+        tuple(_find_aliases(P, np.where(held, 1.0 / spread**2, 0.0), j) for j in range(len(size))),
+        misfit,
+    )
+
+
+def _invert_information(A: Array, spread: Array) -> Array:
+    """Return `(A^T A + diag(spread)^-2)^-1`, by the singular values of `A diag(spread)`."""
+    _, s, Vt = np.linalg.svd(A * spread, full_matrices=True)
+    left = np.ones(len(spread))
+    left[: len(s)] = 1.0 / (1.0 + s**2)
+    return np.asarray((Vt.T @ (left[:, None] * Vt)) * np.outer(spread, spread))
+
+
+def _find_aliases(P: Array, weight: Array, j: int) -> tuple[int, ...]:
+    """Return the numbers most correlated with number j where it is held `LOOSE` times less."""
+    released = weight[j] * (1.0 - LOOSE**-2)
+    kept = 1.0 - released * P[j, j]
+    variance = np.diag(P) + P[j] ** 2 * released / kept
+    correlation = np.abs(P[j] / kept) / np.sqrt(np.maximum(variance * P[j, j] / kept, 1e-300))
+    correlation[j] = 0.0
+    return tuple(int(k) for k in np.argsort(-correlation)[:MOST_ALIASES] if correlation[k] >= ALIKE)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,25 +13,28 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.findings import Finding
 from asbuilt.identification.errors.block_scatter import mean_degrees, student_probability
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.validation.letter import LETTERS
-from asbuilt.validation.review.claim import Claim, ClaimVerdict
-from asbuilt.validation.review.claimed_numbers import ClaimedNumber, list_claimed_numbers
-from asbuilt.validation.review.profile import Profile, profile_numbers
+from asbuilt.validation.prediction import Validation
+from asbuilt.validation.review.claimed_numbers import (
+    Claim,
+    ClaimedNumber,
+    ClaimVerdict,
+    Profile,
+    list_claimed_numbers,
+    profile_numbers,
+)
 from asbuilt.validation.review.servo_claims import (
     TOGETHER,
+    derive_scale_errors,
+    derive_servo_damping,
     list_servo_aliases,
     review_servo_claims,
-    scale_errors,
-    servo_damping,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-    from asbuilt.validation.prediction import Validation
 
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
@@ -44,11 +46,11 @@ NOT_NEGATIVE = (
     *("mass", "armature", "damping", "friction loss"),
     *("inertia xx", "inertia yy", "inertia zz"),
 )
-"""Numbers that no robot has below zero: they are judged at the nearest possible value."""
+"""Numbers that no robot has below zero: they are tested at the nearest possible value."""
 DOUBTFUL = 0.05
 """Probability by chance up to which a number is not supported, alone as it is."""
 IMPOSSIBLE = 3.0
-"""Standard errors below zero from which a number that cannot be negative is not judged; own
+"""Standard errors below zero from which a number that cannot be negative is not tested; own
 choice."""
 DETERMINED = 0.5
 """Standard error of a supported number, relative to its size, at most."""
@@ -65,7 +67,7 @@ class Review:
     claims
         The verdicts.
     tolerance
-        What is plausible for masses, centres and inertias while another number is judged.
+        What is plausible for masses, centres and inertias while another number is tested.
     misfit
         Root mean square of what no plausible numbers explain, in standard errors; errors are
         widened by it.
@@ -134,13 +136,13 @@ def review_result(
     result
         The result; its values by weighted least squares are used, which nothing pulls to CAD.
     described
-        The robot with its claims; None: that of the result.
+        The robot with its claims; None: the robot of the result.
     peaks
         Largest torque that the servo of each joint was asked for (n,), for torque limits.
     motions
         Torques asked for and as built, which show torque limits.
     tolerance
-        What is plausible for masses, centres and inertias while another number is judged.
+        What is plausible for masses, centres and inertias while another number is tested.
     level
         False discovery rate up to which a number is contradicted.
     findings
@@ -153,12 +155,10 @@ def review_result(
     """
     model, base = described or result.model, result.base
     numbers = list_claimed_numbers(model, base.drive, tolerance)
-    scale, added = scale_errors(result), servo_damping(result, model)
+    scale, added = derive_scale_errors(result), derive_servo_damping(result, model)
     values = ComparedValues.free(result)
-    claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0)
-    claimed += added
-    used = values.determined & (values.std_errors > 0) & ~values.dropped
-    rows = np.flatnonzero(used)
+    claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0) + added
+    rows = np.flatnonzero(values.determined & (values.std_errors > 0) & ~values.dropped)
     profile = profile_numbers(
         numbers,
         base.regrouping[rows],
@@ -171,14 +171,13 @@ def review_result(
         for joint, k in zip(model.moving_joints, model.link_joints, strict=True)
     }
     relative = [scale[result.joint_names.index(drives[number.joint])] for number in numbers]
-    reach = stretched_length(model)
     # The scale of torques comes last: with other errors it would be pulled toward zero where claims
     # and recording disagree (Peelle, 1987).
     scaled = np.nan_to_num(np.nan_to_num(whole) + profile.change) * relative
     profile = replace(profile, std_error=np.hypot(profile.std_error, scaled))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
-        _make_claim(result, numbers, profile, j, freedom, whole[j], reach)
+        _make_claim(result, numbers, profile, j, freedom, whole[j], stretched_length(model))
         for j, number in enumerate(numbers)
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
@@ -204,9 +203,9 @@ def _make_claim(
     whole: float,
     reach: float,
 ) -> Claim:
-    """Return what is said of number j, not yet judged beside the others.
+    """Return the verdict on number j, without regard to the number of tests.
 
-    `whole` is the claim with that of a servo which acts alike, `reach` the length of the robot,
+    `whole` is the claim with a servo's claim which acts alike, `reach` the length of the robot,
     beyond which no link has its centre [m].
     """
     number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
@@ -258,13 +257,12 @@ def _limit_false_discoveries(claims: Sequence[Claim], level: float) -> list[Clai
     found = list(claims)
     discovery = benjamini_hochberg([claims[j].p_value or 0.0 for j in tested])
     for j, rate in zip(tested, discovery.tolist(), strict=True):
-        claim, beyond = claims[j], not claims[j].alike
-        verdict: ClaimVerdict = claim.verdict
-        if beyond and rate <= level:
-            verdict = "contradicted"
-        elif beyond and (claim.p_value or 0.0) <= DOUBTFUL:
-            verdict = "undetermined"
-        found[j] = replace(claims[j], false_discovery=rate, verdict=verdict)
+        claim = replace(claims[j], false_discovery=rate)
+        if not claim.alike and rate <= level:
+            claim = replace(claim, verdict="contradicted")
+        elif not claim.alike and (claim.p_value or 0.0) <= DOUBTFUL:
+            claim = replace(claim, verdict="undetermined")
+        found[j] = claim
     return found
 
 

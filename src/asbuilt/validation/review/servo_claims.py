@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,16 +11,14 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 from asbuilt.identification.errors.block_scatter import student_probability
-from asbuilt.validation.review.claim import Claim
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-    from asbuilt.validation.prediction import Validation
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.prediction import Validation
+from asbuilt.validation.review.claimed_numbers import Claim
 
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
 TOGETHER = "damping + kv"
-"""Damping of a joint and that of its servo, where only their sum is judged."""
+"""Damping of a joint and of its servo, where only their sum is tested."""
 BEYOND = 0.1
 """Share of a torque limit by which the command must ask for more to show it; own choice."""
 FOLLOWED = 0.2
@@ -35,7 +32,7 @@ SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
 
-def scale_errors(result: IdentificationResult) -> Array:
+def derive_scale_errors(result: IdentificationResult) -> Array:
     """Return the relative error of the torque of each joint from its stiffness, shape (n,)."""
     errors, servo = result.servo_errors, result.servo
     if errors is None or servo is None or not errors.kp:
@@ -43,7 +40,7 @@ def scale_errors(result: IdentificationResult) -> Array:
     return np.asarray(np.array(errors.kp) / np.array(servo.kp))
 
 
-def servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
+def derive_servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
     """Return what the claimed damping of servos adds to the standard parameters (n_standard,).
 
     Where the damping of the servo was not given, viscous friction as built includes it.
@@ -66,10 +63,10 @@ def review_servo_claims(
     peaks: Array | None,
     motions: Sequence[Validation] = (),
 ) -> list[Claim]:
-    """Return the claims of servos, not yet judged beside the others.
+    """Return the verdicts on claims of servos, without regard to the number of tests.
 
-    `claims` are those of drives, `peaks` (n,) the largest torques that the servos were asked for,
-    `motions` torques asked for ("measured") and those of the motion as built ("predicted").
+    `claims` are on drives, `peaks` (n,) the largest torques that the servos were asked for,
+    `motions` torques asked for ("measured") and of the motion as built ("predicted").
     """
     found = []
     together = {claim.joint for claim in claims if claim.what == TOGETHER}
@@ -128,11 +125,11 @@ def _claim_damping(result: IdentificationResult, k: int, joint: str, claimed: fl
 
 
 def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Validation]) -> Claim:
-    """Return the claim of a torque limit, judged where the command asks for more than it.
+    """Return the verdict on a torque limit, tested where the command asks for more than it.
 
-    The estimate is the mean torque of the motion there, its error that of single samples within the
-    limit. A motion that has the torque asked for contradicts the limit, one that has the torque of
-    the limit supports it. `peak` is the largest torque that the command asks for.
+    The estimate is the mean torque of the motion there, its error the error of single samples
+    within the limit. A motion that has the torque asked for contradicts the limit, one that has the
+    torque of the limit supports it. `peak` is the largest torque that the command asks for.
     """
     asked = np.concatenate([np.zeros(0), *(each.measured[:, k] for each in motions)])
     moved = np.concatenate([np.zeros(0), *(each.predicted[:, k] for each in motions)])
@@ -140,8 +137,8 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
     within = np.abs(asked) <= claim.claimed
     if np.count_nonzero(beyond) < FEWEST or np.mean(~within) > MOST:
         reached = "beyond the claim" if peak > claim.claimed else "below it"
-        note = f"largest torque that the command asks for: {peak:.3g} N m, {reached}"
-        return replace(claim, note=note)
+        asks = f"largest torque that the command asks for: {peak:.3g} N m, {reached}"
+        return replace(claim, note=asks)
     error = float(np.sqrt(np.mean((asked - moved)[within] ** 2)))
     moves = float(np.mean((moved * np.sign(asked))[beyond]))
     wanted = float(np.mean(np.abs(asked[beyond])))

@@ -1,14 +1,15 @@
-"""Errors of simulated positions."""
+"""Errors of simulated positions, and windows in which something acts that the model lacks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.free_base import AXES
 from asbuilt.dynamics.kinematics import link_poses
@@ -16,8 +17,15 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.identification.calibration.payload import choose_payload_frame
 
+if TYPE_CHECKING:
+    from asbuilt.identification.trajectories.windows import Windows
+
 TURN = 2.0 * np.pi
 """Distance [rad] from the measured position at which a revolute joint counts as diverged."""
+OUTLYING = 2.5
+"""Error of a window, in medians of all windows, beyond which it is outlying: own choice."""
+FEWEST = 8
+"""Fewest windows that have a usual error."""
 
 
 def position_unit(model: RobotModel) -> str:
@@ -78,18 +86,9 @@ class RolloutErrors:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers, None for what is not finite."""
-        return {
-            "rms": [_drop_infinite(x) for x in self.rms],
-            "rms_all": _drop_infinite(self.rms_all),
-            "final": [_drop_infinite(x) for x in self.final],
-            "tool": None if self.tool is None else _drop_infinite(self.tool),
-            "diverged": self.diverged,
-            "until": self.until,
-            "rms_until": [_drop_infinite(x) for x in self.rms_until],
-            "rms_all_until": _drop_infinite(self.rms_all_until),
-            "base": self.base
-            and dict(zip(("position", "tilt"), map(_drop_infinite, self.base), strict=True)),
-        }
+        base = self.base and dict(zip(("position", "tilt"), self.base, strict=True))
+        plain = {key: value for key, value in make_plain(self).items() if key != "unit"}
+        return plain | {"base": make_plain(base)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,15 +131,14 @@ def average_errors(recordings: Sequence[RecordingErrors]) -> dict[str, float | N
     """
     found: dict[str, float | None] = {}
     for name in BY_RECORDING:
-        each = [getattr(one, name) for one in recordings]
-        if name == "regular":
-            each = [one for one in each if one is not None]
-        whole = bool(each) and all(one is not None for one in each)
-        found[name] = float(np.mean([one.rms_all for one in each])) if whole else None
+        every = [getattr(one, name) for one in recordings]
+        known = [one.rms_all for one in every if one is not None]
+        whole = known and (name == "regular" or len(known) == len(every))
+        found[name] = float(np.mean(known)) if whole else None
     return found
 
 
-def without_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
+def drop_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
     """Return simulated positions (W, L, n), NaN from where a window diverges.
 
     It does where a position is not finite, or a revolute joint a whole turn from the measured one.
@@ -152,7 +150,7 @@ def without_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
     return np.where(lost[..., None], np.nan, simulated)
 
 
-def diverges_after(times: Array, simulated: Array) -> float:
+def find_divergence(times: Array, simulated: Array) -> float:
     """Return when the first of some windows (W, L, n) diverges [s]; infinite if none does.
 
     `times` (L,) count from the start of a window to each sample.
@@ -183,7 +181,7 @@ def measure_rollout_errors(
         None: of this robot.
     """
     if until is None:
-        until = min(map(diverges_after, times, simulated))
+        until = min(map(find_divergence, times, simulated))
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     free = model.n_floating
@@ -192,7 +190,7 @@ def measure_rollout_errors(
         *_evaluate_rms(error, free),
         np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),
         _measure_tool_distance(model, *ends),
-        int(sum(np.sum(_find_diverged(each)) for each in simulated)),
+        int(sum(np.sum(~np.all(np.isfinite(q), axis=(1, 2))) for q in simulated)),
         min(until, max(float(t[-1]) for t in times)),
         *_evaluate_rms(early, free),
         position_unit(model),
@@ -224,11 +222,6 @@ def _evaluate_rms(errors: Sequence[Array], free: int) -> tuple[Array, float]:
     return np.sqrt(np.mean(every**2, axis=0)), float(np.sqrt(np.mean(every[:, free:] ** 2)))
 
 
-def _find_diverged(q: Array) -> Mask:
-    """Whether each window (W, L, n) diverged, shape (W,)."""
-    return np.asarray(~np.all(np.isfinite(q), axis=(1, 2)))
-
-
 def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
     ends = set(range(model.n_links)) - set(model.parents)
@@ -245,5 +238,45 @@ def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array)
     return float(np.sqrt(np.mean(np.sum((places[1] - places[0]) ** 2, axis=1))))
 
 
-def _drop_infinite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+@dataclass(frozen=True, slots=True)
+class OutlyingWindow:
+    """Name a window: recording, time of its start [s], error [rad or m] and its largest joint."""
+
+    source: str
+    start: float
+    rms: float
+    joint: str
+
+
+def find_outlying_windows(
+    windows: Sequence[Windows], simulated: Sequence[Array | None], joint_names: Sequence[str]
+) -> tuple[tuple[OutlyingWindow, ...], list[Indices]]:
+    """Return the outlying windows, and for each recording the indices of the others.
+
+    Nothing of both where a recording was not simulated.
+    """
+    errors = [
+        np.sqrt(np.mean((path - cut.q)[:, 1:] ** 2, axis=1))
+        for cut, path in zip(windows, simulated, strict=True)
+        if path is not None
+    ]
+    if len(errors) < len(windows):
+        return (), []
+    size = [np.sqrt(np.mean(error**2, axis=1)) for error in errors]
+    every = np.concatenate(size)
+    limit = OUTLYING * float(np.nanmedian(every)) if len(every) >= FEWEST else np.inf
+    found, regular = list[OutlyingWindow](), list[Indices]()
+    for cut, error, own in zip(windows, errors, size, strict=True):
+        # NaN of a window that diverged is not usual, unless there are too few to say what is.
+        usual = (own <= limit) | (not np.isfinite(limit))
+        regular.append(np.flatnonzero(usual))
+        found += [
+            OutlyingWindow(
+                cut.source,
+                float(cut.starts[w]),
+                float(own[w]),
+                joint_names[int(np.argmax(np.nan_to_num(error[w], nan=np.inf)))],
+            )
+            for w in np.flatnonzero(~usual)
+        ]
+    return tuple(found), regular

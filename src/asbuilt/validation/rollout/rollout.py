@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,20 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
 from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.tables import Cell, Column, Shown, Table, round_significant
 from asbuilt.validation.rollout.errors import (
+    OUTLYING,
+    OutlyingWindow,
     RecordingErrors,
     RolloutErrors,
     average_errors,
-    diverges_after,
+    drop_lost,
+    find_divergence,
+    find_outlying_windows,
     measure_rollout_errors,
-    without_lost,
+    position_unit,
 )
 from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
-from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, find_outlying_windows
 
 if TYPE_CHECKING:
     from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
@@ -95,16 +100,16 @@ class Rollout:
             "driven_by": self.driven_by,
             "n_windows": self.n_windows,
             **{
-                name: None if errors is None else errors.as_dict()
+                name: errors and errors.as_dict()
                 for name, errors in (
                     ("cad", self.cad),
                     ("as_built", self.as_built),
                     ("noise_floor", self.floor),
                     ("no_physics", self.no_physics),
+                    ("regular", self.regular),
                 )
             },
-            "outlying": [each.as_dict() for each in self.outlying],
-            "regular": None if self.regular is None else self.regular.as_dict(),
+            "outlying": make_plain(self.outlying),
             "mean": average_errors(self.by_recording),
             "motions": [each.as_dict() for each in self.by_recording],
         }
@@ -138,69 +143,78 @@ def roll_out(
     def simulated(name: str, found: Sequence[Array | str | None]) -> list[Array | None]:
         """Return paths, none from the first on that cannot be simulated, and note why."""
         kept: list[Array | None] = []
-        for path in found:
+        for path, cut in zip(found, windows, strict=True):
             if isinstance(path, str):
                 why.setdefault(name, path)
-            kept.append(None if name in why or isinstance(path, str) else path)
-        return [
-            None if path is None else without_lost(model, cut.q, path)
-            for path, cut in zip(kept, windows, strict=True)
-        ]
+            if path is None or isinstance(path, str) or name in why:
+                kept.append(None)
+            else:
+                kept.append(drop_lost(model, cut.q, path))
+        return kept
 
     by_cad = simulated("cad", paths[: len(windows)])
     built = simulated("as_built", paths[len(windows) :])
     motions = tuple(map(SimulatedMotion, windows, by_cad, built))
-    measured = [cut.q for cut in windows]
-
-    def errors(name: str, of: Sequence[SimulatedMotion]) -> RolloutErrors | None:
-        paths = [getattr(each, name) for each in of]
-        if any(path is None for path in paths):
-            return None
-        until = min(
-            diverges_after(each.windows.times, path)
-            for each in of
-            for path in (each.cad, each.as_built)
-            if path is not None
-        )
-        times = [each.windows.times for each in of]
-        return measure_rollout_errors(model, times, [each.windows.q for each in of], paths, until)
-
-    command = [delay_command(cut) for cut in windows]
-    late = [path for path in command if path is not None]
-    times = [cut.times for cut in windows]
-    found, usual = _find_outlying(model, motions)
-
-    def without(k: int) -> RolloutErrors | None:
-        """Return the errors as built of the windows of a recording that are not outlying."""
-        path, at = motions[k].as_built, usual[k] if usual else None
-        if path is None or at is None or not len(at):
-            return None
-        return measure_rollout_errors(model, [times[k]], [windows[k].q[at]], [path[at]])
-
+    commands = [delay_command(cut) for cut in windows]
+    found, usual = find_outlying_windows(windows, built, model.joint_names)
+    cad_errors, built_errors, no_physics, regular = _measure_errors(
+        model, motions, commands, usual if found else []
+    )
     return Rollout(
         windows[0].horizon,
         windows[0].signal.kind,
         motions,
-        errors("cad", motions),
-        errors("as_built", motions),
+        cad_errors,
+        built_errors,
         _measure_floor(model, windows),
-        measure_rollout_errors(model, times, measured, late) if len(late) == len(windows) else None,
+        no_physics,
         tuple(
             RecordingErrors(
-                each.windows.source,
-                each.windows.n_windows,
-                errors("cad", [each]),
-                errors("as_built", [each]),
-                None
-                if path is None
-                else measure_rollout_errors(model, [times[k]], [each.windows.q], [path]),
-                without(k),
+                cut.source,
+                cut.n_windows,
+                *_measure_errors(model, motions[k : k + 1], commands[k : k + 1], usual[k : k + 1]),
             )
-            for k, (each, path) in enumerate(zip(motions, command, strict=True))
+            for k, cut in enumerate(windows)
         ),
         tuple(why.items()),
         found,
-        _measure_regular_errors(model, motions, usual) if found else None,
+        regular,
+    )
+
+
+def _measure_errors(
+    model: RobotModel,
+    motions: Sequence[SimulatedMotion],
+    commands: Sequence[Array | None],
+    usual: Sequence[Indices],
+) -> tuple[RolloutErrors | None, ...]:
+    """Return errors by CAD, as built, of the delayed command, and as built over usual windows.
+
+    None where a motion is not there, or no window of these recordings is usual.
+    """
+    times, measured = [each.windows.times for each in motions], [each.windows.q for each in motions]
+    both = [each.cad for each in motions], [each.as_built for each in motions]
+    ends = [
+        find_divergence(t, path)
+        for paths in both
+        for t, path in zip(times, paths, strict=True)
+        if path is not None
+    ]
+
+    def errors(
+        paths: Sequence[Array | None], until: float | None = None, at: Sequence[Any] = ()
+    ) -> RolloutErrors | None:
+        rows = at or [slice(None)] * len(motions)
+        there = [path[own] for path, own in zip(paths, rows, strict=True) if path is not None]
+        if len(there) < len(motions):
+            return None
+        logged = [q[own] for q, own in zip(measured, rows, strict=True)]
+        return measure_rollout_errors(model, times, logged, there, until)
+
+    return (
+        *(errors(paths, min(ends, default=None)) for paths in both),
+        errors(commands),
+        errors(both[1], at=usual) if any(len(at) for at in usual) else None,
     )
 
 
@@ -227,59 +241,32 @@ def _simulate_task(task: tuple[SimulatedRobot | None, Windows]) -> Array | str |
         return problem.message
 
 
-def _find_outlying(
-    model: RobotModel, motions: Sequence[SimulatedMotion]
-) -> tuple[tuple[OutlyingWindow, ...], list[Indices]]:
-    """Return the outlying windows as built, and for each recording the others."""
-    paths = [each.as_built for each in motions if each.as_built is not None]
-    if len(paths) < len(motions):
-        return (), []
-    return find_outlying_windows([each.windows for each in motions], paths, model.joint_names)
-
-
-def _measure_regular_errors(
-    model: RobotModel, motions: Sequence[SimulatedMotion], usual: Sequence[Indices]
-) -> RolloutErrors:
-    """Return the errors as built over all windows that are not outlying."""
-    measured = [each.windows.q[at] for each, at in zip(motions, usual, strict=True)]
-    simulated = [
-        each.as_built[at]
-        for each, at in zip(motions, usual, strict=True)
-        if each.as_built is not None
-    ]
-    times = [each.windows.times for each in motions]
-    return measure_rollout_errors(model, times, measured, simulated)
-
-
 def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
     """Return what is wrong, or worth knowing, about rollouts."""
-    found = list[Finding]()
-    for rollout in rollouts:
-        length = f"{rollout.horizon:g} s"
-        for name, reason in rollout.why:
-            found.append(
-                Finding(
-                    "rollout_impossible",
-                    "warning",
-                    f"The robot {_name_model(name)} cannot be simulated: {reason}",
-                    Cure("identify physically consistent links", settings={"method": "entropic"}),
-                )
+    found = (each for rollout in rollouts for each in _report_rollout(rollout))
+    return tuple({(each.code, each.message): each for each in found}.values())
+
+
+def _report_rollout(rollout: Rollout) -> Iterator[Finding]:
+    length = f"{rollout.horizon:g} s"
+    for name, reason in rollout.why:
+        yield Finding(
+            "rollout_impossible",
+            "warning",
+            f"The robot {_name_model(name)} cannot be simulated: {reason}",
+            Cure("identify physically consistent links", settings={"method": "entropic"}),
+        )
+    for name, errors in (("cad", rollout.cad), ("as_built", rollout.as_built)):
+        if errors is not None and errors.diverged:
+            yield Finding(
+                "rollout_diverged",
+                "warning",
+                f"The simulation {_name_model(name)} diverges in {errors.diverged} of"
+                f" {rollout.n_windows} windows of {length}, {_word_divergence(rollout)}",
+                Cure("roll out shorter windows, and check gains and signs"),
             )
-        for name, errors in (("cad", rollout.cad), ("as_built", rollout.as_built)):
-            if errors is not None and errors.diverged:
-                found.append(
-                    Finding(
-                        "rollout_diverged",
-                        "warning",
-                        f"The simulation {_name_model(name)} diverges in {errors.diverged} of"
-                        f" {rollout.n_windows} windows of {length}, {_word_divergence(rollout)}",
-                        Cure("roll out shorter windows, and check gains and signs"),
-                    )
-                )
-        found += _report_worse_than_command(rollout, length)
-        found += _report_outlying(rollout, length)
-    unique = {(each.code, each.message): each for each in found}
-    return tuple(unique.values())
+    yield from _report_worse_than_command(rollout, length)
+    yield from _report_outlying(rollout, length)
 
 
 def _word_divergence(rollout: Rollout) -> str:
@@ -294,29 +281,26 @@ def _word_divergence(rollout: Rollout) -> str:
     return f"{began}. The error before is {join_names(earlier)}" if earlier else began
 
 
-def _report_worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
-    """Return a finding if the delayed command alone is closer to the motion than the model.
+def _report_worse_than_command(rollout: Rollout, length: str) -> Iterator[Finding]:
+    """Yield whether the delayed command alone is closer to the motion than the model.
 
-    If that is so in some recordings, it names them.
+    If that is so in some recordings only, they are named.
     """
     built, plain = rollout.as_built, rollout.no_physics
     if built is None or plain is None:
-        return []
-    if not built.rms_all > plain.rms_all and not built.diverged:
-        return _report_worse_recordings(rollout, length)
-    return [
-        Finding(
+        return
+    message = (
+        f"Over {length} the delayed command alone is closer to the measured motion than the"
+        " simulation as built"
+    )
+    if built.rms_all > plain.rms_all or built.diverged:
+        yield Finding(
             "rollout_worse_than_command",
             "warning",
-            f"Over {length} the delayed command alone is closer to the measured motion than the"
-            f" simulation as built ({1e3 * plain.rms_all:.3g} against {_format_size(built)})",
+            f"{message} ({1e3 * plain.rms_all:.3g} against {_format_size(built)})",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
         )
-    ]
-
-
-def _report_worse_recordings(rollout: Rollout, length: str) -> list[Finding]:
-    """Return a finding that names recordings in which the delayed command alone is closer."""
+        return
     worse = [
         f"{Path(each.source).name} ({1e3 * each.no_physics.rms_all:.3g} against"
         f" {_format_size(each.as_built)})"
@@ -325,36 +309,30 @@ def _report_worse_recordings(rollout: Rollout, length: str) -> list[Finding]:
         and each.no_physics is not None
         and each.as_built.rms_all > each.no_physics.rms_all
     ]
-    if not worse:
-        return []
-    return [
-        Finding(
+    if worse:
+        yield Finding(
             "rollout_worse_than_command",
             "warning",
-            f"Over {length} the delayed command alone is closer to the measured motion than the"
-            f" simulation as built in {join_names(worse, 6)}",
+            f"{message} in {join_names(worse, 6)}",
             Cure("look there for rests, contact and loads that the model lacks"),
         )
-    ]
 
 
-def _report_outlying(rollout: Rollout, length: str) -> list[Finding]:
-    """Return a finding that names the outlying windows."""
+def _report_outlying(rollout: Rollout, length: str) -> Iterator[Finding]:
+    """Yield a finding that names the outlying windows."""
     if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
-        return []
+        return
     worst = sorted(rollout.outlying, key=lambda each: -np.nan_to_num(each.rms, nan=np.inf))
     places = [f"{Path(each.source).name} {each.start:.4g} s ({each.joint})" for each in worst]
-    return [
-        Finding(
-            "rollout_outlying",
-            "warning",
-            f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
-            f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
-            f" {join_names(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
-            f" mrad instead of {_format_size(rollout.as_built)}",
-            Cure("look at these times; exclude contact from the recording"),
-        )
-    ]
+    yield Finding(
+        "rollout_outlying",
+        "warning",
+        f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
+        f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
+        f" {join_names(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
+        f" mrad instead of {_format_size(rollout.as_built)}",
+        Cure("look at these times; exclude contact from the recording"),
+    )
 
 
 def _format_size(errors: RolloutErrors) -> str:
@@ -363,3 +341,40 @@ def _format_size(errors: RolloutErrors) -> str:
 
 def _name_model(name: str) -> str:
     return "by CAD" if name == "cad" else "as built"
+
+
+def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
+    """Return the errors of every joint for one horizon."""
+    unit = "mrad or mm" if model.n_floating else position_unit(model)
+    cad, built = rollout.cad, rollout.as_built
+    errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
+    ends = {"end, as built": built, "end, CAD": cad}
+    values = {
+        **{name: None if each is None else each.rms for name, each in errors.items()},
+        **{name: None if each is None else each.final for name, each in ends.items()},
+    }
+    rows = tuple(
+        (
+            name,
+            *(
+                None if each is None else format_in_milli(float(each[k]))
+                for each in values.values()
+            ),
+        )
+        for k, name in enumerate(model.joint_names)
+    )
+    columns = (
+        Column("joint", width=20),
+        *(Column(name, unit, "decimal", detail=name in ends) for name in values),
+    )
+    title = f"Position error of rollouts of {rollout.horizon:g} s, held out"
+    return Table(columns, rows, title).filled()
+
+
+def format_in_milli(value: float | None) -> Cell:
+    """Return a length or angle in thousandths of its unit, as a cell."""
+    if value is None:
+        return None
+    if not np.isfinite(value):
+        return Shown(None, "diverged")
+    return Shown(1e3 * value, round_significant(1e3 * value))

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
-from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, join_names
 from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.tables import round_significant
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError
+from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError, export_parameters
 
 SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_position_wrong": "zero"}
 """Findings that name an effect which the selection of effects may name too."""
@@ -47,7 +45,7 @@ def list_reasons_against(
         *_list_error_reasons(error, measure),
         *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
         *_list_finding_reasons(findings, result.effects, len(result.validation), measure),
-        *(_make_effect_reason(each) for each in result.effects if _dims(each)),
+        *(_make_effect_reason(each) for each in result.effects if _is_omitted(each)),
         *_list_joint_reasons(validations if measure == "torque" else ()),
         *_list_consistency_reasons(result),
         *_list_body_reasons(result),
@@ -84,20 +82,20 @@ def _list_finding_reasons(
     measure: Measure,
 ) -> Iterator[Reason]:
     """Yield the findings that dim a verdict, in the order of `DIMMING`, but what is an effect."""
-    named = {each.effect for each in effects if _dims(each)}
+    named = {each.effect for each in effects if _is_omitted(each)}
     for code, phrase in DIMMING.items():
-        if SAME_EFFECT.get(code) in named:
-            continue
         found = [each for each in findings if each.code == code]
-        if not found or (code == "held_out_repeats" and len(found) < n_validations):
-            continue
-        if measure == "rollout" and code in OF_TORQUE:
-            continue
-        names = list(dict.fromkeys(each.joint for each in found if each.joint is not None))
-        yield Reason(code, phrase.format(at=f" at {join_names(names, 3)}" if names else ""))
+        passed_over = (
+            SAME_EFFECT.get(code) in named
+            or (code == "held_out_repeats" and len(found) < n_validations)
+            or (measure == "rollout" and code in OF_TORQUE)
+        )
+        if found and not passed_over:
+            names = list(dict.fromkeys(each.joint for each in found if each.joint is not None))
+            yield Reason(code, phrase.format(at=f" at {join_names(names, 3)}" if names else ""))
 
 
-def _dims(each: FoundEffect) -> bool:
+def _is_omitted(each: FoundEffect) -> bool:
     """Return whether an effect is left out that a model or a sheet could hold."""
     family = EFFECTS[each.effect]
     return not each.in_model and (family.in_model or family.of_log)
@@ -139,14 +137,10 @@ def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
 
 def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     """Yield a link whose mass imitates something that is not in the model."""
-    try:
-        found = as_built_parameters(result)
-    except (IdentifiabilityError, DescriptionError):
+    found, links = export_parameters(result), result.model.links
+    if found is None:
         return
-    if not found.consistent:
-        return
-    links = result.model.links
-    masses = found.parameters[9 : 10 * len(links) : 10].tolist()
+    masses = found[9 : 10 * len(links) : 10].tolist()
     total = sum(float(link.inertia.mass) for link in links)
     off = [
         (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)

@@ -11,9 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, join_names
-from asbuilt.identification import IdentificationResult, as_built_parameters
+from asbuilt.identification import IdentificationResult
 from asbuilt.tables import format_share, round_significant
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import position_unit
@@ -23,6 +22,7 @@ from asbuilt.validation.verdicts.verdict_error import (
     Measure,
     VerdictError,
     choose_decisive_rollout,
+    find_as_built,
     find_worst_torque_error,
     summarise_rollout_error,
 )
@@ -136,13 +136,11 @@ def _word_rollout(result: IdentificationResult, simulated: Rollout, error: Verdi
 
 def _word_mass(result: IdentificationResult) -> str:
     """Return the exported robot's mass of links compared with CAD's; empty without an export."""
-    try:
-        found = as_built_parameters(result)
-    except (IdentifiabilityError, DescriptionError):
+    found, links = find_as_built(result), result.model.links
+    if found is None:
         return ", and no robot can be exported"
     if not found.consistent:
         return ""
-    links = result.model.links
     built = float(np.sum(found.parameters[9 : 10 * len(links) : 10]))
     cad = sum(float(link.inertia.mass) for link in links)
     known = all(link.inertia_known for link in links) and cad > 0.0

@@ -11,7 +11,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification import IdentificationResult, as_built_parameters
+from asbuilt.identification import (
+    IdentificationResult,
+    StandardParameters,
+    as_built_parameters,
+)
 from asbuilt.identification.result.torque_prediction import pair_with_measured, parameter_torque
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import RolloutErrors
@@ -60,11 +64,16 @@ def with_exported(
 
 def export_parameters(result: IdentificationResult) -> Array | None:
     """Return the standard parameters (n_standard,) of the exported robot; None without one."""
+    found = find_as_built(result)
+    return found.parameters if found and found.consistent else None
+
+
+def find_as_built(result: IdentificationResult) -> StandardParameters | None:
+    """Return the standard parameters as built; None if no robot has them."""
     try:
-        found = as_built_parameters(result)
+        return as_built_parameters(result)
     except (IdentifiabilityError, DescriptionError):
         return None
-    return found.parameters if found.consistent else None
 
 
 def find_worst_torque_error(

@@ -9,12 +9,11 @@ from pathlib import Path
 
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.identification import IdentificationResult, methods
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
-from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.result.conclusion import conclude
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.options import FleetIdentification
@@ -92,7 +91,8 @@ def identify_entries(
     IdentifiabilityError
         If the entries are of two types, or do not suffice.
     """
-    settings = entries[0].settings
+    first, last = entries[0], entries[-1]
+    settings = first.settings
     odd = next((each for each in entries if each.settings.digest != settings.digest), None)
     if odd is not None:
         raise IdentifiabilityError(
@@ -105,10 +105,9 @@ def identify_entries(
     data = EstimationData(settings.model, information, None, design, options.undetermined)
     estimate, findings = None, tuple[Finding, ...]()
     if prior is not None:
-        estimate, findings = estimate_with_siblings(entries[0].robot_id, information, prior)
+        estimate, findings = estimate_with_siblings(first.robot_id, information, prior)
     if estimate is None:
         estimate = methods.find(options.method).estimate(data)
-    first, last = entries[0], entries[-1]
     return conclude(
         settings.model,
         information,
@@ -159,9 +158,8 @@ def _make_missing_error(
         for word, date in (("since", since), ("before", until))
         if date
     )
-    damaged = [finding.message for finding in ledger.findings][:1]
     return IdentifiabilityError(
         f"the ledger {ledger.root} has no sound log of {robot_id}{window}"
-        + "".join(f" ({why})" for why in damaged),
+        + "".join(f" ({finding.message})" for finding in ledger.findings[:1]),
         cure=Cure("choose other dates"),
     )

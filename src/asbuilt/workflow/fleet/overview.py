@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,9 @@ JUMP = JumpRules()
 
 def report_suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
     """Return findings about a robot's latest entries."""
-    names = ledger.current_names(robot_id)
-    entries = [ledger.read(*each) for each in names[-JUMP.most :]]
-    sound = [entry for entry in entries if entry is not None]
-    types = {entry.settings.robot_type: entry for entry in sound}
+    latest = ledger.current_names(robot_id)[-JUMP.most :]
+    sound = [entry for entry in (ledger.read(*each) for each in latest) if entry is not None]
+    types = {entry.settings.robot_type for entry in sound}
     if len(types) > 1:
         return [
             Finding(
@@ -57,10 +56,9 @@ def report_suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
 def _report_overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for logs of one robot that were recorded at the same time."""
     stamped = [entry for entry in entries if entry.date_from == "stamps"]
-    pairs = pairwise(sorted(stamped, key=lambda each: each.date))
     overlaps = (
         (earlier, later, (earlier.date - later.date).total_seconds() + earlier.duration)
-        for earlier, later in pairs
+        for earlier, later in pairwise(sorted(stamped, key=lambda each: each.date))
     )
     return [
         Finding(
@@ -213,14 +211,11 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
         )
         if thorough:
             entries = [e for e in (opened.read(*each) for each in names) if e is not None]
-            row = RobotRow(
-                row.id,
-                row.robot_type,
-                len(entries),
-                row.first,
-                row.last,
-                sum(entry.duration for entry in entries),
-                sum(entry.information.n_samples for entry in entries),
+            row = replace(
+                row,
+                n_logs=len(entries),
+                seconds=sum(entry.duration for entry in entries),
+                n_samples=sum(entry.information.n_samples for entry in entries),
             )
             findings += report_suspicions(opened, robot_id)
         rows.append(row)

@@ -13,13 +13,12 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification import SquareRootInformation, methods
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.errors.block_scatter import ErrorBasis, widening
 from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate, EstimationData
-from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 from asbuilt.workflow.fleet.ledger.entry import Entry, join_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
@@ -74,11 +73,6 @@ class SiblingPrior:
     design_effect: float
     dispersion: float
 
-    @property
-    def degrees(self) -> int:
-        """Degrees of freedom of the spread."""
-        return len(self.robot_ids) - 1
-
 
 def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry]) -> SiblingPrior:
     """Return the prior that the siblings of a robot give, by all their logs.
@@ -90,9 +84,7 @@ def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry])
     """
     settings, types = entries[0].settings, ledger.types()
     found: dict[str, SquareRootInformation] = {}
-    for other in ledger.robot_ids():
-        if other == robot_id or not ledger.current_names(other, types=types):
-            continue
+    for other in (each for each in ledger.robot_ids() if each != robot_id):
         logs = [
             each
             for each in ledger.entries(other, types=types)
@@ -126,7 +118,9 @@ def estimate_prior(
     pooled = methods.find("consistent").estimate(data)
     fits = [fit_least_squares(each, weights="joint", prior=pooled.beta) for each in parts]
     effect = float(
-        np.median([_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)])
+        np.median(
+            [_estimate_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)]
+        )
     )
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
     estimates, m = np.array([fit.beta for fit in fits]), len(fits)
@@ -157,9 +151,8 @@ def _estimate_spread(deviations: Array, noise: Array) -> Array:
     T = (1.0 - share) * (S - noise) + share * np.diag(np.diag(S - noise))
     scale = np.sqrt(np.where(np.diag(S) > 0.0, np.diag(S), 1.0))
     values, axes = np.linalg.eigh(T / np.outer(scale, scale))
-    least = np.sqrt(2.0 / (m - 1))
-    T = (axes * np.maximum(values, least)) @ axes.T * np.outer(scale, scale)
-    return np.asarray(T, dtype=np.float64)
+    raised = np.maximum(values, np.sqrt(2.0 / (m - 1)))
+    return np.asarray((axes * raised) @ axes.T * np.outer(scale, scale))
 
 
 def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
@@ -195,9 +188,8 @@ def estimate_with_siblings(
     Assoc. 68, 1973). Whether data and prior agree is tested first on what the data determine
     better than the prior (Evans & Moshonov, Bayesian Analysis 1, 2006).
     """
-    square, r = _measure_distance(prior, information)
-    p_value = float(fdtrc(r, max(prior.degrees, 1), square / prior.dispersion)) if r else 1.0
-    m = len(prior.robot_ids)
+    m, (square, r) = len(prior.robot_ids), _measure_distance(prior, information)
+    p_value = float(fdtrc(r, max(m - 1, 1), square / prior.dispersion)) if r else 1.0
     if p_value < RULES.unlike:
         return None, (
             Finding(
@@ -216,13 +208,7 @@ def estimate_with_siblings(
         factor, information.n_samples * information.n_joints + len(root), prior.mean
     )
     note = f"Mean and spread of {m} siblings are the prior (p {p_value:.2g} that it fits)."
-    estimate = start.renewed(
-        SIBLINGS,
-        information,
-        solution,
-        notes=(note,),
-    )
-    return estimate, ()
+    return start.renewed(SIBLINGS, information, solution, notes=(note,)), ()
 
 
 def derive_posterior_uncertainty(
@@ -254,7 +240,7 @@ def _measure_distance(prior: SiblingPrior, information: SquareRootInformation) -
     return float(np.mean(found**2 / (1.0 + 1.0 / values[kept]))), len(kept)
 
 
-def _design_effect(information: SquareRootInformation, fit: Estimate) -> float:
+def _estimate_design_effect(information: SquareRootInformation, fit: Estimate) -> float:
     """Return the variance of estimates by time blocks, over its value for independent samples."""
     honest = estimate_block_uncertainty(information, fit)
     return float(np.clip(information.n_samples / max(honest.effective_samples, 1.0), 1.0, 100.0))

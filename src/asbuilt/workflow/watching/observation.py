@@ -9,20 +9,22 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.recordings import Recorded
+from asbuilt.experiment import (
+    Recorded,
+    RecordingStream,
+    Samples,
+    SignalChain,
+    head_of,
+    resolve_chain,
+)
 from asbuilt.experiment.recording import Recording, find_advancing_rows, join_recordings
 from asbuilt.experiment.signal.differentiation import validate_velocities
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
-from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.resampling import plan_uniform_grid
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring import Observed, Observer
 from asbuilt.monitoring.causal_filter import choose_pole, largest_velocity_error
-from asbuilt.monitoring.observed import Observed
-from asbuilt.monitoring.observer import Observer
 
 FEWEST = 10
 """Samples of the shortest log."""
@@ -105,8 +107,7 @@ def observe_parts(
     if isinstance(recorded, Recording):
         yield _observe_recording(observer, recorded, velocities=velocities)
         return
-    seen = 0
-    end, tail = -np.inf, None
+    seen, end, tail = 0, -np.inf, None
     for chunk in recorded:
         whole = chunk if tail is None else join_recordings([tail, chunk])
         found = _observe_recording(observer, whole, velocities=velocities)

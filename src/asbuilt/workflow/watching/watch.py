@@ -8,18 +8,16 @@ import numpy as np
 
 from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.errors import RecordingError, ResultError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment import Recording, RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
 from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
-from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring import Observed, Observer, Thresholds, set_thresholds
 from asbuilt.monitoring.events import Event, find_events, join_events
-from asbuilt.monitoring.observed import Observed
-from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
-from asbuilt.workflow.prepare import Progress, digest_recording
+from asbuilt.validation import torque_units
+from asbuilt.workflow.prepare import Progress, is_trained_on
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.watching.observation import (
     check_joints,
@@ -38,7 +36,7 @@ from asbuilt.workflow.watching.watch_findings import (
     report_model,
     report_velocities,
 )
-from asbuilt.workflow.watching.watched_log import Trace, WatchedLog, trace_residual
+from asbuilt.workflow.watching.watched_log import POINTS, Trace, WatchedLog
 
 
 def watch(
@@ -103,9 +101,8 @@ def watch(
         for each in (log, *quiet):
             check_recording(result.model, head_of(each)).raise_errors(but=TOO_LITTLE)
     robot = result if options.model == "as_built" else result.model
-    bandwidth = options.bandwidth if thresholds is None else thresholds.bandwidth
     measured = (
-        all(uses_logged_velocities(each) for each in (log, *quiet))
+        all(map(uses_logged_velocities, (log, *quiet)))
         if thresholds is None
         else not thresholds.filtered
     )
@@ -113,8 +110,8 @@ def watch(
     findings = report_velocities(log, measured=measured)
     if thresholds is None:
         report("thresholds", 0.0)
-        error = estimate_doubtful_speed(quiet or [log], bandwidth, measured=measured)
-        observer = Observer(robot, bandwidth=bandwidth, velocity_error=error)
+        error = estimate_doubtful_speed(quiet or [log], options.bandwidth, measured=measured)
+        observer = Observer(robot, bandwidth=options.bandwidth, velocity_error=error)
         thresholds, of_thresholds = _choose_thresholds(
             result, observer, log, quiet, options, measured=measured
         )
@@ -152,12 +149,11 @@ def _choose_thresholds(
 ) -> tuple[Thresholds, list[Finding]]:
     parts: list[Observed] = []
     findings: list[Finding] = []
-    unseen = result.holdout is not None and result.trained is None
     for each in quiet or [log]:
-        trained = digest_recording(head_of(each)) in result.digests
+        trained = is_trained_on(result, each)
         whole = list(observe_parts(observer, each, velocities=measured))
-        if trained and unseen and quiet:
-            whole = [cut_held_out_part(part, str(result.holdout)) for part in whole]
+        if trained and quiet and result.holdout is not None and result.trained is None:
+            whole = [cut_held_out_part(part, result.holdout) for part in whole]
         elif trained:
             findings.append(
                 Finding(
@@ -218,12 +214,13 @@ def _watch_log(
             tally.tool,
             apart=thresholds.block_seconds,
         )
-        traces.append(trace_residual(observed, limit))
+        times = np.broadcast_to(observed.t[:, None], limit.shape)
+        traces.append(Trace(times, observed.residual, limit).thinned(POINTS))
         tally.add(observer, observed, scale, limit)
     if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
     found = join_events(events, thresholds.block_seconds)
-    units = tuple("N m" if joint.is_revolute else "N" for joint in observer.model.joints)
+    units = torque_units(observer.model)
     of_log = [
         *report_log(thresholds, tally),
         *report_model(tally, predict_error_size(result, options.model), units, name, found),

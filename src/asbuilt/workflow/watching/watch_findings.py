@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recording, RecordingStream, head_of
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring import Observed, Observer
 from asbuilt.monitoring.contact import find_smallest_forces
 from asbuilt.monitoring.events import Event, estimate_payload_change
-from asbuilt.monitoring.observed import Observed
-from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds, sampling_rates
 from asbuilt.tables import format_plus_minus
 from asbuilt.workflow.watching.options import Watched
@@ -67,16 +65,6 @@ class Tally:
         self.masses.append(estimate_payload_change(observer, observed, scale, self.tool[0]))
 
     @property
-    def top_speed(self) -> Array:
-        """Highest speeds (n,) [rad/s or m/s]."""
-        return np.asarray(np.max(self.tops, axis=0))
-
-    @property
-    def rate(self) -> float:
-        """Sampling rate [Hz]."""
-        return float(np.median(self.rates))
-
-    @property
     def size(self) -> Array:
         """Robust standard deviation of the residual about 0 (n,) [N m or N]."""
         return np.asarray(np.median(self.sizes, axis=0))
@@ -118,38 +106,32 @@ RULES = WatchRules()
 
 def report_velocities(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
     """Return what to say of velocities that are not used."""
-    if measured:
-        return []
     why = "lag behind the positions or are noisy" if head_of(log).qd is not None else "are missing"
-    return [
-        Finding(
-            "velocities_filtered",
-            "info",
-            f"logged velocities {why}; positions and torques go through one causal filter, which"
-            " delays alarms by half of the observer's lag",
-        )
-    ]
+    finding = Finding(
+        "velocities_filtered",
+        "info",
+        f"logged velocities {why}; positions and torques go through one causal filter, which"
+        " delays alarms by half of the observer's lag",
+    )
+    return [] if measured else [finding]
 
 
 def report_calibration(thresholds: Thresholds) -> list[Finding]:
     """Return what to say of the recordings that set thresholds."""
     seconds = 3600.0 * thresholds.hours
-    if seconds >= RULES.short or not thresholds.held_out:
-        return []
-    return [
-        Finding(
-            "calibration_short",
-            "warning",
-            f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
-            " is extrapolated, and the rate of false alarms is not verified",
-            Cure(f"give recordings of at least {RULES.short:.0f} s"),
-        )
-    ]
+    finding = Finding(
+        "calibration_short",
+        "warning",
+        f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
+        " is extrapolated, and the rate of false alarms is not verified",
+        Cure(f"give recordings of at least {RULES.short:.0f} s"),
+    )
+    return [finding] if thresholds.held_out and seconds < RULES.short else []
 
 
 def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
-    rate, top = log.rate, log.top_speed
+    rate, top = np.median(log.rates), np.max(log.tops, axis=0)
     faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
     worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
     names = join_names([thresholds.joint_names[k] for k in faster])
@@ -229,17 +211,14 @@ def report_model(
                 Cure("identify the payload, and watch the robot with it", call="identify_payload"),
             )
         ]
-    if not unlike:
-        return []
-    return [
-        Finding(
-            "model_disagrees",
-            "warning",
-            f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g}"
-            f" {units[worst]} for most of this log, where the model was off by"
-            f" {expected[worst]:.3g} when it was identified; it is not the model of this robot with"
-            " its load, gains and units",
-            Cure("check that log and result belong together, and validate the result on the log"),
-            joint=log.joint_names[worst],
-        )
-    ]
+    finding = Finding(
+        "model_disagrees",
+        "warning",
+        f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g}"
+        f" {units[worst]} for most of this log, where the model was off by"
+        f" {expected[worst]:.3g} when it was identified; it is not the model of this robot with"
+        " its load, gains and units",
+        Cure("check that log and result belong together, and validate the result on the log"),
+        joint=log.joint_names[worst],
+    )
+    return [finding] if unlike else []

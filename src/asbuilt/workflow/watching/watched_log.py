@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array
 from asbuilt.codec import FieldError, format_json, make_plain, restore_dataclass
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure, Finding
-from asbuilt.monitoring.events import Event
-from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.events import Event, Kind
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import (
     Column,
@@ -35,6 +34,12 @@ POINTS = 3000
 """Points of a trace, of each chunk of a log."""
 
 
+KINDS: dict[Kind, tuple[str, str]] = {
+    "contact": ("contact", "contacts"),
+    "fault": ("fault of one joint", "faults"),
+    "payload": ("change of payload", "payloads"),
+}
+"""Kinds of events in words, one and several."""
 FORMAT = "asbuilt thresholds"
 LARGEST = 1_000_000
 """Bytes of a file of thresholds; a file of seven joints has 4 kB."""
@@ -53,17 +58,17 @@ class Trace:
 
     def thinned(self, bins: int) -> Trace:
         """Return the samples of largest excess of at most `bins` bins, joint by joint."""
-        rows = _find_largest(np.abs(self.residual) / self.limit, bins)
+        ratio = np.abs(self.residual) / self.limit
+        starts = np.unique(np.linspace(0, len(ratio), bins + 1).astype(int)[:-1]).tolist()
+        spans = pairwise([*starts, len(ratio)])
+        rows = np.array([start + np.argmax(ratio[start:stop], axis=0) for start, stop in spans])
         return Trace(*(np.take_along_axis(x, rows, 0) for x in (self.t, self.residual, self.limit)))
 
     @classmethod
     def joined(cls, traces: Sequence[Trace]) -> Trace:
         """Return traces one after another."""
-        return cls(
-            np.concatenate([each.t for each in traces]),
-            np.concatenate([each.residual for each in traces]),
-            np.concatenate([each.limit for each in traces]),
-        )
+        parts = zip(*((each.t, each.residual, each.limit) for each in traces), strict=True)
+        return cls(*map(np.concatenate, parts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,24 +151,19 @@ class WatchedLog:
         """Return log, thresholds and verdict as sentences."""
         thresholds = self.thresholds
         rate = thresholds.false_alarms_per_hour
-        expected = rate * self.seconds / 3600.0
         model = "as built" if self.model == "as_built" else "as described (CAD)"
         joint, time, ratio = self.largest
         kinds = [event.kind for event in self.events]
         counts = ", ".join(
-            f"{kinds.count(kind)} {name}"
-            for kind, name in (
-                ("contact", "contact" if kinds.count("contact") == 1 else "contacts"),
-                ("fault", "fault of one joint" if kinds.count("fault") == 1 else "faults"),
-                ("payload", "change of payload" if kinds.count("payload") == 1 else "payloads"),
-            )
+            f"{kinds.count(kind)} {names[kinds.count(kind) > 1]}"
+            for kind, names in KINDS.items()
             if kind in kinds
         )
         return (
             f"{self.robot}, {shorten_text(self.source, 60)}: {self.n_samples} samples,"
             f" {format_duration(self.seconds)}, watched with the model {model}.",
             f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
-            f" ({round_significant(expected, 2)} expected in this log), from"
+            f" ({round_significant(rate * self.seconds / 3600.0, 2)} expected in this log), from"
             f" {format_duration(3600.0 * thresholds.hours)}"
             + (" without contact" if thresholds.held_out else " of this log itself")
             + ("." if self.rate_verified else ", which do not verify the rate."),
@@ -193,7 +193,7 @@ class WatchedLog:
         )
         return Table(
             columns,
-            tuple(self._row(event) for event in self.events),
+            tuple(self._make_row(event) for event in self.events),
             notes=(
                 f"A contact acts at the link named or beyond it. Torque and limit"
                 f" [{format_torque_unit(self.units)}] of the"
@@ -213,20 +213,20 @@ class WatchedLog:
             parts += ["", self.table().as_text(full).rstrip("\n")]
         return "\n".join(parts) + "\n"
 
-    def _row(self, event: Event) -> tuple[Any, ...]:
+    def _make_row(self, event: Event) -> tuple[Any, ...]:
         ratio = np.abs(event.residual) / event.threshold
         k = int(np.argmax(ratio))
         force, errors = event.contact.force, event.contact.force_error
         size = float(np.linalg.norm(force))
         along = force / size if size > 0.0 else np.zeros(3)
-        error = float(np.sqrt(np.sum((along * errors) ** 2)))
-        shown = format_plus_minus(size, error)
-        if event.kind == "fault":
+        if event.mass is not None:
+            shown = f"{format_plus_minus(event.mass, event.mass_error)} kg"
+        elif event.kind == "fault":
             shown = ""
         elif event.contact.p_value < ELSEWHERE:
             shown = "not at the tool"
-        if event.mass is not None:
-            shown = f"{format_plus_minus(event.mass, event.mass_error)} kg"
+        else:
+            shown = format_plus_minus(size, float(np.sqrt(np.sum((along * errors) ** 2))))
         return (
             Shown(event.start, f"{event.start:.2f}"),
             Shown(event.duration, f"{event.duration:.2f}"),
@@ -248,23 +248,6 @@ def format_torque_unit(units: Sequence[str]) -> str:
     ('N m or N', 'N m')
     """
     return " or ".join(dict.fromkeys(units))
-
-
-def trace_residual(observed: Observed, limit: Array) -> Trace:
-    """Return the samples of largest excess of at most `POINTS` bins, joint by joint."""
-    rows = _find_largest(np.abs(observed.residual) / limit, POINTS)
-    residual, limits = (np.take_along_axis(x, rows, 0) for x in (observed.residual, limit))
-    return Trace(observed.t[rows], residual, limits)
-
-
-def _find_largest(ratio: Array, bins: int) -> Indices:
-    """Return the row of the largest value in each of at most `bins` bins of columns (N, n)."""
-    starts = np.unique(np.linspace(0, len(ratio), bins + 1).astype(int)[:-1])
-    edges = np.append(starts, len(ratio))
-    rows = np.empty((len(starts), ratio.shape[1]), dtype=np.int64)
-    for k, (a, b) in enumerate(pairwise(edges.tolist())):
-        rows[k] = a + np.argmax(ratio[a:b], axis=0)
-    return rows
 
 
 def format_duration(seconds: float) -> str:
@@ -293,11 +276,10 @@ def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
         whole = parse_json(text)
         if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
             raise ResultError(f"{path} holds no thresholds", cure=again, file=str(path))
-        found = restore_dataclass(Thresholds, whole)
+        return restore_dataclass(Thresholds, whole)
     except ResultError:
         raise
     except (ValueError, TypeError, KeyError, FieldError) as problem:
         raise ResultError(
             f"{path}: the thresholds are damaged: {problem}", cure=again, file=str(path)
         ) from None
-    return found

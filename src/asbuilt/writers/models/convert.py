@@ -14,7 +14,7 @@ from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, join_names
-from asbuilt.workflow.masses.link_masses import LinkMasses
+from asbuilt.workflow.link_masses import LinkMasses
 from asbuilt.writers.files import file_lines
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.robot_toml import write_robot_toml

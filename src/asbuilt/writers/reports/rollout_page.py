@@ -8,7 +8,7 @@ from pathlib import Path
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import format_share
 from asbuilt.validation import Rollout, RolloutErrors, recording_name, rollout_findings
-from asbuilt.validation.rollout.joint_errors import tabulate_joint_errors
+from asbuilt.validation.rollout.rollout import tabulate_joint_errors
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 from asbuilt.writers.reports.page import (

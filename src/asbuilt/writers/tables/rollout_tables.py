@@ -13,10 +13,10 @@ from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrap_text
 from asbuilt.validation import Rollout, recording_name, rollout_findings
 from asbuilt.validation.rollout.errors import RolloutErrors, average_errors, position_unit
-from asbuilt.validation.rollout.joint_errors import format_in_milli, tabulate_joint_errors
+from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:
-    from asbuilt.workflow.simulation.refinement import Refined
+    from asbuilt.workflow.refinement import Refined
 
 TITLE = "Rollout: position error of the simulation from the measured state, driven by the {}"
 

@@ -58,10 +58,8 @@ class NullDistribution:
         with `degrees` degrees of freedom, nu - r + 1 (Anderson, An Introduction to Multivariate
         Statistical Analysis, 2003, section 5.2).
         """
-        second = degrees - r + 1.0
-        if second < 10.0:
-            second = np.inf
-        tail = 1.0 if not np.isfinite(second) else (second - 2.0) / second
+        second = degrees - r + 1.0 if degrees - r + 1.0 >= 10.0 else np.inf
+        tail = (second - 2.0) / second if np.isfinite(second) else 1.0
         if histories < FEWEST_HISTORIES:
             return cls(1.0 / tail, float(r), second)
         mean, variation = float(values.mean()), float(values.var() / values.mean() ** 2)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.validation import torque_units
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 
@@ -49,15 +49,10 @@ def make_day(entry: Entry) -> Day:
     """Return a log as a day of its own."""
     grams = []
     for k, factors in enumerate(entry.whole.factors):
-        R = factors[0]
-        gram = R.T @ R
+        gram = factors[0].T @ factors[0]
         if entry.tilt:
-            q, products = len(gram), entry.tilt[k]
-            wider = np.empty((q + 2, q + 2))
-            wider[:q, :q] = gram
-            wider[:, q:] = products
-            wider[q:, :q] = products[:q].T
-            gram = wider
+            above, below = np.split(entry.tilt[k], [len(gram)])
+            gram = np.block([[gram, above], [above.T, below]])
         grams.append(gram)
     means = {
         name: float(np.nanmean(values))
@@ -122,8 +117,7 @@ class FleetColumns:
     def of(cls, settings: TypeSettings) -> FleetColumns:
         """Return the columns of a type of a ledger."""
         model, support = settings.model, tuple(settings.plan.support)
-        units = tuple("N" if joint.kind == "prismatic" else "N m" for joint in model.joints)
-        return cls(settings.base, support, model.joint_names, units, model.tool_link)
+        return cls(settings.base, support, model.joint_names, torque_units(model), model.tool_link)
 
     @property
     def n_joints(self) -> int:
@@ -135,25 +129,20 @@ class FleetColumns:
         """Number of columns, p + n + 2."""
         return self.base.n_base + self.n_joints + TILTS
 
-    @cached_property
-    def gains(self) -> slice:
-        """Places of the gains."""
-        return slice(self.base.n_base, self.base.n_base + self.n_joints)
-
-    def map_to(self, joint: int, beta: Array, with_tilt: bool) -> Array:
+    def map_to(self, joint: int, beta: Array, rows: int) -> Array:
         """Return L with `[columns | error] = [W_k | tau_k | T_k] L` about the parameters beta.
 
-        The error is `tau_k - W_k beta`, last; L has shape (p_k + 1 or p_k + 3, size + 1).
+        The error is `tau_k - W_k beta`, last; L has shape (rows, size + 1), rows p_k + 1, or p_k +
+        3 with tilts.
         """
         places = self.support[joint]
         m, p = len(places), self.base.n_base
-        L = np.zeros((m + 1 + (TILTS if with_tilt else 0), self.size + 1))
+        L = np.zeros((rows, self.size + 1))
         L[np.arange(m), places] = 1.0
         L[:m, p + joint] = beta[places]
         L[:m, -1] = -beta[places]
         L[m, -1] = 1.0
-        if with_tilt:
-            L[m + 1 :, p + self.n_joints : -1] = np.eye(TILTS)
+        L[m + 1 :, p + self.n_joints : -1] = np.eye(rows - m - 1, TILTS)
         return L
 
     def information(
@@ -164,13 +153,10 @@ class FleetColumns:
         basis: Array | None = None,
     ) -> Array:
         """Return the Gram matrix of all joints' weighted columns (times `basis`) and the error."""
-        wider = None if basis is None else block_diag(basis, np.eye(1))
-        size = self.size + 1 if wider is None else wider.shape[1]
-        total = np.zeros((size, size))
+        wider = block_diag(np.eye(self.size) if basis is None else basis, np.eye(1))
+        total = np.zeros((wider.shape[1], wider.shape[1]))
         for k, gram in enumerate(grams):
-            L = self.map_to(k, beta, len(gram) > len(self.support[k]) + 1)
-            if wider is not None:
-                L = L @ wider
+            L = self.map_to(k, beta, len(gram)) @ wider
             total += weights[k] ** 2 * (L.T @ gram @ L)
         return total
 
@@ -182,8 +168,7 @@ class FleetColumns:
         """
         found = np.empty(self.n_joints)
         for k, gram in enumerate(grams):
-            L = self.map_to(k, beta, len(gram) > len(self.support[k]) + 1)
-            y = L[:, : len(x)] @ x
+            y = self.map_to(k, beta, len(gram))[:, : len(x)] @ x
             found[k] = max(float(y @ gram @ y), 0.0)
         return found
 
@@ -209,6 +194,6 @@ def sum_days(days: Sequence[Day]) -> tuple[Array, ...]:
     """Return the Gram matrices of several days together."""
     found = []
     for parts in zip(*(day.grams for day in days), strict=True):
-        size = min(len(part) for part in parts)
+        size = min(map(len, parts))
         found.append(np.sum([part[:size, :size] for part in parts], axis=0))
     return tuple(found)

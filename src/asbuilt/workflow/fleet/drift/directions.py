@@ -40,7 +40,7 @@ def list_sources(columns: FleetColumns) -> tuple[Source, ...]:
         for k in range(n)
         for effect, places in locate_drive_parameters(base, k).items()
     ]
-    found += [Source(Gain.key, k, unit[:, [columns.gains.start + k]]) for k in range(n)]
+    found += [Source(Gain.key, k, unit[:, [base.n_base + k]]) for k in range(n)]
     K = unit[:, : base.n_base] @ base.regrouping[:, 10 * columns.tool_link :][:, :10]
     links = np.flatnonzero(base.columns < 10 * base.n_links)
     return (
@@ -163,10 +163,11 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     """
     totals = [sum_days(days) for days in robots]
     samples = np.array([sum(day.n_samples for day in days) for days in robots], dtype=float)
-    zero = np.zeros(columns.base.n_base)
-    weights = 1.0 / np.maximum(_measure_rms(columns, totals, samples, [zero] * len(totals)), 1e-300)
+    zero, own = np.zeros(columns.base.n_base), list[Array]()
+    energies = np.array([columns.residual_energy(grams, zero) for grams in totals])
+    rms = np.median(np.sqrt(energies / samples[:, None]), axis=0)
+    weights = 1.0 / np.maximum(rms, 1e-300)
     floor = 1e-9 / float(weights.min())
-    beta, own = zero, [zero] * len(totals)
     for _ in range(RULES.iterations):
         own = [columns.fit(grams, weights, zero) for grams in totals]
         weights = 1.0 / np.maximum(_estimate_noise(columns, robots, weights, own), floor)
@@ -183,8 +184,7 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     _, sizes, right = np.linalg.svd(root @ changes, full_matrices=False)
     most = min(RULES.most, max(3, int(n_days / RULES.days_each)))
     kept = np.flatnonzero(sizes >= min(RULES.weakest, sizes[0]))[:most]
-    basis = changes @ right[kept].T / sizes[kept]
-    return Directions(columns, weights, basis, beta)
+    return Directions(columns, weights, changes @ right[kept].T / sizes[kept], beta)
 
 
 def _estimate_noise(
@@ -202,13 +202,3 @@ def _estimate_noise(
             freedom = max(day.n_samples - spent, 0.1 * day.n_samples)
             found.append(np.sqrt(columns.residual_energy(day.grams, own) / freedom))
     return np.asarray(np.median(found, axis=0))
-
-
-def _measure_rms(
-    columns: FleetColumns,
-    totals: Sequence[Sequence[Array]],
-    samples: Array,
-    betas: Sequence[Array],
-) -> Array:
-    energies = [columns.residual_energy(grams, b) for grams, b in zip(totals, betas, strict=True)]
-    return np.asarray(np.median(np.sqrt(np.array(energies) / samples[:, None]), axis=0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
 from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, make_day, merge_by_day
 from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
 from asbuilt.workflow.fleet.drift.explanation import explain_change
-from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation
+from asbuilt.workflow.fleet.drift.variation import WEAK, History, Variation, estimate_variation
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 EXAMPLES = 40
@@ -161,36 +163,30 @@ def fleet_drift(
     """
     opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
     types = opened.types()
-    groups: dict[str, list[str]] = {}
-    settings_of = {}
+    groups: dict[TypeSettings, list[str]] = {}
     for robot_id in opened.robot_ids():
         names = opened.current_names(robot_id, types=types)
         if names:
-            settings = names[-1][1]
-            groups.setdefault(settings.digest, []).append(robot_id)
-            settings_of[settings.digest] = settings
+            groups.setdefault(names[-1][1], []).append(robot_id)
     if not groups:
         raise UsageError(f"the ledger {opened.root} has no logs", value=opened.root)
-    done, total = 0, sum(map(len, groups.values()))
+    done, total = count(1), sum(map(len, groups.values()))
+    report = progress or (lambda what, fraction: None)
     found: list[RobotDrift] = []
     kinds: list[TypeVariation] = []
-    for digest, robot_ids in groups.items():
-        settings = settings_of[digest]
+    for settings, robot_ids in groups.items():
 
-        def read(robot_id: str, digest: str = digest) -> tuple[Day, ...]:
+        def read(robot_id: str, own: TypeSettings = settings) -> tuple[Day, ...]:
             entries = opened.entries(robot_id, types=types)
-            return merge_by_day(
-                make_day(each) for each in entries if each.settings.digest == digest
-            )
-
-        def tick(robot_id: str) -> None:
-            nonlocal done
-            done += 1
-            if progress is not None:
-                progress(f"{robot_id} read", done / (total + 1))
+            return merge_by_day(make_day(each) for each in entries if each.settings is own)
 
         rows, kind = scan_type(
-            settings.robot_type, FleetColumns.of(settings), robot_ids, read, since, tick
+            settings.robot_type,
+            FleetColumns.of(settings),
+            robot_ids,
+            read,
+            since,
+            lambda robot_id: report(f"{robot_id} read", next(done) / (total + 1)),
         )
         found += rows
         kinds.append(kind)
@@ -220,9 +216,8 @@ def scan_type(
     tick
         Called with each robot that was read.
     """
-    step = max(1, -(-len(robot_ids) // EXAMPLES))
     with use_one_blas_thread():
-        examples = {each: read(each) for each in robot_ids[::step]}
+        examples = {each: read(each) for each in robot_ids[:: -(-len(robot_ids) // EXAMPLES)]}
         sound = [days for days in examples.values() if days]
         if not sound:
             return [], TypeVariation(robot_type, 0, 0, 0, 0.0, (), ())
@@ -252,11 +247,10 @@ def scan_type(
             )
             for robot_id, inflation in zip(histories, variation.inflations, strict=True)
         ]
-    n_days = sum(each.n_days for each in histories.values())
     return rows, TypeVariation(
         robot_type,
         len(histories),
-        n_days,
+        sum(each.n_days for each in histories.values()),
         directions.count,
         variation.autocorrelation,
         _measure_variation_torque(directions, variation, sound),
@@ -277,10 +271,9 @@ def conclude_drift(
     findings: Sequence[Finding] = (),
 ) -> FleetDrift:
     """Decide which robots changed, at the false discovery rate over all of them."""
-    tested = [each for each in robots if each.p_value is not None]
-    rates = benjamini_hochberg([float(each.p_value or 0.0) for each in tested])
-    rate_of = {each.id: float(rate) for each, rate in zip(tested, rates, strict=True)}
-    level = options.false_discovery_rate
+    tested = {each.id: each.p_value for each in robots if each.p_value is not None}
+    rates = benjamini_hochberg(list(tested.values())).tolist()
+    rate_of, level = dict(zip(tested, rates, strict=True)), options.false_discovery_rate
     decided = [_decide_change(each, rate_of.get(each.id), level) for each in robots]
     decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
     few = [each.id for each in robots if each.p_value is None]
@@ -306,29 +299,28 @@ def conclude_drift(
             ),
         ),
     )
-    reported = [*findings, *(finding for holds, finding in possible if holds)]
     return FleetDrift(
         ledger,
         None if since is None else since.isoformat(),
         tuple(decided),
         tuple(types),
         level,
-        rank_findings(reported),
+        rank_findings([*findings, *(finding for holds, finding in possible if holds)]),
     )
 
 
 def _decide_change(each: RobotDrift, rate: float | None, level: float) -> RobotDrift:
-    changed = rate is not None and rate <= level
-    when, what = (each.when, each.what) if changed else (None, ())
-    return replace(each, changed=changed, when=when, what=what, false_discovery=rate)
+    if rate is None or rate > level:
+        return replace(each, when=None, what=(), false_discovery=rate)
+    return replace(each, changed=True, false_discovery=rate)
 
 
 def _build_history(directions: Directions, days: Sequence[Day], names: Sequence[str]) -> History:
-    J, s = directions.scores(days, directions.reference(days))
-    covariates = np.array(
-        [[day.covariates.get(name, np.nan) for name in names] for day in days]
-    ).reshape(len(days), len(names))
-    return History(J, s, covariates)
+    covariates = [[day.covariates.get(name, np.nan) for name in names] for day in days]
+    return History(
+        *directions.scores(days, directions.reference(days)),
+        np.array(covariates).reshape(len(days), len(names)),
+    )
 
 
 def _scan_robot(
@@ -381,13 +373,10 @@ def _measure_distances(
 ) -> tuple[float, ...]:
     """Return the distance of each day from the median of those before the change."""
     y = history.estimates
-    centre = np.median(y[: max(place or 0, SCAN.before)], axis=0)
-    r = y.shape[1]
-    weak = 1e-2 * np.eye(r)
-    S = variation.covariance + np.linalg.inv(history.information + weak)
-    e = y - centre
+    e, r = y - np.median(y[: max(place or 0, SCAN.before)], axis=0), y.shape[1]
+    S = variation.covariance + np.linalg.inv(history.information + WEAK * np.eye(r))
     squares = np.einsum("dr,dr->d", e, np.linalg.solve(S, e[..., None])[..., 0])
-    return tuple(float(x) for x in np.round(np.sqrt(np.maximum(squares, 0.0) / r), 3))
+    return tuple(np.round(np.sqrt(np.maximum(squares, 0.0) / r), 3).tolist())
 
 
 def _measure_variation_torque(
@@ -396,11 +385,9 @@ def _measure_variation_torque(
     """Return the RMS torque of the variation at each joint, over the days of some robots."""
     values, axes = np.linalg.eigh(variation.covariance)
     modes = directions.basis @ (axes * np.sqrt(np.maximum(values, 0.0)))
+    days = [days[0] for days in robots[:3]]
     total: Array = np.zeros(directions.columns.n_joints)
-    n = 0
-    for days in robots[:3]:
-        day = days[0]
-        n += day.n_samples
+    for day in days:
         for mode in modes.T:
             total += directions.columns.energies(day.grams, mode, directions.beta)
-    return tuple(float(x) for x in np.sqrt(total / max(n, 1)))
+    return tuple(np.sqrt(total / sum(day.n_samples for day in days)).tolist())

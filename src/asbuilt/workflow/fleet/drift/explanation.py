@@ -74,11 +74,9 @@ def explain_change(
     _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
     after = sum_days(days[place:])
     all_days, n = sum_days(days), sum(day.n_samples for day in days)
-    effects, start = [], 0
+    effects, edges = [], np.cumsum([0, *(each.design.shape[1] for each in taken)])
     x = np.zeros(columns.size)
-    for source in taken:
-        part = slice(start, start + source.design.shape[1])
-        start = part.stop
+    for source, part in zip(taken, map(slice, edges, edges[1:]), strict=True):
         own = source.design @ found[part]
         rms = np.sqrt(columns.energies(all_days, own, beta) / n)
         errors = tuple(_measure_relative_error(columns, after, each, beta) for each in (x, x + own))
@@ -115,9 +113,8 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
 
 def _has_overlap(source: Source, other: Source) -> bool:
     """Return whether two effects are one, or one contains the other."""
-    bodies = {LINKS, Payload.key}
     same = source.effect == other.effect and source.joint == other.joint
-    return same or {source.effect, other.effect} == bodies
+    return same or {source.effect, other.effect} == {LINKS, Payload.key}
 
 
 def _accumulate_stepping(
@@ -149,9 +146,8 @@ def _measure_relative_error(
     columns: FleetColumns, grams: Sequence[Array], x: Array, beta: Array
 ) -> float:
     """Return the torque error about the parameters beta changed by x, relative to the torque."""
-    zero = np.zeros(columns.base.n_base)
-    torque = float(columns.residual_energy(grams, zero).sum())
-    left = float(columns.energies(grams, np.append(-x, 1.0), beta).sum())
+    torque = columns.residual_energy(grams, np.zeros(columns.base.n_base)).sum()
+    left = columns.energies(grams, np.append(-x, 1.0), beta).sum()
     return float(np.sqrt(left / torque)) if torque > 0.0 else 0.0
 
 
@@ -166,7 +162,6 @@ def _make_effect(
     at = int(np.argmax(rms))
     joint = None if source.joint is None else columns.joint_names[source.joint]
     where = f"{name_group(source.effect)}{f' of {joint}' if joint else ''} {size[3]}".rstrip()
-    felt = f"{round_significant(float(rms[at]))} {columns.joint_units[at]}"
     return FoundEffect(
         effect=source.effect,
         joint=joint,
@@ -178,7 +173,10 @@ def _make_effect(
         error_before=errors[0],
         error_after=errors[1],
         alternatives=(),
-        text=f"{where}, {felt} RMS at {columns.joint_names[at]}",
+        text=(
+            f"{where}, {round_significant(float(rms[at]))} {columns.joint_units[at]} RMS at"
+            f" {columns.joint_names[at]}"
+        ),
     )
 
 
@@ -220,5 +218,4 @@ def _measure_torque_share(
     local = np.array([np.flatnonzero(columns.support[k] == j)[0] for j in places])
     row = beta[places] @ grams[k][np.ix_(local, local)]
     row = 100.0 * row / max(float(row @ beta[places]), 1e-300)
-    error = float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
-    return float(row @ values), error, "%"
+    return float(row @ values), float(np.sqrt(max(row @ covariance @ row, 0.0))), "%"

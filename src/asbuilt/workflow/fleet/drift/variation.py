@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from asbuilt.arrays import Array
 from asbuilt.workflow.fleet.drift.change_points import (
     NullDistribution,
+    Scan,
     scan,
     scan_probability,
 )
@@ -31,6 +32,8 @@ LEVEL = 0.05
 """Probability at which it is."""
 MOST_SHUFFLED = 60
 """Robots whose days are shuffled."""
+WEAK = 1e-2
+"""Information that is added to a day's in every direction, of a mean of 1."""
 WIDE = 3
 """Days on both sides of a change that may belong to a gradual one, and do not count."""
 
@@ -59,8 +62,7 @@ class History:
     @property
     def estimates(self) -> Array:
         """Estimate of each day, (d, r), weakly determined directions toward the reference."""
-        r = self.score.shape[1]
-        weak = 1e-2 * np.eye(r)
+        weak = WEAK * np.eye(self.score.shape[1])
         return np.asarray(np.linalg.solve(self.information + weak, self.score[..., None])[..., 0])
 
     def without(self, coefficients: Array) -> History:
@@ -69,8 +71,7 @@ class History:
             return self
         centred = self.covariates - np.nanmedian(self.covariates, axis=0)
         y = np.nan_to_num(centred, nan=0.0) @ coefficients
-        score = self.score - np.einsum("drs,ds->dr", self.information, y)
-        return History(self.information, score, self.covariates)
+        return replace(self, score=self.score - np.einsum("drs,ds->dr", self.information, y))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +102,7 @@ class Variation:
     null: NullDistribution
 
 
-def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Variation:
+def estimate_variation(histories: Sequence[History]) -> Variation:
     """Estimate the variation of robots of a type by moments of weighted residuals.
 
     `y_t = mu + v_t + e_t` with a mean for each robot; V by scoring steps, which solve the moment
@@ -114,28 +115,26 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
     coefficients = _fit_temperature(histories)
     found = [each.without(coefficients) for each in histories]
     r = found[0].score.shape[1]
-    V = _start(found)
+    V = _estimate_first(found)
     inflations, degrees, rho = np.ones(len(found)), 0.0, 0.0
     for _ in range(ITERATIONS):
         parts = [
-            _split_history(each, _find_clear_change(each, V, s) if cut else None)
-            for each, s in zip(found, inflations, strict=True)
+            _split_history(each, scan(each.information, each.score, V, inflation=s))
+            for each, s in zip(found, inflations.tolist(), strict=True)
         ]
         counts = np.array([sum(len(score) - 1 for _, score in each) for each in parts])
         degrees = float(counts.sum())
         if not degrees:
-            null = NullDistribution.theoretical(r)
-            return Variation(V, 0.0, inflations, 0.0, coefficients, null)
+            return Variation(V, 0.0, inflations, 0.0, coefficients, NullDistribution.theoretical(r))
         for _ in range(STEPS):
             V = _step_scoring([segment for each in parts for segment in each], V)
         whitened = [[_whiten_residuals(J, s, V) for J, s in each] for each in parts]
         own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
-        spread = (r * OWN_DAYS + own) / (r * (OWN_DAYS + counts))
         rho = _estimate_autocorrelation([z for each in whitened for z in each])
-        inflations = np.maximum(spread, 1.0)
+        inflations = np.maximum((r * OWN_DAYS + own) / (r * (OWN_DAYS + counts)), 1.0)
     quiet = [
-        (each, float(s))
-        for each, s, segments in zip(found, inflations, parts, strict=True)
+        (each, s)
+        for each, s, segments in zip(found, inflations.tolist(), parts, strict=True)
         if len(segments) == 1 and len(segments[0][1]) == each.n_days
     ]
     null = _simulate_null_distribution(quiet, V, degrees)
@@ -152,8 +151,7 @@ def _simulate_null_distribution(
     Hypotheses, 2005).
     """
     rng, shuffled = np.random.default_rng(0), []
-    step = max(1, -(-len(quiet) // MOST_SHUFFLED))
-    for history, spread in quiet[::step]:
+    for history, spread in quiet[:: max(1, -(-len(quiet) // MOST_SHUFFLED))]:
         for _ in range(SHUFFLES):
             order = rng.permutation(history.n_days)
             found = scan(history.information[order], history.score[order], V, inflation=spread)
@@ -165,11 +163,10 @@ def _simulate_null_distribution(
         return null
     p = [scan_probability(float(null.exceeded(each.max())), d, len(V)) for each, d in shuffled]
     low = float(np.quantile(p, LEVEL))
-    power = min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12)))
-    return replace(null, power=power)
+    return replace(null, power=min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12))))
 
 
-def _start(histories: Sequence[History]) -> Array:
+def _estimate_first(histories: Sequence[History]) -> Array:
     """Return the covariance of differences of neighbouring days, far ones with less weight."""
     r = histories[0].score.shape[1]
     differences = [np.diff(each.estimates, axis=0) / np.sqrt(2.0) for each in histories]
@@ -180,27 +177,19 @@ def _start(histories: Sequence[History]) -> Array:
     for _ in range(3):
         far = np.einsum("ni,ij,nj->n", steps, np.linalg.pinv(S, hermitian=True), steps)
         weight = np.minimum(1.0, float(chdtri(r, OUTLYING)) / np.maximum(far, 1e-300))
-        S = _shrink_covariance((steps * weight[:, None]).T @ steps / weight.sum(), len(steps))
+        S = (steps * weight[:, None]).T @ steps / weight.sum()
+        # Shrunk to its diagonal, the more the fewer steps there are.
+        share = r / (r + len(steps))
+        S = (1.0 - share) * S + share * np.diag(np.diag(S))
     return np.asarray(S)
 
 
-def _shrink_covariance(S: Array, degrees: float) -> Array:
-    """Return a covariance of r directions shrunk to its diagonal by r / (r + degrees)."""
-    share = len(S) / (len(S) + max(degrees, 1.0))
-    return np.asarray((1.0 - share) * S + share * np.diag(np.diag(S)))
-
-
-def _find_clear_change(history: History, V: Array, inflation: float) -> int | None:
-    found = scan(history.information, history.score, V, inflation=inflation)
-    return found.place if found is not None and found.p_value < CLEAR else None
-
-
-def _split_history(history: History, place: int | None) -> list[tuple[Array, Array]]:
-    """Return information and score of the days before and after a change."""
+def _split_history(history: History, change: Scan | None) -> list[tuple[Array, Array]]:
+    """Return information and score of the days before and after a clear change."""
     J, s = history.information, history.score
-    if place is None:
+    if change is None or change.p_value >= CLEAR:
         return [(J, s)]
-    spans = (slice(0, max(place - WIDE, 0)), slice(place + WIDE, None))
+    spans = (slice(0, max(change.place - WIDE, 0)), slice(change.place + WIDE, None))
     return [(J[span], s[span]) for span in spans if len(s[span]) > 1]
 
 
@@ -218,15 +207,14 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     U is the mean of `u u^T` of the weighted residuals `u = P (y - mu)`, A its expectation. What is
     negative in units of the total covariance is zero.
     """
-    r = len(V)
+    r, weak = len(V), 1e-9 * np.eye(len(V))
     limit = float(chdtri(r, OUTLYING))
-    U, A, n = np.zeros((r, r)), 1e-9 * np.eye(r), 0
+    U, A, n = np.zeros((r, r)), weak, 0
     for J, s in segments:
         P, u = _weigh_about_mean(J, s, V)
-        weight = np.sqrt(
-            np.minimum(1.0, limit / np.maximum(_measure_squared_distances(P, u), 1e-300))
-        )
-        u = u * weight[:, None]
+        # u^T P^+ u of each day: the squared distance from the mean.
+        far = np.sum(u * np.linalg.solve(P + weak, u[..., None])[..., 0], axis=1)
+        u = u * np.sqrt(np.minimum(1.0, limit / np.maximum(far, 1e-300)))[:, None]
         total = P.sum(axis=0)
         spent = np.einsum(
             "tij,jk,tkl->il", P, np.linalg.pinv(total, hermitian=True), P, optimize=True
@@ -236,15 +224,10 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     change = n * (root @ (root.T @ U @ root - np.eye(r)) @ root.T)
     back = (axes * np.sqrt(values)) @ axes.T / np.sqrt(n)
-    new = _clip_eigenvalues(back @ (V + change) @ back)
+    new = back @ (V + change) @ back
+    values, axes = np.linalg.eigh((new + new.T) / 2.0)
     inverse = np.linalg.inv(back)
-    return np.asarray(inverse @ new @ inverse)
-
-
-def _measure_squared_distances(P: Array, u: Array) -> Array:
-    """Return `u^T P^+ u` of each day: the squared distance from the mean."""
-    weak = 1e-9 * np.eye(P.shape[-1])
-    return np.asarray(np.sum(u * np.linalg.solve(P + weak, u[..., None])[..., 0], axis=1))
+    return np.asarray(inverse @ ((axes * np.maximum(values, 0.0)) @ axes.T) @ inverse)
 
 
 def _whiten_residuals(J: Array, s: Array, V: Array) -> Array:
@@ -253,11 +236,6 @@ def _whiten_residuals(J: Array, s: Array, V: Array) -> Array:
     values, axes = np.linalg.eigh((P + np.swapaxes(P, 1, 2)) / 2.0)
     root = axes / np.sqrt(np.maximum(values, 1e-9))[:, None, :]
     return np.asarray(np.einsum("dij,dkj,dk->di", axes, root, u, optimize=True))
-
-
-def _clip_eigenvalues(matrix: Array) -> Array:
-    values, axes = np.linalg.eigh((matrix + matrix.T) / 2.0)
-    return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
 
 def _estimate_autocorrelation(residuals: Sequence[Array]) -> float:
@@ -276,16 +254,12 @@ def _estimate_autocorrelation(residuals: Sequence[Array]) -> float:
 def _fit_temperature(histories: Sequence[History]) -> Array:
     """Return the change by a unit of temperature (c, r), pooled over robots; empty without any."""
     c, r = histories[0].covariates.shape[1], histories[0].score.shape[1]
-    rows, targets = [], []
+    rows, targets = [np.zeros((0, c))], [np.zeros((0, r))]
     for each in histories:
         known = np.isfinite(each.covariates).all(axis=1)
-        if c == 0 or known.sum() < 3:
-            continue
-        x, y = each.covariates[known], each.estimates[known]
-        rows.append(np.diff(x, axis=0))
-        targets.append(np.diff(y, axis=0))
-    if not rows:
-        return np.zeros((0, r))
+        if known.sum() >= 3:
+            rows.append(np.diff(each.covariates[known], axis=0))
+            targets.append(np.diff(each.estimates[known], axis=0))
     X, Y = np.concatenate(rows), np.concatenate(targets)
     if len(X) < 10 * c or not np.any(X):
         return np.zeros((0, r))

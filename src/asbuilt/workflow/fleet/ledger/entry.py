@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -210,23 +210,6 @@ def read_entry(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
 
 
 def _build_frame(entry: Entry) -> pl.DataFrame:
-    rows: dict[str, list[Any]] = {key: [] for key in SCHEMA}
-    joints = entry.information.joint_names
-    for information, first in ((entry.whole, WHOLE), (entry.information, 0)):
-        for b, block in enumerate(information.blocks):
-            for k, joint in enumerate(joints):
-                factor = information.factors[k][b]
-                rows["block"].append(first + b)
-                rows["start"].append(block.start)
-                rows["stop"].append(block.stop)
-                rows["n_samples"].append(block.n_samples)
-                rows["joint"].append(joint)
-                rows["torque_sum"].append(information.torque_sum[b, k])
-                rows["columns"].append(information.support[k].tolist())
-                rows["factor"].append(factor[np.triu_indices(len(factor))].tolist())
-                products = entry.tilt[k].ravel().tolist() if first == WHOLE and entry.tilt else None
-                rows["tilt"].append(products)
-                rows["covariates"].append(_list_covariates(entry, first, b, k))
     fixed = {
         "robot_id": entry.robot_id,
         "robot_type": entry.settings.robot_type,
@@ -241,8 +224,25 @@ def _build_frame(entry: Entry) -> pl.DataFrame:
         "software": SOFTWARE,
         "format_version": FORMAT_VERSION,
     }
-    rows |= {key: [value] * len(rows["block"]) for key, value in fixed.items()}
-    return pl.DataFrame(rows, schema=SCHEMA)
+    rows: list[dict[str, Any]] = []
+    for information, first in ((entry.whole, WHOLE), (entry.information, 0)):
+        for b, block in enumerate(information.blocks):
+            for k, joint in enumerate(information.joint_names):
+                factor, tilted = information.factors[k][b], first == WHOLE and entry.tilt
+                own = {
+                    "block": first + b,
+                    "start": block.start,
+                    "stop": block.stop,
+                    "n_samples": block.n_samples,
+                    "joint": joint,
+                    "torque_sum": information.torque_sum[b, k],
+                    "columns": information.support[k].tolist(),
+                    "factor": factor[np.triu_indices(len(factor))].tolist(),
+                    "tilt": entry.tilt[k].ravel().tolist() if tilted else None,
+                    "covariates": _list_covariates(entry, first, b, k),
+                }
+                rows.append(fixed | own)
+    return pl.DataFrame({key: [row[key] for row in rows] for key in SCHEMA}, schema=SCHEMA)
 
 
 def _list_covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[str, Any]]:
@@ -333,8 +333,8 @@ def _rebuild_information(
 ) -> SquareRootInformation:
     """Rebuild the information of rows that go block by block, and joint by joint in each."""
     joints, support = settings.model.joint_names, settings.plan.support
-    n_blocks, left = divmod(len(frame), len(joints))
-    if left or frame["joint"].to_list() != [*joints] * n_blocks:
+    n_blocks = len(frame) // len(joints)
+    if frame["joint"].to_list() != [*joints] * n_blocks:
         raise ValueError("its joints differ from its type's")
     sizes = [(len(columns) + 1) * (len(columns) + 2) // 2 for columns in support]
     if frame["factor"].list.len().to_list() != sizes * n_blocks:
@@ -385,12 +385,13 @@ def _make_damage_error(path: str, why: str) -> ResultError:
     )
 
 
-def join_entries(entries: Iterable[Entry], most: int) -> SquareRootInformation:
+def join_entries(entries: Sequence[Entry], most: int) -> SquareRootInformation:
     """Return the information of entries of one type, about `most` blocks in all.
 
     Each log keeps the same number of blocks, one at least.
     """
-    listed = list(entries)
-    each = most // len(listed)
-    parts = [merge_blocks(entry.information, each) if each > 1 else entry.whole for entry in listed]
-    return parts[0].merge(*parts[1:])
+    each = most // len(entries)
+    first, *others = (
+        merge_blocks(entry.information, each) if each > 1 else entry.whole for entry in entries
+    )
+    return first.merge(*others)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from urllib.parse import unquote
 
 from asbuilt.codec import format_json
 from asbuilt.errors import ResultError, UsageError
@@ -18,7 +19,6 @@ from asbuilt.workflow.fleet.ledger.store import (
     is_folder,
     name_entry_folder,
     open_store,
-    read_folder_robot,
 )
 
 FORMAT = "asbuilt fleet ledger"
@@ -54,8 +54,8 @@ class Ledger:
         folders = self.store.names("logs")
         for name in folders:
             if not is_folder(name):
-                self._name_foreign(f"logs/{name[:80]}")
-        return sorted(read_folder_robot(name) for name in folders if is_folder(name))
+                self._report_foreign(f"logs/{name[:80]}")
+        return sorted(unquote(name) for name in folders if is_folder(name))
 
     def types(self) -> dict[str, TypeSettings]:
         """Return the settings of each robot type: the first of the latest generation."""
@@ -74,7 +74,7 @@ class Ledger:
                 try:
                     yield TypeSettings.from_content(self.store.read(path), path)
                 except ResultError as problem:
-                    self._skip(path, problem)
+                    self._report_damage(path, problem)
 
     def settings_of(self, robot_type: str) -> TypeSettings | None:
         """Return the settings of a robot type; None if no log of it was added yet."""
@@ -86,42 +86,30 @@ class Ledger:
         for name in self.store.names(folder):
             parsed = EntryName.parse(robot_id, name)
             if parsed is None:
-                self._name_foreign(f"{folder}/{name}")
+                self._report_foreign(f"{folder}/{name}")
             else:
                 found.append(parsed)
         return sorted(found)
 
     def current_names(
-        self,
-        robot_id: str,
-        since: datetime | None = None,
-        until: datetime | None = None,
-        types: dict[str, TypeSettings] | None = None,
+        self, robot_id: str, types: dict[str, TypeSettings] | None = None
     ) -> list[tuple[EntryName, TypeSettings]]:
-        """Return a robot's entries of the latest settings with these, by date, each log once.
-
-        Dates are `since <= date < until`.
-        """
+        """Return a robot's entries of the latest settings with these, by date, each log once."""
         found: dict[str, tuple[EntryName, TypeSettings]] = {}
-        for name, settings in self._all_current(robot_id, since, until, types):
-            found.setdefault(name.source, (name, settings))
+        for each in self._all_current(robot_id, types):
+            found.setdefault(each[0].source, each)
         return list(found.values())
 
     def _all_current(
-        self,
-        robot_id: str,
-        since: datetime | None,
-        until: datetime | None,
-        types: dict[str, TypeSettings] | None,
+        self, robot_id: str, types: dict[str, TypeSettings] | None
     ) -> list[tuple[EntryName, TypeSettings]]:
         """Return the names of entries of the latest settings; a log may have several."""
-        known = self.types() if types is None else types
-        by_digest = {each.digest: each for each in known.values()}
-        names = self.names(robot_id)
-        current = {name.source for name in names if name.settings in by_digest}
-        left_out = len({name.source for name in names} - current)
+        latest = self.types() if types is None else types
+        by_digest, names = {each.digest: each for each in latest.values()}, self.names(robot_id)
+        current = [(n, by_digest[n.settings]) for n in names if n.settings in by_digest]
+        left_out = len({name.source for name in names} - {name.source for name, _ in current})
         if left_out:
-            self._say(
+            self._report(
                 Finding(
                     "ledger_entries_superseded",
                     "info",
@@ -130,20 +118,14 @@ class Ledger:
                     Cure("rebuild the ledger from all logs, these too", call="rebuild_ledger"),
                 )
             )
-        return [
-            (name, by_digest[name.settings])
-            for name in names
-            if name.settings in by_digest
-            and (since is None or name.date >= since)
-            and (until is None or name.date < until)
-        ]
+        return current
 
     def read(self, name: EntryName, settings: TypeSettings) -> Entry | None:
         """Return an entry; None if its file is damaged, which is named in `findings`."""
         try:
             return read_entry(self.store.read(name.path), name, settings)
         except ResultError as problem:
-            self._skip(name.path, problem)
+            self._report_damage(name.path, problem)
             return None
 
     def entries(
@@ -155,8 +137,9 @@ class Ledger:
     ) -> list[Entry]:
         """Return a robot's sound entries of the latest settings, `since <= date < until`."""
         found: dict[str, Entry] = {}
-        for name, settings in self._all_current(robot_id, since, until, types):
-            entry = None if name.source in found else self.read(name, settings)
+        for name, settings in self._all_current(robot_id, types):
+            asked = (not since or since <= name.date) and (not until or name.date < until)
+            entry = self.read(name, settings) if asked and name.source not in found else None
             if entry is not None:
                 found[name.source] = entry
         return list(found.values())
@@ -184,21 +167,15 @@ class Ledger:
             return settings
         return TypeSettings.from_content(self.store.read(settings.path), settings.path)
 
-    def _skip(self, path: str, problem: ResultError) -> None:
+    def _report_damage(self, path: str, problem: ResultError) -> None:
         message = problem.message if path in problem.message else f"{path}: {problem.message}"
-        self._say(Finding("ledger_file_damaged", "warning", f"Skipped: {message}", problem.cure))
+        self._report(Finding("ledger_file_damaged", "warning", f"Skipped: {message}", problem.cure))
 
-    def _name_foreign(self, path: str) -> None:
-        self._say(
-            Finding(
-                "ledger_file_foreign",
-                "warning",
-                f"Skipped: {path} is no entry of a ledger",
-                Cure("remove it"),
-            )
-        )
+    def _report_foreign(self, path: str) -> None:
+        message = f"Skipped: {path} is no entry of a ledger"
+        self._report(Finding("ledger_file_foreign", "warning", message, Cure("remove it")))
 
-    def _say(self, finding: Finding) -> None:
+    def _report(self, finding: Finding) -> None:
         if finding not in self.findings:
             self.findings.append(finding)
 
@@ -222,24 +199,24 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
     """
     store = open_store(root)
     names = store.names("")
-    if MARK not in names:
-        if not create:
-            raise UsageError(
-                f"{root} is not a ledger: it has no {MARK}",
-                cure=Cure("give the folder or URL that logs were added to", call="add_logs"),
-                file=root,
-            )
-        foreign = [name for name in names if name not in FOLDERS]
-        if foreign:
-            raise UsageError(
-                f"{root} is not a ledger, and holds other files ({foreign[0]})",
-                cure=Cure("give an empty or new folder"),
-                file=root,
-            )
+    foreign = [name for name in names if name not in FOLDERS]
+    if MARK in names:
+        _check_mark(root, store)
+    elif not create:
+        raise UsageError(
+            f"{root} is not a ledger: it has no {MARK}",
+            cure=Cure("give the folder or URL that logs were added to", call="add_logs"),
+            file=root,
+        )
+    elif foreign:
+        raise UsageError(
+            f"{root} is not a ledger, and holds other files ({foreign[0]})",
+            cure=Cure("give an empty or new folder"),
+            file=root,
+        )
+    else:
         mark = {"format": FORMAT, "format_version": FORMAT_VERSION}
         store.write(MARK, format_json(mark).encode())
-        return Ledger(store)
-    _check_mark(root, store)
     return Ledger(store)
 
 

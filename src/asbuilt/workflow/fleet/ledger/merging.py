@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -36,10 +35,10 @@ def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInf
     if n <= most:
         return information
     edges = np.linspace(0, n, most + 1).round().astype(int).tolist()
-    groups = [range(first, last) for first, last in pairwise(edges)]
+    groups = list(pairwise(edges))
     with use_one_blas_thread():
         factors = tuple(
-            np.array([merge_factors(each[group.start : group.stop]) for group in groups])
+            np.array([merge_factors(each[first:last]) for first, last in groups])
             for each in information.factors
         )
     return SquareRootInformation(
@@ -47,11 +46,14 @@ def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInf
         information.joint_names,
         information.support,
         factors,
-        np.array([information.torque_sum[g.start : g.stop].sum(axis=0) for g in groups]),
-        tuple(_merge_blocks(information.blocks[g.start : g.stop]) for g in groups),
+        np.array([information.torque_sum[first:last].sum(axis=0) for first, last in groups]),
+        tuple(
+            TimeBlock(
+                information.blocks[first].source,
+                information.blocks[first].start,
+                information.blocks[last - 1].stop,
+                sum(each.n_samples for each in information.blocks[first:last]),
+            )
+            for first, last in groups
+        ),
     )
-
-
-def _merge_blocks(blocks: Sequence[TimeBlock]) -> TimeBlock:
-    first, last = blocks[0], blocks[-1]
-    return TimeBlock(first.source, first.start, last.stop, sum(each.n_samples for each in blocks))

@@ -14,8 +14,7 @@ from urllib.parse import quote
 from asbuilt.codec import format_json, make_plain, restore_dataclass
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.experiment.recording import TorqueSource
@@ -124,6 +123,7 @@ class TypeSettings:
         return f"pending/{self.robot_type}-{self.generation:04d}-{self.digest}.json"
 
     @classmethod
+    @lru_cache(maxsize=64)
     def from_content(cls, content: bytes, path: str) -> TypeSettings:
         """Read settings.
 
@@ -132,7 +132,38 @@ class TypeSettings:
         ResultError
             If they are damaged, or of another format.
         """
-        return _restore_settings(content, path)
+        try:
+            document = parse_json(content)
+            check_version(
+                path, document["format_version"] if document["format"] == FORMAT else None
+            )
+            found = cls(
+                robot_type=str(document["robot_type"]),
+                generation=int(document["generation"]),
+                described=model_from_document(document["described"]),
+                model=model_from_document(document["model"]),
+                drive=DriveSet.parse(document["drive"]),
+                chain=restore_dataclass(SignalChain, document["chain"]),
+                torque_source=document["torque_source"],
+                asked_drive=document["asked_drive"],
+                asked_chain=restore_dataclass(SignalChain, document["asked_chain"]),
+                chosen=tuple(map(str, document["chosen"])),
+            )
+        except ResultError:
+            raise
+        except (KeyError, TypeError, ValueError, AttributeError, AsbuiltError) as problem:
+            raise _make_damage_error(path, str(problem) or type(problem).__name__) from problem
+        if found.digest != document.get("digest", path.rpartition("-")[2].removesuffix(".json")):
+            raise _make_damage_error(path, "its content is not what its digest says")
+        if path.startswith("types/") and not path.startswith(f"types/{found.robot_type}/"):
+            raise _make_damage_error(path, f"it belongs to the type {found.robot_type}")
+        if list(found.base.names) != document["parameters"]:
+            raise ResultError(
+                f"{path} has other base parameters than its robot has today",
+                cure=Cure("rebuild the ledger from its logs"),
+                file=path,
+            )
+        return found
 
 
 def check_version(path: str, version: object) -> None:
@@ -145,40 +176,6 @@ def check_version(path: str, version: object) -> None:
         )
 
 
-@lru_cache(maxsize=64)
-def _restore_settings(content: bytes, path: str) -> TypeSettings:
-    try:
-        document = parse_json(content)
-        check_version(path, document["format_version"] if document["format"] == FORMAT else None)
-        found = TypeSettings(
-            robot_type=str(document["robot_type"]),
-            generation=int(document["generation"]),
-            described=model_from_document(document["described"]),
-            model=model_from_document(document["model"]),
-            drive=DriveSet.parse(document["drive"]),
-            chain=restore_dataclass(SignalChain, document["chain"]),
-            torque_source=document["torque_source"],
-            asked_drive=document["asked_drive"],
-            asked_chain=restore_dataclass(SignalChain, document["asked_chain"]),
-            chosen=tuple(map(str, document["chosen"])),
-        )
-    except ResultError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, AsbuiltError) as problem:
-        raise _make_damage_error(path, str(problem) or type(problem).__name__) from problem
-    if found.digest != document.get("digest", path.rpartition("-")[2].removesuffix(".json")):
-        raise _make_damage_error(path, "its content is not what its digest says")
-    if path.startswith("types/") and not path.startswith(f"types/{found.robot_type}/"):
-        raise _make_damage_error(path, f"it belongs to the type {found.robot_type}")
-    if list(found.base.names) != document["parameters"]:
-        raise ResultError(
-            f"{path} has other base parameters than its robot has today",
-            cure=Cure("rebuild the ledger from its logs"),
-            file=path,
-        )
-    return found
-
-
 def name_robot_type(described: RobotModel) -> str:
     """Return the name of a robot type: the description's name and a digest of its content."""
     document = model_document(described)
@@ -187,8 +184,8 @@ def name_robot_type(described: RobotModel) -> str:
 
 
 def _hash_document(document: Mapping[str, Any]) -> str:
+    """Return the hexadecimal digits of a digest in names."""
     text = json.dumps(make_plain(document), sort_keys=True, allow_nan=False)
-    # Hexadecimal digits of a digest in names.
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

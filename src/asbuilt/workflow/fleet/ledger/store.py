@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -35,7 +35,7 @@ def check_robot_id(robot_id: str) -> str:
     """Return the identity of a robot.
 
     Raises `UsageError` unless it is one line of 1 to 60 printable characters whose folder can be
-    made; letters of other scripts take up to nine bytes of its name.
+    made; characters of other scripts take up to nine bytes of its name.
     """
     folder = quote(robot_id, safe=" ", errors="replace")
     if not (robot_id.strip() and robot_id.isprintable() and len(robot_id) <= LONGEST):
@@ -55,15 +55,10 @@ def name_entry_folder(robot_id: str) -> str:
     return "logs/" + quote(check_robot_id(robot_id), safe=" ").replace(".", "%2E")
 
 
-def read_folder_robot(folder: str) -> str:
-    """Return the robot of a folder of entries."""
-    return unquote(folder)
-
-
 def is_folder(name: str) -> bool:
     """Return whether this is the name of a robot's folder."""
     try:
-        return name_entry_folder(read_folder_robot(name)) == f"logs/{name}"
+        return name_entry_folder(unquote(name)) == f"logs/{name}"
     except UsageError:
         return False
 
@@ -104,43 +99,6 @@ def find_identity(pattern: str, path: str) -> str | None:
     return None
 
 
-class Store(Protocol):
-    """Read and write whole files by their path below the root, parts separated by `/`."""
-
-    root: str
-
-    def names(self, folder: str) -> list[str]:
-        """Return the names of files and folders in a folder, sorted; none if it is absent."""
-        ...
-
-    def read(self, path: str) -> bytes:
-        """Return the content of a file; raises `ResultError` if that is impossible."""
-        ...
-
-    def write(self, path: str, content: bytes) -> None:
-        """Write a file that appears whole or not at all; raises `UsageError` with the reason."""
-        ...
-
-    def create(self, path: str, content: bytes) -> bool:
-        """Write a file unless it is there, of several writers one; return whether it was."""
-        ...
-
-
-def open_store(root: str) -> Store:
-    """Return the store of a folder, or of a URL such as `s3://bucket/ledger`.
-
-    Raises
-    ------
-    MissingExtraError
-        If the file system of the URL is not installed.
-    UsageError
-        If there is no such protocol.
-    """
-    if "://" not in root or root.startswith("file://"):
-        return LocalStore(root.removeprefix("file://"))
-    return RemoteStore(root)
-
-
 class LocalStore:
     """Files in a folder of this machine, or of a share that it mounts."""
 
@@ -149,7 +107,10 @@ class LocalStore:
         self._folder = Path(root)
 
     def names(self, folder: str) -> list[str]:
-        """Return the names in a folder, without files that are being written."""
+        """Return the names in a folder, sorted, without files that are being written.
+
+        There are none if the folder is absent.
+        """
         place = self._folder / folder
         try:
             return sorted(path.name for path in place.iterdir() if not path.name.startswith("."))
@@ -163,15 +124,15 @@ class LocalStore:
             ) from None
 
     def read(self, path: str) -> bytes:
-        """Return the content of a file."""
+        """Return the content of a file; raises `ResultError` if that is impossible."""
         return read_bytes(self._folder / path, "ledger file", ResultError, LARGEST)
 
     def write(self, path: str, content: bytes) -> None:
-        """Write a file."""
+        """Write a file that appears whole or not at all; raises `UsageError` with the reason."""
         atomic_write(self._folder / path, content, mode=READABLE, own=True)
 
     def create(self, path: str, content: bytes) -> bool:
-        """Write a file unless it is there; return whether it was written."""
+        """Write a file unless it is there, of several writers one; return whether it was."""
         try:
             atomic_write(self._folder / path, content, mode=READABLE, create=True)
         except FileExistsError:
@@ -185,17 +146,18 @@ class RemoteStore:
     def __init__(self, url: str) -> None:
         self.root = url.rstrip("/")
         protocol = url.partition("://")[0]
-        extra = EXTRAS.get(protocol, "cluster")
         try:
             fsspec = import_module("fsspec")
             self._files, self._folder = fsspec.url_to_fs(self.root)
         except ImportError as problem:
-            package = getattr(problem, "name", None) or "fsspec"
-            raise MissingExtraError(package, extra, f"a ledger at {protocol}://") from None
+            raise MissingExtraError(
+                problem.name or "fsspec",
+                EXTRAS.get(protocol, "cluster"),
+                f"a ledger at {protocol}://",
+            ) from None
         except Exception as problem:
-            shown = shorten_path(url)
             raise UsageError(
-                f"the ledger {shown} cannot be opened: {describe_problem(problem)}"
+                f"the ledger {shorten_path(url)} cannot be opened: {describe_problem(problem)}"
             ) from None
 
     def names(self, folder: str) -> list[str]:
@@ -241,9 +203,31 @@ class RemoteStore:
             ) from problem
 
 
+Store = LocalStore | RemoteStore
+"""Whole files by their path below a root, parts separated by `/`."""
+
+
+def open_store(root: str) -> Store:
+    """Return the store of a folder, or of a URL such as `s3://bucket/ledger`.
+
+    Raises
+    ------
+    MissingExtraError
+        If the file system of the URL is not installed.
+    UsageError
+        If there is no such protocol.
+    """
+    if "://" not in root or root.startswith("file://"):
+        return LocalStore(root.removeprefix("file://"))
+    return RemoteStore(root)
+
+
 def _make_unreachable_error(root: str, problem: Exception) -> ResultError:
-    why = f"{type(problem).__name__} {describe_problem(problem)}"
-    return ResultError(f"{shorten_path(root)} cannot be reached: {why}", file=root)
+    return ResultError(
+        f"{shorten_path(root)} cannot be reached: {type(problem).__name__}"
+        f" {describe_problem(problem)}",
+        file=root,
+    )
 
 
 def unpack_table(path: Path) -> LogTable:
@@ -255,6 +239,6 @@ def unpack_table(path: Path) -> LogTable:
     if frame.estimated_size() > LARGEST:
         raise ResultError(f"it unpacks to more than {LARGEST / 1e6:.0f} MB")
     frame.write_ipc_stream(stream)
-    content = stream.getvalue()
-    padded = content + bytes(-len(content) % 8)
-    return LogTable(source=str(path), columns={"arrow": np.frombuffer(padded)})
+    # A column holds numbers of 8 bytes; Arrow ignores what follows its end mark.
+    stream.write(bytes(-stream.tell() % 8))
+    return LogTable(source=str(path), columns={"arrow": np.frombuffer(stream.getvalue())})

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.errors import AsbuiltError, RecordingError, UsageError
-from asbuilt.executor import Outcome, Workers, open_workers
+from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import group_files
 from asbuilt.findings import Cure, Finding, rank_findings
@@ -112,35 +111,38 @@ def add_logs(
         If the place is no ledger, no log is given, or no log can fix the settings.
     """
     began = time.monotonic()
+    options, fleet = options or StudyOptions(), fleet or FleetOptions()
     ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
-    options = options or StudyOptions()
     described = robot if isinstance(robot, RobotModel) else load_robot(robot)
     if reading.gravity is not None:
         described = described.with_gravity(reading.gravity)
     recordings = group_recording_files(logs)
     opened = open_ledger(ledger, create=True)
-    with open_workers(*read_worker_settings(fleet)) as workers:
+    owners = {
+        files: check_robot_id(robot_id if isinstance(robot_id, str) else robot_id(files[0]))
+        for files in recordings
+    }
+    with open_workers(fleet.workers, fleet.scheduler) as workers:
         settings, fixed, failed = _choose_type_settings(
-            opened, described, recordings, reading, options, robot_id, workers
+            opened, described, owners, reading, options, workers
         )
         unusable = {report.log for report in failed}
         tasks = (
             LogTask(
                 ledger=opened.root,
                 settings_path=settings.path,
-                robot_id=_check_identity(robot_id, files[0]),
+                robot_id=owner,
                 paths=files,
                 reading=reading,
                 date=date,
                 checked=options.checked,
             )
-            for files in recordings
+            for files, owner in owners.items()
             if str(files[0]) not in unusable
         )
-        reports = [*failed, *run_tasks(workers, tasks, len(recordings) - len(failed), progress)]
-        dashboard = workers.dashboard
+        reports = [*failed, *run_tasks(workers, tasks, len(owners) - len(failed), progress)]
     return conclude_addition(
-        opened, (settings,), reports, fixed=fixed, began=began, dashboard=dashboard
+        opened, (settings,), reports, fixed=fixed, began=began, dashboard=workers.dashboard
     )
 
 
@@ -187,18 +189,15 @@ def run_tasks(
 ) -> Iterator[LogReport]:
     """Yield the report of each task, with rate and remaining time to `progress`."""
     report, began = progress or (lambda what, fraction: None), time.monotonic()
-    if workers.dashboard:
-        report(f"reduce: {count} logs, dashboard at {workers.dashboard}", 0.0)
-    else:
-        report(f"reduce: {count} logs by {workers.count} workers", 0.0)
+    page = workers.dashboard
+    by = f", dashboard at {page}" if page else f" by {workers.count} workers"
+    report(f"reduce: {count} logs{by}", 0.0)
     for done, outcome in enumerate(workers.run(reduce_log, tasks), start=1):
-        yield _report_outcome(outcome)
+        task, problem = outcome.task, outcome.problem or "it failed"
+        yield outcome.result or LogReport(str(task.paths[0]), task.robot_id, problem=problem)
         rate = done / max(time.monotonic() - began, 1e-9)
-        left = (count - done) / rate
-        report(
-            f"reduce: {done} of {count} logs, {rate:.3g} a second, {_format_duration(left)} left",
-            done / count,
-        )
+        left = _format_duration((count - done) / rate)
+        report(f"reduce: {done} of {count} logs, {rate:.3g} a second, {left} left", done / count)
 
 
 def conclude_addition(
@@ -212,7 +211,6 @@ def conclude_addition(
 ) -> Addition:
     """Return what became of all logs, in the order of their paths, and what is suspicious."""
     ordered = sorted(reports, key=lambda each: each.log)
-    added = tuple(each for each in ordered if each.added)
     findings = [found for each in ordered for found in each.findings]
     if fixed:
         findings += [
@@ -223,13 +221,13 @@ def conclude_addition(
             )
             for each in settings
         ]
-    for robot_id in sorted({each.robot_id for each in added}):
+    for robot_id in sorted({each.robot_id for each in ordered if each.added}):
         findings += report_suspicions(ledger, robot_id)
     return Addition(
         ledger=ledger.root,
         settings=settings,
         fixed=fixed,
-        added=added,
+        added=tuple(each for each in ordered if each.added),
         skipped=tuple(e for e in ordered if not e.added and e.problem is None),
         failed=tuple(each for each in ordered if each.problem is not None),
         findings=rank_findings([*findings, *ledger.findings]),
@@ -242,14 +240,14 @@ def make_reachable(
     ledger: str | Path,
     logs: Sequence[str | Path],
     reading: ReadingOptions,
-    fleet: FleetOptions | None,
+    fleet: FleetOptions,
 ) -> tuple[str, list[Path], ReadingOptions]:
     """Return ledger, logs and how to read them, by absolute paths for workers of a scheduler.
 
     Those run in other folders than this process.
     """
     root, paths, sheet = str(ledger), [Path(each) for each in logs], reading.sheet
-    if read_worker_settings(fleet)[1] is None:
+    if fleet.scheduler is None:
         return root, paths, reading
     if isinstance(sheet, str | os.PathLike):
         reading = replace(reading, sheet=Path(sheet).absolute())
@@ -260,47 +258,35 @@ def make_reachable(
     )
 
 
-def read_worker_settings(fleet: FleetOptions | None) -> tuple[int | None, str | None]:
-    """Return the number of workers and the address of the scheduler."""
-    chosen = fleet or FleetOptions()
-    return chosen.workers, chosen.scheduler
-
-
 def group_recording_files(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
     """Return the files of each recording, sorted, missing ones too."""
     if not logs:
         raise UsageError("no log is given; give at least one")
     paths = sorted({Path(each) for each in logs})
-    present = [path for path in paths if path.exists()]
-    groups = [tuple(group) for group in group_files(present)]
+    groups = [tuple(group) for group in group_files([path for path in paths if path.exists()])]
     return sorted([*groups, *((path,) for path in paths if not path.exists())])
-
-
-def _check_identity(robot_id: str | Callable[[Path], str], path: Path) -> str:
-    return check_robot_id(robot_id if isinstance(robot_id, str) else robot_id(path))
 
 
 def _choose_type_settings(
     ledger: Ledger,
     described: RobotModel,
-    recordings: Sequence[tuple[Path, ...]],
+    owners: Mapping[tuple[Path, ...], str],
     reading: ReadingOptions,
     options: StudyOptions,
-    robot_id: str | Callable[[Path], str],
     workers: Workers,
 ) -> tuple[TypeSettings, bool, list[LogReport]]:
-    """Return the settings of a type, whether they are new, and the logs that could not fix them."""
-    for files in recordings:
-        _check_identity(robot_id, files[0])
+    """Return the settings of a type, whether they are new, and the logs that could not fix them.
+
+    `owners` are the identities of the robots by the files of their recordings.
+    """
     known = ledger.settings_of(name_robot_type(described))
     if known is not None:
         _check_asked(known, options)
         return known, False, []
     failed: list[LogReport] = []
-    for files in recordings:
-        identity = _check_identity(robot_id, files[0])
+    for files, owner in owners.items():
         try:
-            check_type(ledger, identity, described, name_robot_type(described))
+            check_type(ledger, owner, described, name_robot_type(described))
             outcome = next(workers.run(_choose_from_task, [(described, files, reading, options)]))
             if outcome.result is None:
                 raise RecordingError(outcome.problem or "")
@@ -312,11 +298,10 @@ def _choose_type_settings(
             return valid, valid.digest == outcome.result.digest, failed
         except RecordingError as problem:
             failed.append(
-                LogReport(str(files[0]), identity, problem=problem.message, cure=problem.cure)
+                LogReport(str(files[0]), owner, problem=problem.message, cure=problem.cure)
             )
-    reason = failed[0].problem
     raise RecordingError(
-        f"none of {len(recordings)} logs can fix the settings of {described.name}: {reason}",
+        f"none of {len(owners)} logs can fix the settings of {described.name}: {failed[0].problem}",
         cure=failed[0].cure,
     )
 
@@ -348,13 +333,6 @@ def _check_asked(known: TypeSettings, options: StudyOptions) -> None:
             f"the ledger has another signal chain for {known.robot_type}: {known.chosen[0]}",
             cure=Cure("leave the options of filtering out, or rebuild the ledger from its logs"),
         )
-
-
-def _report_outcome(outcome: Outcome[LogTask, LogReport]) -> LogReport:
-    if outcome.result is not None:
-        return outcome.result
-    task = outcome.task
-    return LogReport(str(task.paths[0]), task.robot_id, problem=outcome.problem or "it failed")
 
 
 def _format_duration(seconds: float) -> str:

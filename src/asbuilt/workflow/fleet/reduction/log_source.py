@@ -10,13 +10,16 @@ from pathlib import Path
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.readers import find_sheet
+from asbuilt.experiment import (
+    ReadingOptions,
+    Recording,
+    RecordingStream,
+    Samples,
+    SignalChain,
+    find_sheet,
+    head_of,
+)
 from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.workflow.fleet.ledger.entry import DateSource
@@ -40,8 +43,7 @@ def hash_sources(paths: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     try:
         for path in sorted(paths, key=lambda each: each.name):
-            inside = sorted(path.rglob("*")) if path.is_dir() else [path]
-            for file in inside:
+            for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
                 if file.is_file():
                     with file.open("rb") as stream:
                         digest.update(hashlib.file_digest(stream, "sha256").digest())
@@ -63,8 +65,8 @@ def read_logs(
     RecordingError
         If one cannot be read, does not fit the robot, or holds samples.
     """
+    # Streams leave further columns out. 50 MB: a worker then needs less than 700 MB.
     extra = any(find_sheet(path, reading.sheet)[0].columns.extra for path in paths)
-    # Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB.
     model, (read,) = read_fitted_recordings(
         described, (list(paths),), reading, streamed_from=None if extra else 50e6
     )
@@ -144,8 +146,7 @@ def choose_log_date(
     if EARLIEST.timestamp() < recording.started < LATEST.timestamp():
         began = recording.started + float(recording.t[0])
         return datetime.fromtimestamp(round(began, 3), UTC), "stamps"
-    named = find_date_in_name(path)
-    if named is not None:
+    if named := find_date_in_name(path):
         return named, "name"
     clock = "its time stamps count from no date"
     if recording.started:

@@ -12,15 +12,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
+from asbuilt.experiment import ReadingOptions, Recording, check_recording, find_sheet, resolve_chain
 from asbuilt.experiment.logs.long_recordings import (
     HEAD,
     head_of,
 )
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.information.rows import LONGEST_BLOCK, FurtherColumns
 from asbuilt.identification.information.square_root_information import (
@@ -109,11 +105,10 @@ def reduce_log(task: LogTask) -> LogReport:
     log = str(task.paths[0])
     try:
         ledger, settings = _open_root(task.ledger), _read_settings(task.ledger, task.settings_path)
-        digest = hash_sources(task.paths)
-        known = ledger.names(task.robot_id)
+        digest, known = hash_sources(task.paths), ledger.names(task.robot_id)
+        own = (digest[:DIGITS], settings.digest)
         for name in known:
-            same = name.source == digest[:DIGITS] and name.settings == settings.digest
-            if same and ledger.is_sound(name):
+            if (name.source, name.settings) == own and ledger.is_sound(name):
                 return LogReport(log, task.robot_id, name)
         if any(name.settings != settings.digest for name in known):
             check_type(ledger, task.robot_id, settings.described, settings.robot_type)
@@ -145,8 +140,7 @@ def reduce_to_entry(
         If the recording cannot be read, does not fit the type, has errors or no date.
     """
     first = task.paths[0]
-    model, read = read_logs(settings.described, task.paths, task.reading)
-    logged = read[0]
+    model, (logged, *_) = read_logs(settings.described, task.paths, task.reading)
     head = head_of(logged)
     _check_fits(first, model, head, settings)
     began, date_from = choose_log_date(
@@ -154,8 +148,7 @@ def reduce_to_entry(
     )
     beginning = head.taken(slice(0, HEAD)) if head.n_samples > HEAD else head
     codes = _check_beginning(settings, beginning) if task.checked else ()
-    prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
-    samples = prepared.training[0]
+    (samples,) = prepare(settings.model, [logged], chain=settings.chain, checked=False).training
     tilts = FurtherColumns.tilts(settings.model)
     seconds = samples.duration / RULES.blocks
     information = accumulate_stream(
@@ -215,18 +208,16 @@ def average_covariates(head: Recording, information: SquareRootInformation) -> d
 
     A recording sheet names them; one column for all joints is repeated for each.
     """
-    found = {}
-    n = information.n_joints
+    n, found = information.n_joints, {}
     for name, values in head.extra.items():
         columns = values.reshape(len(head.t), -1)
         if columns.shape[1] != n or not any(word in name.lower() for word in COVARIATES):
             continue
-        means = np.full((information.n_blocks, n), np.nan)
+        found[name] = np.full((information.n_blocks, n), np.nan)
         for b, block in enumerate(information.blocks):
             inside = columns[(head.t >= block.start) & (head.t <= block.stop)]
             if len(inside) and np.all(np.isfinite(inside)):
-                means[b] = inside.mean(axis=0)
-        found[name] = means
+                found[name][b] = inside.mean(axis=0)
     return found
 
 
@@ -236,9 +227,9 @@ def _check_beginning(settings: TypeSettings, beginning: Recording) -> tuple[str,
     All of a beginning is checked only if something is found in the first part of it.
     """
     early = int(np.count_nonzero(beginning.t - beginning.t[0] < RULES.checked_seconds))
-    enough = slice(0, max(RULES.checked_samples, early))
-    if enough.stop < beginning.n_samples:
-        first = check_recording(settings.model, beginning.taken(enough))
+    enough = max(RULES.checked_samples, early)
+    if enough < beginning.n_samples:
+        first = check_recording(settings.model, beginning.taken(slice(0, enough)))
         if not (first.errors or first.warnings):
             return ()
     check = check_recording(settings.model, beginning)
@@ -259,11 +250,8 @@ def _read_settings(root: str, path: str) -> TypeSettings:
 def check_type(ledger: Ledger, robot_id: str, described: RobotModel, robot_type: str) -> None:
     """Raise `RecordingError` if the ledger has a robot of another type under this identity."""
     known = {name.settings for name in ledger.names(robot_id)}
-    if not known:
-        return
-    types = {each.digest: each for each in ledger.all_settings()}
-    for digest in sorted(known & types.keys()):
-        other = types[digest]
+    types = {each.digest: each for each in ledger.all_settings()} if known else {}
+    for other in (types[digest] for digest in sorted(known & types.keys())):
         if other.robot_type != robot_type:
             raise RecordingError(
                 f"{robot_id} is a {other.model.name} ({other.robot_type}) in the ledger, not a"

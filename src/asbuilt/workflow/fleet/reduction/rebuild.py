@@ -23,7 +23,6 @@ from asbuilt.workflow.fleet.reduction.add import (
     conclude_addition,
     group_recording_files,
     make_reachable,
-    read_worker_settings,
     run_tasks,
 )
 from asbuilt.workflow.fleet.reduction.log_source import choose_settings, hash_sources
@@ -76,11 +75,11 @@ def rebuild_ledger(
         If the logs from which settings are chosen cannot be used.
     """
     began = time.monotonic()
+    options, fleet = options or StudyOptions(), fleet or FleetOptions()
     ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
-    options = options or StudyOptions()
     opened, renewed = open_ledger(ledger), []
     types = opened.types()
-    with open_workers(*read_worker_settings(fleet)) as workers:
+    with open_workers(fleet.workers, fleet.scheduler) as workers:
         by_type, reports = _group_by_type(opened, types, workers, group_recording_files(logs))
         for robot_type, items in sorted(by_type.items()):
             settings = _renew_settings(types[robot_type], items, reading, options)
@@ -105,9 +104,8 @@ def rebuild_ledger(
                     " valid, and those chosen here are not",
                     cure=Cure("rebuild the ledger again if those will not do"),
                 )
-        dashboard = workers.dashboard
     return conclude_addition(
-        opened, tuple(renewed), reports, fixed=True, began=began, dashboard=dashboard
+        opened, tuple(renewed), reports, fixed=True, began=began, dashboard=workers.dashboard
     )
 
 
@@ -133,10 +131,11 @@ def _group_by_type(
         if name is not None and type_of[name.settings] in types:
             found.setdefault(type_of[name.settings], []).append((files, name))
             continue
-        if files[0].exists():
-            problem, cure = f"{files[0]} is not in the ledger", Cure("add it", call="add_logs")
-        else:
-            problem, cure = f"{files[0]} does not exist", Cure("give the logs by their paths")
+        problem, cure = (
+            (f"{files[0]} is not in the ledger", Cure("add it", call="add_logs"))
+            if files[0].exists()
+            else (f"{files[0]} does not exist", Cure("give the logs by their paths"))
+        )
         failed.append(LogReport(str(files[0]), "", problem=outcome.problem or problem, cure=cure))
     for items in found.values():
         items.sort()
@@ -150,18 +149,16 @@ def _renew_settings(
     options: StudyOptions,
 ) -> TypeSettings:
     """Return the next settings of a type, chosen from logs that are evenly spread over `items`."""
-    # Logs of a type, evenly spread, from which the new settings are chosen.
     picked = np.unique(np.linspace(0, len(items) - 1, 8).round().astype(int))
-    asked = replace(
-        options,
-        drive=before.asked_drive if options.drive is None else options.drive,
-        chain=before.asked_chain if options.chain is None else options.chain,
-    )
     return choose_settings(
         before.described,
         [items[k][0] for k in picked.tolist()],
         reading=reading,
-        options=asked,
+        options=replace(
+            options,
+            drive=before.asked_drive if options.drive is None else options.drive,
+            chain=before.asked_chain if options.chain is None else options.chain,
+        ),
         robot_type=before.robot_type,
         generation=before.generation + 1,
     )

@@ -181,7 +181,7 @@ def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
     return [finding for holds, finding in possible if holds]
 
 
-def copy_findings(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
+def report_copies(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
     """Return a finding per link whose inertia about the centre of mass equals another link's."""
     known = [(each.name, each.described) for each in links if each.described is not None]
     tensors = [(name, body.mass, body.inertia_about_com) for name, body in known if body.mass > 0.0]

@@ -11,8 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.encoders import (
@@ -31,7 +30,7 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.validation.generalisation.plateaus import Plateau, find_plateaus, without_plateaus
+from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
@@ -39,8 +38,8 @@ from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
-    from asbuilt.workflow.simulation.refinement import Refined
-    from asbuilt.workflow.simulation.rollout import SimulatedParts
+    from asbuilt.workflow.refinement import Refined
+    from asbuilt.workflow.rollout import SimulatedParts
 
 ADDED = (
     "Stribeck friction was added since the simulated motion calls for it; simulators whose dry"
@@ -96,14 +95,6 @@ class Fits:
         """Whether the final fit is of more data than the one that is validated."""
         return self.final is not self.validated
 
-    def predicted(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
-        """Predict samples of the final fit by it, and by CAD."""
-        return tuple(_predict_samples(self.final, each) for each in samples)
-
-    def judged(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
-        """Predict validation data by the fit that has not seen them, and by CAD."""
-        return tuple(_predict_samples(self.validated, each) for each in samples)
-
 
 def fit_study(
     model: RobotModel,
@@ -155,22 +146,24 @@ def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared
         try:
             return fitted(prepared)
         except IdentifiabilityError:
-            prepared = prepared.undivided()
+            prepared = replace(
+                prepared, training=prepared.whole, held_out=(), whole=(), holdout=None
+            )
     return fitted(prepared)
 
 
 def _measure_torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
-    judged = fits.judged(fits.prepared.held_out or fits.prepared.training)
-    return float(np.mean([each.metrics_as_built.relative_error**2 for each in judged]))
+    samples = fits.prepared.held_out or fits.prepared.training
+    predicted = predict_samples(fits.validated, samples)
+    return float(np.mean([each.metrics_as_built.relative_error**2 for each in predicted]))
 
 
 def _identify_encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
     """Return what lies between two encoders, by the friction that was identified."""
-    fit, joints = fits.final, fits.final.model.joints
-    samples = [each.compact() for each in samples]
+    fit, samples = fits.final, [each.compact() for each in samples]
     taken = [_predict_friction(fit, each) for each in samples]
-    pairs = identify_encoders(samples, [joint.is_revolute for joint in joints], taken)
+    pairs = identify_encoders(samples, [joint.is_revolute for joint in fit.model.joints], taken)
     errors = np.sqrt(np.diag(fit.uncertainty.covariance))
     named = dict(zip(fit.base.names, errors.tolist(), strict=True))
     numbers = [fit.model.joint_names.index(each.joint) + 1 for each in pairs]
@@ -213,7 +206,7 @@ def _fit_all(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    model, choice, effects, flat = _with_effects(model, prepared, options)
+    model, choice, effects, flat = _add_effects(model, prepared, options)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -235,9 +228,9 @@ def _fit_all(
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
         return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
-    from asbuilt.workflow.simulation.refinement import refine_study  # noqa: PLC0415 - light start
+    from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
-    found = refine_study(
+    final, servo, refined, drive = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
         parts,
@@ -246,25 +239,15 @@ def _fit_all(
         report,
         choose=not isinstance(options.drive, DriveSet),
     )
-    if found.drive is not choice.drive:
-        choice = replace(choice, drive=found.drive, sentences=(*choice.sentences, ADDED))
-    if found.servo is not None:
+    if drive is not choice.drive:
+        choice = replace(choice, drive=drive, sentences=(*choice.sentences, ADDED))
+    if servo is not None:
         late = tuple((each.source, each.digest) for each in prepared.delay)
-        prepared = replace(prepared, delay=make_recording_delays(found.servo, late))
-    return Fits(
-        model,
-        prepared,
-        found.fit,
-        found.fit,
-        choice,
-        effects,
-        flat,
-        found.servo,
-        found.refined,
-    )
+        prepared = replace(prepared, delay=make_recording_delays(servo, late))
+    return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
 
 
-def _with_effects(
+def _add_effects(
     model: RobotModel, prepared: Prepared, options: StudyOptions
 ) -> tuple[RobotModel, DriveChoice, Effects, tuple[Plateau, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
@@ -276,8 +259,7 @@ def _with_effects(
     drive = select_stated_drive(model, samples, options.drive)
     for term in wanted.drive.terms:
         drive = drive.with_term(term)
-    effects = Effects(model, drive)
-    flat: tuple[Plateau, ...] = ()
+    effects, flat = Effects(model, drive), tuple[Plateau, ...]()
     stated = {Tilt.key} if options.mounting == "estimate" or wanted.tilt else set()
     fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
     if stated and not fixed:
@@ -288,9 +270,9 @@ def _with_effects(
         effects = find_effects(
             model,
             drive,
-            without_plateaus(samples, flat),
+            drop_plateaus(samples, flat),
             keys=None if open_to_all else stated,
-            applied=_open_effects(model, options) | stated,
+            applied=_list_open_effects(model, options) | stated,
             stated=stated,
         ).beside_plateaus({model.joint_names[each.joint] for each in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
@@ -298,18 +280,21 @@ def _with_effects(
     return effects.model, choice, effects, flat
 
 
-def _open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
+def _list_open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     """Return the keys of the effects that may become part of the model.
 
     Drive terms that are stated, by the user or the description, leave no others open.
     """
     every = options.wanted_effects.choice == "auto"
-    keys = set(EFFECTS) if every else set(list_drive_effects())
+    keys = set(EFFECTS if every else list_drive_effects())
     stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
     if stated or not (every or options.drive):
         keys -= set(list_drive_effects(by_construction=True))
     return keys
 
 
-def _predict_samples(fit: Fit, samples: Samples) -> Validation:
-    return predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, samples)
+def predict_samples(fit: Fit, samples: Sequence[Samples]) -> tuple[Validation, ...]:
+    """Predict samples by a fit, and by CAD."""
+    return tuple(
+        predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, each) for each in samples
+    )

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics import DriveSet, DriveTerm, available_terms
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.effects.trials import RULES as EFFECT_RULES
@@ -34,7 +32,7 @@ from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
-from asbuilt.workflow.simulation.rollout import Simulated, SimulatedParts
+from asbuilt.workflow.rollout import Simulated, SimulatedParts, drop_unused_servo
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,27 +116,14 @@ class Refined:
                     ),
                 ),
             )
-        if not self.undetermined:
-            return ()
-        return (
-            Finding(
-                "refinement_undetermined",
-                "info",
-                "Trajectories hardly determine"
-                f" {join_names(list(self.undetermined), 8)}; these stay near the fit to torques",
-                Cure("record a motion that moves these joints faster, slower or with reversals"),
-            ),
+        finding = Finding(
+            "refinement_undetermined",
+            "info",
+            "Trajectories hardly determine"
+            f" {join_names(list(self.undetermined), 8)}; these stay near the fit to torques",
+            Cure("record a motion that moves these joints faster, slower or with reversals"),
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RefinedStudy:
-    """Hold a refined fit, its servo, how the refinement went, and its drive terms."""
-
-    fit: Fit
-    servo: ServoEstimate | None
-    refined: Refined
-    drive: DriveSet
+        return (finding,) if self.undetermined else ()
 
 
 def refine_study(
@@ -150,7 +135,7 @@ def refine_study(
     report: Callable[[str, float], None],
     *,
     choose: bool = False,
-) -> RefinedStudy:
+) -> tuple[Fit, ServoEstimate | None, Refined, DriveSet]:
     """Continue a fit by trajectories of training data.
 
     Parameters
@@ -172,6 +157,11 @@ def refine_study(
         Whether Stribeck friction is added if by Akaike's criterion the trajectories call for it and
         motion that was not fitted is simulated better with it, as of every effect: torques hardly
         show it, since joints at rest, and slow ones under a filter, do not count.
+
+    Returns
+    -------
+    Fit, ServoEstimate or None, Refined, DriveSet
+        The refined fit, its servo, how the refinement went, and its drive terms.
 
     Raises
     ------
@@ -221,9 +211,9 @@ def refine_study(
     tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
     tried = _validate_refinement(tried, found.robot, parts.held_out or parts.trained)
     if not tried.kept:
-        return RefinedStudy(fit, servo, tried, given)
+        return fit, servo, tried, given
     better = servo if servo is None or driven is None else _update_servo(servo, found)
-    return RefinedStudy(found.fit, better, tried, drive)
+    return found.fit, better, tried, drive
 
 
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
@@ -240,12 +230,11 @@ def _measure_gain(found: RefinedFit, other: RefinedFit) -> float:
 
     Infinite if only the first diverges.
     """
-    weights = found.refinement.weights
     one, two = (
         sum(
             float(np.sum(each))
             for each in of.objective.window_costs(
-                of.refinement.point, of.refinement.motions, weights
+                of.refinement.point, of.refinement.motions, found.refinement.weights
             )
         )
         for of in (found, other)
@@ -288,14 +277,12 @@ def _make_servo_coordinates(servo: ServoEstimate | None) -> ServoCoordinates:
     )
 
 
-def _estimate_stiffness_spread(servo: ServoEstimate | None) -> float:
+def _estimate_stiffness_spread(servo: ServoEstimate) -> float:
     """Return the relative standard error of a common stiffness by the fit to torques."""
-    if servo is None:
-        return STIFFNESS_SPREAD
     free = np.array(servo.errors.scale) != "given"
     unknown = np.array(servo.errors.kp)[free] / np.array(servo.servo.kp)[free]
     known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
-    return min(float(np.min(known)), STIFFNESS_SPREAD) if known.size else STIFFNESS_SPREAD
+    return float(np.min(known, initial=STIFFNESS_SPREAD))
 
 
 def _validate_refinement(
@@ -320,8 +307,8 @@ def _measure_rollout_errors(
     found = roll_out(
         other.model,
         windows,
-        [_drop_unused_servo(one, cut) for cut in windows],
-        [_drop_unused_servo(other, cut) for cut in windows],
+        [drop_unused_servo(one, cut.signal) for cut in windows],
+        [drop_unused_servo(other, cut.signal) for cut in windows],
     )
     return found.cad, found.as_built
 
@@ -339,14 +326,9 @@ def _cut_windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
     return found
 
 
-def _drop_unused_servo(robot: SimulatedRobot, windows: Windows) -> SimulatedRobot:
-    return robot if windows.signal.kind == "command" else robot.with_servo(None)
-
-
 def _update_servo(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimate:
     """Return the estimate of a servo with refined gains and delay, and their errors."""
-    built: PositionServo | None = refined.servo
-    if built is None:
+    if refined.servo is None:
         return servo
     errors = servo.errors
     if np.isfinite(refined.delay_error):
@@ -354,5 +336,5 @@ def _update_servo(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimate:
     if np.isfinite(refined.lead_error):
         errors = replace(errors, lead=refined.lead_error)
     if np.isfinite(refined.stiffness_error):
-        errors = replace(errors, kp=tuple(refined.stiffness_error * kp for kp in built.kp))
-    return replace(servo, servo=built, errors=errors)
+        errors = replace(errors, kp=tuple(refined.stiffness_error * kp for kp in refined.servo.kp))
+    return replace(servo, servo=refined.servo, errors=errors)

@@ -1,4 +1,4 @@
-"""From fits to the result of a study, and all that is said of it."""
+"""From fits to the result of a study, with its predictions and findings."""
 
 from __future__ import annotations
 
@@ -10,49 +10,47 @@ import numpy as np
 
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.experiment.quality.checks import RecordingCheck
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification import Effects, IdentificationResult
 from asbuilt.identification.bodies.known_masses import describe_known_masses
-from asbuilt.identification.drives.drive_choice import DriveChoice
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.report import (
     as_identified,
     describe_stated,
     report_effects,
 )
-from asbuilt.identification.effects.search import Effects
 from asbuilt.identification.errors.bias import report_position_noise
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
 from asbuilt.identification.result.leg_advice import leg_findings
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
-from asbuilt.validation.attribution.attribute import attribute
-from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation import Attribution, Validation, attribute, recording_name
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
-from asbuilt.validation.generalisation.coverage import check_coverage
-from asbuilt.validation.generalisation.generalisation import (
-    check_repetitions,
-    check_validations,
-)
+from asbuilt.validation.generalisation.coverage import check_coverage, check_repetitions
+from asbuilt.validation.generalisation.generalisation import check_validations
 from asbuilt.validation.generalisation.plateaus import report_plateaus
-from asbuilt.validation.generalisation.unexplained import nameless_findings, report_unexplained
-from asbuilt.validation.prediction import Validation
+from asbuilt.validation.generalisation.unexplained import report_nameless, report_unexplained
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
-from asbuilt.workflow.fitting.fits import Fits
+from asbuilt.workflow.fits import Fits, predict_samples
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import describe_servo_torque, report_servo
+
+GAINS_ASSUMED = Finding(
+    "gains_assumed",
+    "info",
+    "Torques come from currents, whose gains count as exact: if the torque per ampere of a joint is"
+    " 3 % off, so are its parameters, beyond the standard errors",
+    Cure("identify the gains with a payload of known mass", call="find_gains"),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conclusion:
-    """Hold the result of fits, its predictions, and what is said of it."""
+    """Hold the result of fits, its predictions and its findings."""
 
     result: IdentificationResult
     findings: tuple[Finding, ...]
@@ -67,7 +65,7 @@ def conclude_study(
     cutoffs: CutoffSweep | None,
     further: Sequence[Finding] = (),
 ) -> Conclusion:
-    """Make a result of fits, predict with them, and say what is to be said.
+    """Make a result of fits, predict with them, and report findings.
 
     Parameters
     ----------
@@ -82,7 +80,8 @@ def conclude_study(
     """
     prepared = fits.prepared
     held = (*prepared.held_out, *prepared.validation)
-    trained, validations = fits.predicted(fits.samples), fits.judged(held)
+    trained = predict_samples(fits.final, fits.samples)
+    validations = predict_samples(fits.validated, held)
     cause_data, too_short = _build_cause_data(fits, options.block_seconds)
     train, train_cad = _merge_metrics(fits, trained)
     named = tuple(
@@ -98,7 +97,11 @@ def conclude_study(
         holdout=prepared.holdout,
         digests=prepared.digests,
         delay=prepared.delay,
-        notes=_collect_notes(fits, cutoffs),
+        notes=(
+            *describe_known_masses(fits.model),
+            *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
+            *describe_servo_torque(fits.model, fits.servo),
+        ),
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
         encoders=fits.encoders,
@@ -122,8 +125,16 @@ def conclude_study(
     )
     findings = (
         *result.findings,
-        *_report_drives(fits.choice),
-        *_check_findings(prepared.checks),
+        *(
+            Finding("drive_terms", "info", f"{sentence[0].upper()}{sentence[1:]}")
+            for sentence in fits.choice.sentences
+        ),
+        *fits.choice.findings,
+        *(
+            replace(finding, message=f"{recording_name(check.source)}: {finding.message}")
+            for check in prepared.checks
+            for finding in check.warnings
+        ),
         *report_locks(
             fits.model.locked_joints, fits.model.held_followers, fits.model.assumed_carriers
         ),
@@ -134,7 +145,7 @@ def conclude_study(
         *([] if prepared.validation else check_coverage(fits.model, prepared.training)),
         *too_short,
         *report_unexplained(trained),
-        *nameless_findings(trained, fits.samples),
+        *report_nameless(trained, fits.samples),
         *_report_model(fits, result, attribution, options),
         *report_cad_verdicts(validations),
         *report_springs(result),
@@ -149,8 +160,8 @@ def conclude_study(
 def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:
     """Return the share of the squared torque error at each joint with a torque channel, by name."""
     energy = np.nan_to_num(metrics.rms**2)
-    shares = (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist()
-    return dict(zip(metrics.joint_names, shares, strict=True))
+    shares = energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
+    return dict(zip(metrics.joint_names, shares.tolist(), strict=True))
 
 
 def _report_validation(
@@ -159,7 +170,7 @@ def _report_validation(
     validations: Sequence[Validation],
     further: Sequence[Finding],
 ) -> tuple[Finding, ...]:
-    """Return what validation data say beside the training error of the same fit."""
+    """Return findings on validation errors, compared with the training error of the same fit."""
     if not validations and any(each.code == "nothing_held_out" for each in further):
         return ()
     of_training = fits.validated.metrics(fits.prepared.training)[0] if fits.refitted else train
@@ -177,7 +188,7 @@ def _report_model(
     return (
         *report_plateaus(fits.model, fits.plateaus),
         *_report_effects(fits.effects, options),
-        *_report_gains(fits.samples),
+        *([GAINS_ASSUMED] if any(s.torque_source == "current" for s in fits.samples) else []),
         *report_position_noise(
             result,
             fits.samples,
@@ -231,41 +242,3 @@ def _build_cause_data(
                 Cure("record longer"),
             ),
         )
-
-
-def _collect_notes(fits: Fits, cutoffs: CutoffSweep | None) -> tuple[str, ...]:
-    return (
-        *describe_known_masses(fits.model),
-        *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
-        *describe_servo_torque(fits.model, fits.servo),
-    )
-
-
-def _report_drives(choice: DriveChoice) -> tuple[Finding, ...]:
-    said = (
-        Finding("drive_terms", "info", f"{sentence[0].upper()}{sentence[1:]}")
-        for sentence in choice.sentences
-    )
-    return (*said, *choice.findings)
-
-
-def _check_findings(checks: Sequence[RecordingCheck]) -> tuple[Finding, ...]:
-    return tuple(
-        replace(finding, message=f"{recording_name(check.source)}: {finding.message}")
-        for check in checks
-        for finding in check.warnings
-    )
-
-
-def _report_gains(training: Sequence[Samples]) -> tuple[Finding, ...]:
-    if all(samples.torque_source != "current" for samples in training):
-        return ()
-    return (
-        Finding(
-            "gains_assumed",
-            "info",
-            "Torques come from currents, whose gains count as exact: if the torque per ampere of a"
-            " joint is 3 % off, so are its parameters, beyond the standard errors",
-            Cure("identify the gains with a payload of known mass", call="find_gains"),
-        ),
-    )

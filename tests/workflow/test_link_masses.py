@@ -14,7 +14,7 @@ from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError, DescriptionError, UsageError
-from asbuilt.workflow.masses.link_masses import link_masses
+from asbuilt.workflow.link_masses import link_masses
 
 trimesh = pytest.importorskip("trimesh")
 

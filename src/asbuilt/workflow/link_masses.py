@@ -11,22 +11,21 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description import LinkInertia, read_cad_table
 from asbuilt.description.cad.meshes import look_up_density
 from asbuilt.description.cad.solids import GeometryKind, LinkSolid, read_solids
-from asbuilt.description.cad.table import read_cad_table
 from asbuilt.description.formats.xml import close_match
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Finding, rank_findings
-from asbuilt.workflow.masses.mass_findings import (
+from asbuilt.workflow.mass_findings import (
     LinkMass,
     Plausibility,
     check_described_mass,
     check_surface,
-    copy_findings,
     has_plausible_size,
     make_link_finding,
+    report_copies,
     sort_by_plausibility,
 )
 
@@ -46,10 +45,10 @@ class LinkMasses:
     def computed_model(self) -> RobotModel:
         """The robot with the computed mass properties, where there are any."""
         computed = {each.name: each.computed for each in self.links if each.computed is not None}
-        links = [
+        links = (
             Link(name=link.name, inertia=computed[link.name]) if link.name in computed else link
             for link in self.model.links
-        ]
+        )
         return replace(self.model, links=tuple(links))
 
     def __repr__(self) -> str:
@@ -125,18 +124,15 @@ def link_masses(
                 "a table does not state its conventions; give about ('com' or 'origin') and"
                 " products ('tensor' or 'integral')"
             )
-        links, findings = _from_table(model, Path(table), about, products)
+        links, findings = _read_table(model, Path(table), about, products)
     else:
         folder = None if meshes is None else Path(meshes)
         if folder is not None and not folder.is_dir():
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
-        links, findings = _from_solids(model, solids, _read_materials(model, density, material))
-    findings = [
-        *findings,
-        *(found for each in links for found in check_described_mass(each, limits)),
-    ]
-    findings += copy_findings(links, limits)
+        links, findings = _weigh_solids(model, solids, _read_materials(model, density, material))
+    findings += [found for each in links for found in check_described_mass(each, limits)]
+    findings += report_copies(links, limits)
     return LinkMasses(model, sort_by_plausibility(links, findings), rank_findings(findings))
 
 
@@ -153,7 +149,6 @@ def _read_materials(
     names = (*model.link_names, *(frame.name for frame in model.frames))
     found: dict[str, float] = {}
     for given in (material, density):
-        by_link: Mapping[str, Material]
         by_link = given if isinstance(given, Mapping) else {} if given is None else {"": given}
         for name, value in by_link.items():
             if name and name not in names:
@@ -165,7 +160,7 @@ def _read_materials(
     return found
 
 
-def _from_solids(
+def _weigh_solids(
     model: RobotModel, solids: tuple[LinkSolid, ...], densities: Mapping[str, float] | None
 ) -> tuple[list[LinkMass], list[Finding]]:
     links, findings = list[LinkMass](), list[Finding]()
@@ -185,7 +180,8 @@ def _from_solids(
             )
             scaled += [] if value is None else [value * solid.inertia.parameters]
         sized = [solid for solid in own if has_plausible_size(solid)]
-        corners = np.concatenate([solid.corners for solid in sized] or [np.zeros((0, 3))])
+        known = [solid.corners for solid in sized if len(solid.corners)]
+        corners = np.concatenate(known or [np.full((1, 3), np.nan)])
         links.append(
             LinkMass(
                 link.name,
@@ -193,8 +189,8 @@ def _from_solids(
                 LinkInertia(np.sum(scaled, axis=0)) if complete and scaled else None,
                 own[0].kind if own else "",
                 sum(solid.inertia.mass for solid in sized) or float("nan"),
-                corners.min(axis=0) if len(corners) else np.full(3, np.nan),
-                corners.max(axis=0) if len(corners) else np.full(3, np.nan),
+                corners.min(axis=0),
+                corners.max(axis=0),
             )
         )
     return links, findings
@@ -213,7 +209,7 @@ def _find_density(
     return mass / solid.inertia.mass if mass > 0.0 and solid.inertia.mass > 0.0 else None
 
 
-def _from_table(
+def _read_table(
     model: RobotModel,
     path: Path,
     about: Literal["com", "origin"],

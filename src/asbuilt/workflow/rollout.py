@@ -6,23 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.executor import Workers
-from asbuilt.experiment.logs.long_recordings import head_of
+from asbuilt.experiment import Recording, Samples, SignalChain, head_of, hold_out, resolve_chain
 from asbuilt.experiment.logs.recordings import (
     Recorded,
     RecordingLike,
     as_recordings,
     read_fitted_recordings,
 )
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.trajectories.simulated_robot import (
     SimulatedRobot,
@@ -36,7 +29,7 @@ from asbuilt.identification.trajectories.windows import (
 )
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.options import ValidationOptions
-from asbuilt.workflow.prepare import digest_recording
+from asbuilt.workflow.prepare import is_trained_on
 from asbuilt.workflow.servo import with_described_servo, with_servo
 
 Simulated = tuple[Recording, Samples, DriveSignal]
@@ -83,14 +76,15 @@ def roll_out_result(
         If MuJoCo is not installed.
     """
     options = options or ValidationOptions()
-    logged = as_recordings(result.model, recordings)
-    parts = [
-        _select_simulated_part(result, with_servo(item, result.servo), options.chain)
-        for item in logged
-    ]
-    cad = options.cad
+    cad, chain = options.cad, options.chain or result.chain
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
-    results = [_select_result(result, item, options.chain) for item in logged]
+    results, parts = [], []
+    for item in as_recordings(result.model, recordings):
+        # What was held out of this recording is simulated by values that have not seen it.
+        held = options.chain is None and is_trained_on(result, item)
+        holdout = result.holdout if held else None
+        parts.append(_prepare_part(with_servo(item, result.servo), chain, holdout, MotionFilters()))
+        results.append(result if holdout is None else result.of_training)
     return simulate_rollouts(results, parts, horizons, cad=cad, workers=workers)
 
 
@@ -109,11 +103,13 @@ def roll_out_robot(
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
-    chain = options.chain or SignalChain()
-    parts = [_prepare_whole(with_described_servo(model, item), chain) for item in logged]
+    parts = [
+        _prepare_part(with_described_servo(model, item), options.chain, None, MotionFilters())
+        for item in logged
+    ]
     described = [
-        _drop_unused_servo(build_robot_as_described(model, _read_servo(each[0])), each)
-        for each in parts
+        drop_unused_servo(build_robot_as_described(model, recording.servo), signal)
+        for recording, _, signal in parts
     ]
     return tuple(
         roll_out(
@@ -139,12 +135,11 @@ def simulate_rollouts(
     if not parts:
         return ()
     by_cad, built = [], []
-    for result, part in zip(results, parts, strict=True):
-        servo = result.servo or _read_servo(part[0])
-        by_cad.append(
-            _drop_unused_servo(build_robot_as_described(cad or result.model, servo), part)
-        )
-        built.append(_drop_unused_servo(build_robot_as_built(result, servo), part))
+    for result, (recording, _, signal) in zip(results, parts, strict=True):
+        servo = result.servo or recording.servo
+        described = build_robot_as_described(cad or result.model, servo)
+        by_cad.append(drop_unused_servo(described, signal))
+        built.append(drop_unused_servo(build_robot_as_built(result, servo), signal))
     return tuple(
         roll_out(
             results[0].model,
@@ -186,37 +181,9 @@ def select_simulated_parts(
     )
 
 
-def _read_servo(recording: Recording) -> PositionServo | None:
-    return recording.servo
-
-
-def _drop_unused_servo(robot: SimulatedRobot, part: Simulated) -> SimulatedRobot:
+def drop_unused_servo(robot: SimulatedRobot, signal: DriveSignal) -> SimulatedRobot:
     """Return the robot with its servo only where a command drives it."""
-    return robot if part[2].kind == "command" else robot.with_servo(None)
-
-
-def _select_simulated_part(
-    result: IdentificationResult, item: Recorded, chain: SignalChain | None
-) -> Simulated:
-    """Return the part of a recording that the result was not identified from."""
-    holdout = result.holdout if _is_trained_on(result, item) and chain is None else None
-    return _prepare_part(item, chain or result.chain, holdout, MotionFilters())
-
-
-def _select_result(
-    result: IdentificationResult, item: Recorded, chain: SignalChain | None
-) -> IdentificationResult:
-    """Return the result with values that are not of the part of a recording that is simulated."""
-    held = result.holdout is not None and chain is None and _is_trained_on(result, item)
-    return result.of_training if held else result
-
-
-def _is_trained_on(result: IdentificationResult, item: Recorded) -> bool:
-    return not isinstance(item, Samples) and digest_recording(head_of(item)) in result.digests
-
-
-def _prepare_whole(item: Recorded, chain: SignalChain) -> Simulated:
-    return _prepare_part(item, chain, None, MotionFilters())
+    return robot if signal.kind == "command" else robot.with_servo(None)
 
 
 def _prepare_part(
@@ -229,7 +196,15 @@ def _prepare_part(
 ) -> Simulated:
     """Return a recording, a part of its motion with rests by the rule, and its signal."""
     if isinstance(item, Samples):
-        recording, samples = _as_recording(item), item
+        samples = item
+        recording = Recording(
+            t=item.t,
+            q=item.q,
+            tau=item.tau_raw,
+            joint_names=item.joint_names,
+            source=item.source,
+            torque_source=item.torque_source,
+        )
     else:
         recording = head_of(item)
         settled = resolve_chain(chain or SignalChain(), recording, filters=filters)
@@ -239,14 +214,3 @@ def _prepare_part(
     if holdout is not None:
         samples = hold_out(samples, holdout)[0 if train else 1]
     return recording, samples, signal
-
-
-def _as_recording(samples: Samples) -> Recording:
-    return Recording(
-        t=samples.t,
-        q=samples.q,
-        tau=samples.tau_raw,
-        joint_names=samples.joint_names,
-        source=samples.source,
-        torque_source=samples.torque_source,
-    )

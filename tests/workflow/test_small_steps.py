@@ -9,8 +9,8 @@ import pytest
 from tests.identification.trajectories.arms import four_joint_arm, recorded_by_mujoco
 
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.workflow import refinement
 from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.simulation import refinement
 from asbuilt.workflow.study import Study, identify
 
 pytest.importorskip("mujoco")

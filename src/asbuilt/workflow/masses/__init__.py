@@ -1,1 +1,0 @@
-"""Masses of links from geometry, materials or a table, compared with the description."""

@@ -1,1 +1,0 @@
-"""Studies by simulated motion."""
