@@ -115,8 +115,8 @@ class ProgramRequest:
     @property
     def approach_speed(self) -> Array:
         """Top speed of each joint on the approach to the start pose (n,) [rad/s or m/s]."""
-        slow = np.where(self.revolute, *APPROACH.speed)
-        return read_only(np.minimum(slow, APPROACH.fraction * MotionBounds.of(self.model).velocity))
+        share = APPROACH.fraction * MotionBounds.of(self.model).velocity
+        return read_only(np.minimum(np.where(self.revolute, *APPROACH.speed), share))
 
     @property
     def start_tolerance(self) -> Array:
@@ -176,10 +176,8 @@ class ProgramFormat(ABC):
 
     def check_joints(self, model: RobotModel) -> None:
         """Raise `MotionError` if the format cannot move this robot."""
-        if self.n_joints is None:
-            return
         sliding = [joint.name for joint in model.joints if not joint.is_revolute]
-        if model.n_joints != self.n_joints or sliding:
+        if self.n_joints is not None and (model.n_joints != self.n_joints or sliding):
             slide = f", of which {', '.join(sliding)} are prismatic" if sliding else ""
             raise MotionError(
                 f"the format {self.key} is for robots with {self.n_joints} revolute joints"
