@@ -43,19 +43,14 @@ def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
 
 def watch_html(watched: WatchedLog) -> str:
     """Return the page of a watched log as text."""
-    events = watched.events
-    thresholds, verified = watched.thresholds, watched.rate_verified
+    events, thresholds, verified = watched.events, watched.thresholds, watched.rate_verified
+    doubt = "" if verified else f"; not verified, from {format_duration(3600.0 * thresholds.hours)}"
     cards = [
         Card("neutral" if events else "good", str(len(events)), "events"),
         Card(
             "good" if verified else "neutral",
             f"{thresholds.false_alarms_per_hour:g} per hour",
-            "false alarms that the thresholds are set for"
-            + (
-                ""
-                if verified
-                else f"; not verified, from {format_duration(3600.0 * thresholds.hours)}"
-            ),
+            f"false alarms that the thresholds are set for{doubt}",
         ),
     ]
     drawn = image_markup(
