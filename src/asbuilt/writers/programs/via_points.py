@@ -16,12 +16,6 @@ from asbuilt.excitation.motions.motion import Motion
 GRID_RATE = 1000.0
 """Rate at which points are compared with the motion [Hz]."""
 
-KNOT_STEPS = (0.2, 0.004)
-"""Longest and shortest time between knots of cubics [s]."""
-
-SPLINE_STEPS = (0.5, 0.02)
-"""Longest and shortest time between the points of a spline [s]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Segment:
@@ -43,7 +37,7 @@ def choose_hermite_knots(motion: Motion, tolerance: float) -> Array:
             knots, motion.derivative(knots), motion.derivative(knots, 1)
         ),
         tolerance,
-        KNOT_STEPS,
+        (0.2, 0.004),
         "cubics",
     )
 
@@ -57,7 +51,7 @@ def choose_spline_times(motion: Motion, tolerance: float) -> Array:
         motion,
         lambda times: CubicSpline(times, motion.derivative(times), bc_type="clamped"),
         tolerance,
-        SPLINE_STEPS,
+        (0.5, 0.02),
         "a spline",
     )
 
@@ -100,7 +94,10 @@ def _choose_equal_times(
     steps: tuple[float, float],
     what: str,
 ) -> Array:
-    """Return the fewest equally spaced times whose curve, of `fit`, stays near the motion."""
+    """Return the fewest equally spaced times whose curve, of `fit`, stays near the motion.
+
+    `steps` are the longest and the shortest time between them [s].
+    """
     (longest, shortest), grid = steps, _make_grid(motion)
     expected, intervals = motion.derivative(grid), max(2, int(np.ceil(motion.duration / longest)))
     while True:
