@@ -49,15 +49,12 @@ def build_round_mesh(
 
 
 ROD, HOUSING, STAND, SHADOW, GRID, PATH = (
-    np.array(colour)
-    for colour in (
-        (196, 201, 208),
-        (236, 128, 36),
-        (112, 118, 126),
-        (216, 220, 225),
-        (228, 231, 235),
-        (0, 114, 178),
-    )
+    (196, 201, 208),
+    (236, 128, 36),
+    (112, 118, 126),
+    (216, 220, 225),
+    (228, 231, 235),
+    (0, 114, 178),
 )
 AZIMUTH, ELEVATION = np.deg2rad(-45.0), np.deg2rad(18.0)
 
@@ -122,14 +119,15 @@ def draw_skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[
     # A housing counts as nearer than the rods that it encloses, by this part of its radius.
     nearer = np.repeat([0.4 * s.radius * (s.kind == "housing") for s in solids], counts)
     for k in range(len(view.t)):
-        vertices = [
-            _place_points(view, k, solid, points)
-            for solid, (points, _) in zip(solids, meshes, strict=True)
-        ]
+        corners = np.concatenate(
+            [
+                _place_points(view, k, solid, points)[faces]
+                for solid, (points, faces) in zip(solids, meshes, strict=True)
+            ]
+        )
         canvas = Pillow.new("RGB", size, "white")
         draw = ImageDraw.Draw(canvas)
         _draw_floor(draw, camera, view)
-        corners = np.concatenate([v[f] for v, (_, f) in zip(vertices, meshes, strict=True)])
         _draw_shadows(draw, camera, view, corners)
         _draw_bodies(draw, camera, view, corners, shades, nearer)
         yield np.asarray(canvas.resize((width, height), Pillow.Resampling.BOX))
@@ -167,7 +165,7 @@ def _draw_bodies(
         if place < len(triangles):
             draw.polygon(triangles[place], fill=fills[place], outline=fills[place])
         else:
-            draw.line(lines[place - len(triangles)], fill=tuple(PATH.tolist()), width=thick)
+            draw.line(lines[place - len(triangles)], fill=PATH, width=thick)
 
 
 def _draw_shadows(
@@ -175,9 +173,8 @@ def _draw_shadows(
 ) -> None:
     points = corners.reshape(-1, 3)
     flat, _ = camera.project(points - np.outer(points @ view.up - view.floor, view.up))
-    fill = tuple(SHADOW.tolist())
     for triangle in flat.reshape(-1, 3, 2).tolist():
-        draw.polygon(tuple(map(tuple, triangle)), fill=fill)
+        draw.polygon(tuple(map(tuple, triangle)), fill=SHADOW)
 
 
 def _draw_floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
@@ -191,7 +188,7 @@ def _draw_floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> 
         for a, b in ((one, two), (two, one)):
             ends = np.stack([offset * a - reach * b, offset * a + reach * b]) + middle
             flat, _ = camera.project(ends)
-            draw.line(tuple(map(tuple, flat.tolist())), fill=tuple(GRID.tolist()), width=2)
+            draw.line(tuple(map(tuple, flat.tolist())), fill=GRID, width=2)
 
 
 def _place_points(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
