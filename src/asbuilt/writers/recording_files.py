@@ -117,12 +117,10 @@ def restore_moved_robot(simulated: SimulatedRecording) -> RobotModel:
 
 
 def _write_sheet_text(recording: Recording, log: str) -> str:
-    head = f"# Recording sheet of {log}, read together with it.\n"
-    if recording.torque_source == "current":
-        head += (
-            "# Currents times the nominal torque constant [N m]; gains = [...] holds corrections of"
-            " it, from a payload of known mass.\n"
-        )
+    currents = (
+        "# Currents times the nominal torque constant [N m]; gains = [...] holds corrections of it,"
+        " from a payload of known mass.\n"
+    )
     sheet: dict[str, Any] = {"torque_source": recording.torque_source}
     servo = recording.servo if recording.torque_source == "command" else None
     if servo is not None:
@@ -137,7 +135,11 @@ def _write_sheet_text(recording: Recording, log: str) -> str:
         given = {name: getattr(servo, name) for name, is_known in known.items() if is_known}
         # One number where all are alike.
         sheet |= {k: v[0] if len(set(v)) == 1 else list(v) for k, v in given.items()}
-    return head + tomli_w.dumps(sheet)
+    return (
+        f"# Recording sheet of {log}, read together with it.\n"
+        + (currents if recording.torque_source == "current" else "")
+        + tomli_w.dumps(sheet)
+    )
 
 
 def simulation_text(simulated: SimulatedRecording) -> str:

@@ -23,7 +23,6 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError
 from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
 from asbuilt.findings import Finding, Severity
-from asbuilt.monitoring.events import Event
 from asbuilt.validation import Validation, recording_name
 from asbuilt.workflow.watching.watched_log import WatchedLog
 from asbuilt.writers.files import atomic_write
@@ -311,7 +310,12 @@ def timeline_of_watched(
             Track("threshold", trace.t, trace.limit),
         ),
         tuple(
-            Mark(event.start, SEVERITY_OF_EVENT[event.kind], _describe_event(event))
+            Mark(
+                event.start,
+                SEVERITY_OF_EVENT[event.kind],
+                f"{event.kind} at {', '.join(event.joints)} from {event.start:.3f} to"
+                f" {event.end:.3f} s",
+            )
             for event in watched.events
         ),
     )
@@ -336,7 +340,3 @@ def _interpolate_positions(
     logged, q = recording.t[valid], recording.q[valid]
     times = t[(t >= logged[0]) & (t <= logged[-1])]
     return times, np.column_stack([np.interp(times, logged, column) for column in q.T])
-
-
-def _describe_event(event: Event) -> str:
-    return f"{event.kind} at {', '.join(event.joints)} from {event.start:.3f} to {event.end:.3f} s"

@@ -13,7 +13,7 @@ import tomli_w
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf_text import reference_posture
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.inertia import PARAMETER_NAMES, LinkInertia
 from asbuilt.description.lengths import evaluate_lengths
 from asbuilt.description.model import (
     PLAIN_TERMS,
@@ -27,7 +27,6 @@ from asbuilt.description.model import (
 )
 from asbuilt.writers.files import atomic_write
 
-_TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
@@ -181,7 +180,7 @@ def _list_inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
     return {
         "mass": inertia.mass,
         "first_moment": inertia.first_moment,
-        "inertia_about_origin": dict(zip(_TENSOR, inertia.parameters[:6], strict=True)),
+        "inertia_about_origin": dict(zip(PARAMETER_NAMES[:6], inertia.parameters[:6], strict=True)),
     }
 
 

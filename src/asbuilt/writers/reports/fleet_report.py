@@ -26,8 +26,6 @@ from asbuilt.writers.reports.page import (
 )
 from asbuilt.writers.tables.fleet_tables import describe_drift_outcome
 
-SMALL, LARGE = (220, 40), (640, 150)
-"""Width and height of a history in a row, and in a robot's own part."""
 USUAL = 1.0
 """Distance of a day by natural variation."""
 
@@ -141,8 +139,8 @@ def _build_row(robot: RobotDrift) -> dict[str, Any]:
         "status": f"changed {(robot.when or '')[:10]}" if robot.changed else quiet,
         "p_value": "" if robot.p_value is None else format_probability(robot.p_value),
         "span": f"{robot.first[:10]} to {robot.last[:10]}",
-        "small": _draw_history(robot, *SMALL, labels=False),
-        "large": _draw_history(robot, *LARGE, labels=True),
+        "small": _draw_history(robot, 220, 40, labels=False),
+        "large": _draw_history(robot, 640, 150, labels=True),
     }
 
 

@@ -72,12 +72,6 @@ def watch_html(watched: WatchedLog) -> str:
     )
 
 
-DRAWN = (
-    "Position and torque of every joint over time, with lines where findings begin; the findings"
-    " are listed above"
-)
-
-
 def write_check_page(
     folder: Path,
     recordings: Sequence[Recorded],
@@ -97,8 +91,13 @@ def write_check_page(
             list_markup((each.severity, finding_text(each)) for each in check.findings),
         ]
         if not isinstance(recording, Samples):
-            address = encode_figure(draw_recording(head_of(recording), check))
-            parts.append(image_markup(address, DRAWN))
+            parts.append(
+                image_markup(
+                    encode_figure(draw_recording(head_of(recording), check)),
+                    "Position and torque of every joint over time, with lines where findings begin;"
+                    " the findings are listed above",
+                )
+            )
         blocks.append(Block(f"log-{k}", recording_name(check.source), parts))
     text = render_page(checks[0].robot, "recordings checked", blocks)
     return {"page": atomic_write(folder / "check.html", text)}

@@ -156,13 +156,13 @@ def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
         found = f"{design.log_det:.2f}, found in {design.solve_seconds:.1f} s"
         return [("log det", found), ("condition number", condition)]
     family, options = design.family_efficiency, design.options
+    names = join_names([name.strip() for name in options.focus])
+    criterion = options.criterion + (f", for {names}" if names else "")
     facts = [
+        *([("criterion", criterion)] if criterion != "d" else []),
         ("drive terms", f"{design.base.drive}, noise {_format_numbers(design.noise)} N m (N)"),
         ("log det", f"{design.log_det:.2f} for {design.n_samples:g} independent samples"),
     ]
-    if options.focus or options.criterion != "d":
-        names = join_names([name.strip() for name in options.focus]) if options.focus else ""
-        facts.insert(0, ("criterion", options.criterion + (f", for {names}" if names else "")))
     if design.d_efficiency is not None:
         known = family is not None and design.family_bound is not design.bound
         own = f"; {format_share(family)} relative to that for these harmonics" if known else ""

@@ -130,13 +130,12 @@ def gains_text(found: TorqueGains, full: bool = False) -> str:
     notes = tuple(f"{text[0].upper()}{text[1:]}." for text in found.sentences())
     shown = notes if full else notes[:MOST_NOTES]
     joints = range(len(found.joint_names))
+    use = (
+        f"\nInstead of the gains in use:\n  {_write_option(found)}\n"
+        f"or in the recording sheet:\n  {_write_sheet_line(found)}\n"
+    )
     text = Table.of(joints, columns, "Torque gains", notes=shown).as_text(full)
-    if found.determined.any():
-        text += (
-            f"\nInstead of the gains in use:\n  {_write_option(found)}\n"
-            f"or in the recording sheet:\n  {_write_sheet_line(found)}\n"
-        )
-    return text
+    return text + (use if found.determined.any() else "")
 
 
 def _format_gains(found: TorqueGains) -> str:

@@ -70,9 +70,8 @@ def addition_text(
         f"{done.ledger}: {_word_count(done.added, 'log')} added, {len(done.skipped)} skipped (in"
         f" the ledger already), {len(done.failed)} failed",
         f"{_word_count(robots, 'robot')}, {hours:.3g} h recorded, {done.seconds:.3g} s taken",
+        *([f"dashboard of the cluster: {done.dashboard}"] if done.dashboard else []),
     ]
-    if done.dashboard:
-        lines.append(f"dashboard of the cluster: {done.dashboard}")
     for each in done.failed if full else done.failed[:MOST]:
         cure, why = f"; {cure_text(each.cure)}" if each.cure else "", each.problem or ""
         name = "" if each.log in why else f"{each.log}: "

@@ -61,8 +61,7 @@ def describe_refinement(refined: Refined) -> str:
     )
     if refined.before is not None and refined.after is not None:
         text += f": rollout error {refined.before.text} before, {refined.after.text} after"
-    text += "" if refined.kept else ", which is not followed"
-    return wrap_text(text + ".") + "\n"
+    return wrap_text(text + ("." if refined.kept else ", which is not followed.")) + "\n"
 
 
 def tabulate_rollouts(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:

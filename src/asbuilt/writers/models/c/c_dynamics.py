@@ -263,6 +263,7 @@ class Mechanism:
             self._multiply(inertia, motion.dw),
             self._cross(motion.w, self._multiply(inertia, motion.w)),
         )
+        # U takes many operations, which nothing would use without a first moment.
         if any(not entry.is_zero for entry in h):
             force = self._multiply(self._derive_swing(motion), h)
             moment = self._add(moment, self._cross(h, motion.a))
