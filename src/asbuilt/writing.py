@@ -86,16 +86,12 @@ def atomic_write(
             Path(temporary).replace(target)
         else:
             pending[target] = Path(temporary)
-    except FileExistsError:
+    except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
-        raise
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, FileExistsError) or not isinstance(error, OSError):
+            raise
         size = f"{len(whole)} bytes to " if isinstance(whole, bytes) else ""
         raise UsageError(f"cannot write {size}{target}: {error.strerror or error}") from error
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
     return target
 
 
