@@ -93,17 +93,20 @@ def decode_fields(
     for item in fields(kind):
         if item.name in but:
             continue
-        if _choose_key(item) in data:
+        key, decode = _choose_key(item), item.metadata.get("decode")
+        if key in data:
             try:
-                given[item.name] = _decode(hints[item.name], data[_choose_key(item)], item.metadata)
+                given[item.name] = (
+                    _convert(hints[item.name], data[key], item.metadata.get("missing", math.nan))
+                    if decode is None
+                    else decode(data[key])
+                )
             except FieldError as problem:
-                raise FieldError(f"{_choose_key(item)}.{problem.place}", problem.reason) from None
+                raise FieldError(f"{key}.{problem.place}", problem.reason) from None
             except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as problem:
-                raise FieldError(
-                    _choose_key(item), f"{type(problem).__name__} {problem}"[:200]
-                ) from None
+                raise FieldError(key, f"{type(problem).__name__} {problem}"[:200]) from None
         elif item.default is MISSING and item.default_factory is MISSING:
-            raise FieldError(_choose_key(item), "it is missing")
+            raise FieldError(key, "it is missing")
     return given
 
 
@@ -116,19 +119,13 @@ def _choose_key(item: Field[Any]) -> str:
     return item.metadata.get("key") or item.name
 
 
-def _decode(hint: Any, value: Any, how: Mapping[str, Any]) -> Any:
-    if how.get("decode") is not None:
-        return how["decode"](value)
-    return _as(hint, value, how.get("missing", math.nan))
-
-
-def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
+def _convert(hint: Any, value: Any, missing: float = math.nan) -> Any:
     """Return plain data as what a type hint asks for."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return value
     if origin in (Union, UnionType):
-        return _as_one_of(arguments, value)
+        return _convert_to_one_of(arguments, value)
     if origin is Literal:
         if value not in arguments:
             raise ValueError(f"{value!r} is not one of {', '.join(map(repr, arguments))}")
@@ -140,10 +137,10 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
         if not isinstance(value, list):
             raise TypeError(f"expected a list, got {type(value).__name__}")
         if arguments[-1] is Ellipsis:
-            return tuple(_as(arguments[0], item) for item in value)
-        return tuple(_as(kind, item) for kind, item in zip(arguments, value, strict=True))
+            return tuple(_convert(arguments[0], item) for item in value)
+        return tuple(_convert(kind, item) for kind, item in zip(arguments, value, strict=True))
     if origin is not None and issubclass(origin, Mapping):
-        return {key: _as(arguments[1], item) for key, item in value.items()}
+        return {key: _convert(arguments[1], item) for key, item in value.items()}
     if is_dataclass(hint):
         return restore_dataclass(hint, value)  # type: ignore[arg-type]
     if hint is float:
@@ -153,7 +150,7 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
     return value
 
 
-def _decode_array(value: Any, number: Any, missing: float = math.nan) -> Any:
+def _decode_array(value: Any, number: Any, missing: float) -> Any:
     """Return an array of finite numbers, `missing` where None is stored."""
     found = np.array(value)
     numeric = found.dtype != object or all(
@@ -178,14 +175,14 @@ def _require_finite(value: Any) -> float:
     return float(value)
 
 
-def _as_one_of(kinds: tuple[Any, ...], value: Any) -> Any:
+def _convert_to_one_of(kinds: tuple[Any, ...], value: Any) -> Any:
     """Return plain data as the first of several types that it fits; None only where it may be."""
     if value is None and NoneType in kinds:
         return None
     rest = [kind for kind in kinds if kind is not NoneType]
     for kind in rest[:-1]:
         try:
-            return _as(kind, value)
+            return _convert(kind, value)
         except (KeyError, TypeError, ValueError):
             continue
-    return _as(rest[-1], value)
+    return _convert(rest[-1], value)

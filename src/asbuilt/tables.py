@@ -66,11 +66,12 @@ def round_with_error(value: float, error: float | None) -> tuple[str, str]:
         kept = decimals + exponent
         lifted, uncertainty = Decimal(value).scaleb(-exponent), Decimal(error).scaleb(-exponent)
         power = f"e{exponent:+03d}" if exponent else ""
-        return f"{_drop_zero_sign(lifted, kept)}{power}", f"{uncertainty:.{kept}f}{power}"
+        return f"{lifted:z.{kept}f}{power}", f"{uncertainty:.{kept}f}{power}"
     if decimals < 0:
         step = 10.0**-decimals
         value, error, decimals = round(value / step) * step, round(error / step) * step, 0
-    return _drop_zero_sign(value, decimals), f"{error:.{decimals}f}"
+    # z: no minus before a zero.
+    return f"{value:z.{decimals}f}", f"{error:.{decimals}f}"
 
 
 def format_plus_minus(value: float, error: float | None) -> str:
@@ -115,7 +116,7 @@ def format_share(fraction: float | None, digits: int = 1) -> str:
     return (
         MISSING
         if fraction is None or not math.isfinite(fraction)
-        else f"{_drop_zero_sign(100.0 * fraction, digits)} %"
+        else f"{100.0 * fraction:z.{digits}f} %"
     )
 
 
@@ -171,11 +172,10 @@ def shorten_text(text: str, width: int) -> str:
     """
     if len(text) <= width:
         return text
-    room = width - 4
-    if room <= 0 or " " not in text[: room + 1]:
+    head, space, _ = text[: max(0, width - 3)].rpartition(" ")
+    if not space:
         return text[: max(0, width - 3)] + "..."
-    head = text[: room + 1]
-    return head[: head.rindex(" ")].rstrip(" +-") + " ..."
+    return head.rstrip(" +-") + " ..."
 
 
 def preformat(text: str) -> str:
@@ -247,13 +247,11 @@ class Column:
 
     def shown(self, cell: Cell) -> str:
         """Return the printed form of a cell."""
-        if cell is None:
-            return MISSING
         if isinstance(cell, Shown):
             return cell.text
         if isinstance(cell, str | int):
             return str(cell)
-        if not math.isfinite(cell):
+        if cell is None or not math.isfinite(cell):
             return MISSING
         if isinstance(self.style, str):
             return format(cell + 0.0, self.style)
@@ -288,8 +286,6 @@ class Table:
     important: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", tuple(self.columns))
-        object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
         for number, row in enumerate(self.rows, start=1):
             if len(row) != len(self.columns):
                 raise ValueError(
@@ -338,17 +334,17 @@ class Table:
         most
             Rows shown; None: all that a short text shows.
         """
-        kept = [k for k, column in enumerate(self.columns) if full or not column.detail]
+        columns = [column for column in self.columns if full or not column.detail]
         rows = (
             self.rows
             if full or self.important is None
             else [self.rows[place] for place in self.important]
         )[:most]
-        columns = [self.columns[k] for k in kept]
         body = [
             [
-                _replace_unprintable(column.shown(row[k]))
-                for k, column in zip(kept, columns, strict=True)
+                _replace_unprintable(column.shown(cell))
+                for column, cell in zip(self.columns, row, strict=True)
+                if full or not column.detail
             ]
             for row in rows
         ]
@@ -366,8 +362,8 @@ class Table:
         if any(column.unit for column in columns):
             heads.append([column.unit for column in columns])
         widths = [
-            max(len(text) for text in (*(head[k] for head in heads), *cells[k]))
-            for k in range(len(columns))
+            max(map(len, (*names, *texts)))
+            for names, texts in zip(zip(*heads, strict=True), cells, strict=True)
         ]
         if not full:
             widths = _narrow_columns(widths, columns)
@@ -389,17 +385,7 @@ class Table:
         """
         label = f' id="{html.escape(identifier)}"' if identifier else ""
         caption = f"<caption>{html.escape(self.title)}</caption>" if self.title else ""
-        # A long header may break after underscores.
-        heads = [
-            html.escape(each.header).replace("_", "_<wbr>" if len(each.header) > 8 else "_")
-            for each in self.columns
-        ]
-        head = "".join(
-            f'<th scope="col"{_write_html_class(column)}>{text}'
-            + (f' <span class="unit">{html.escape(column.unit)}</span>' if column.unit else "")
-            + "</th>"
-            for column, text in zip(self.columns, heads, strict=True)
-        )
+        head = "".join(map(_write_html_head, self.columns))
         body = "".join(
             "<tr>"
             + "".join(
@@ -437,15 +423,6 @@ class Table:
 def stack_tables(tables: Iterable[Table], full: bool = False) -> str:
     """Return the texts of several tables with an empty line between them."""
     return "\n".join(table.as_text(full) for table in tables)
-
-
-def _drop_zero_sign(value: float | Decimal, decimals: int) -> str:
-    text = f"{value:.{decimals}f}"
-    return (
-        text[1:]
-        if text.startswith("-") and not any(digit in text for digit in "123456789")
-        else text
-    )
 
 
 def _replace_unprintable(text: str) -> str:
@@ -519,6 +496,14 @@ def _format_line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[
 
 def _write_html_class(column: Column) -> str:
     return "" if column.align == "left" else ' class="number"'
+
+
+def _write_html_head(column: Column) -> str:
+    # A long header may break after underscores.
+    broken = "_<wbr>" if len(column.header) > 8 else "_"
+    unit = f' <span class="unit">{html.escape(column.unit)}</span>' if column.unit else ""
+    name = html.escape(column.header).replace("_", broken)
+    return f'<th scope="col"{_write_html_class(column)}>{name}{unit}</th>'
 
 
 def _write_html_cell(column: Column, cell: Cell) -> str:

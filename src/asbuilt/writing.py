@@ -86,16 +86,12 @@ def atomic_write(
             Path(temporary).replace(target)
         else:
             pending[target] = Path(temporary)
-    except FileExistsError:
+    except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
-        raise
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, FileExistsError) or not isinstance(error, OSError):
+            raise
         size = f"{len(whole)} bytes to " if isinstance(whole, bytes) else ""
         raise UsageError(f"cannot write {size}{target}: {error.strerror or error}") from error
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
     return target
 
 
@@ -149,9 +145,9 @@ def file_set(folder: Path, mark: str, members: Sequence[str], keep: str = "") ->
         yield
         if (folder / mark).exists():
             for path in (folder / name for name in members):
-                if path in pending or not path.is_file():
+                if path in pending or not path.is_file() or is_input(path):
                     continue
-                if not (_is_same_file(path, keep) or is_input(path)):
+                if not (os.path.exists(keep) and path.samefile(keep)):
                     path.unlink()
         for target in sorted(pending, key=lambda path: path.name == mark):
             pending.pop(target).replace(target)
@@ -189,10 +185,6 @@ def _make_unwritable_error(place: str, problem: OSError | ValueError) -> UsageEr
     )
 
 
-def _is_same_file(path: Path, other: str) -> bool:
-    return bool(other) and os.path.exists(other) and path.samefile(other)
-
-
 @cache
 def _remove_leftovers(folder: Path) -> None:
     """Remove temporary files that processes of this machine left behind when they were killed."""
@@ -205,10 +197,8 @@ def _remove_leftovers(folder: Path) -> None:
 def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
     return True
 
 

@@ -17,8 +17,7 @@ from asbuilt import writers
 from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.motions.motion import Motion, Trajectory
-from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
+from asbuilt.excitation import Motion, Trajectory, times_to_end
 from asbuilt.experiment import FreeMotion, Recording, SimulatedRecording
 from asbuilt.tables import round_significant, wrap_text
 from asbuilt.writers.files import atomic_write, path_texts
@@ -51,8 +50,8 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
             available=(".csv", ".parquet"),
         )
     command = recording.command if recording.torque_source == "command" else None
-    effort = {"tau": recording.tau} if command is None else {"command": command}
-    logged = {"q": recording.q, "qd": recording.qd, "qdd": recording.qdd, **effort}
+    logged = {"q": recording.q, "qd": recording.qd, "qdd": recording.qdd}
+    logged |= {"tau": recording.tau} if command is None else {"command": command}
     return write_columns(path, recording.t, recording.joint_names, logged)
 
 
@@ -75,8 +74,7 @@ def write_columns(
         for k, name in enumerate(names)
     }
     frame, content = pl.DataFrame({"t": t, **of_joints, **(more or {})}), io.BytesIO()
-    in_parquet = Path(path).suffix.lower() == ".parquet"
-    (frame.write_parquet if in_parquet else frame.write_csv)(content)
+    (frame.write_parquet if Path(path).suffix.lower() == ".parquet" else frame.write_csv)(content)
     return atomic_write(path, content.getvalue())
 
 
@@ -119,12 +117,10 @@ def restore_moved_robot(simulated: SimulatedRecording) -> RobotModel:
 
 
 def _write_sheet_text(recording: Recording, log: str) -> str:
-    head = f"# Recording sheet of {log}, read together with it.\n"
-    if recording.torque_source == "current":
-        head += (
-            "# Currents times the nominal torque constant [N m]; gains = [...] holds corrections of"
-            " it, from a payload of known mass.\n"
-        )
+    currents = (
+        "# Currents times the nominal torque constant [N m]; gains = [...] holds corrections of it,"
+        " from a payload of known mass.\n"
+    )
     sheet: dict[str, Any] = {"torque_source": recording.torque_source}
     servo = recording.servo if recording.torque_source == "command" else None
     if servo is not None:
@@ -136,11 +132,14 @@ def _write_sheet_text(recording: Recording, log: str) -> str:
             "lead": np.any(servo.leads),
             "no_load_speed": np.all(np.isfinite(servo.no_load_speed)),
         }
-        for name in (name for name, is_known in known.items() if is_known):
-            values = getattr(servo, name)
-            # One number where all are alike.
-            sheet[name] = values[0] if len(set(values)) == 1 else list(values)
-    return head + tomli_w.dumps(sheet)
+        given = {name: getattr(servo, name) for name, is_known in known.items() if is_known}
+        # One number where all are alike.
+        sheet |= {k: v[0] if len(set(v)) == 1 else list(v) for k, v in given.items()}
+    return (
+        f"# Recording sheet of {log}, read together with it.\n"
+        + (currents if recording.torque_source == "current" else "")
+        + tomli_w.dumps(sheet)
+    )
 
 
 def simulation_text(simulated: SimulatedRecording) -> str:
@@ -191,24 +190,20 @@ def write_motion(
             f"a motion of {trajectory.n_joints} joints needs as many different names, got"
             f" {', '.join(names) or 'none'}"
         )
-    states = (trajectory.q, trajectory.qd, trajectory.qdd)
-    prefixes = (prefix.rstrip("_") for prefix in PREFIXES)
-    return write_columns(path, trajectory.t, names, dict(zip(prefixes, states, strict=True)))
+    states = {"q": trajectory.q, "qd": trajectory.qd, "qdd": trajectory.qdd}
+    return write_columns(path, trajectory.t, names, states)
 
 
 def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
     """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG."""
-    states = {"q": motion.q, "qd": motion.qd, "tau": motion.tau}
-    energies = {
-        name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")
-    }
-    table = write_columns(path, motion.t, motion.model.joint_names, states, energies)
+    states, energies = (
+        {name: getattr(motion, name) for name in names}
+        for names in (("q", "qd", "tau"), ("kinetic", "potential", "work", "dissipated"))
+    )
+    figure = writers.energy_figure(motion, title=f"{motion.model.name}: {WHAT[motion.release]}")
     return {
-        "motion": table,
-        "figure": writers.save_figure(
-            writers.energy_figure(motion, title=f"{motion.model.name}: {WHAT[motion.release]}"),
-            table.with_suffix(".png"),
-        ),
+        "motion": write_columns(path, motion.t, motion.model.joint_names, states, energies),
+        "figure": writers.save_figure(figure, path.with_suffix(".png")),
     }
 
 

@@ -46,14 +46,9 @@ def write_schema(kind: str, path: Path) -> Path:
 def _drop_infinite_defaults(part: Any) -> Any:
     """Return a part of a schema without infinite defaults, which JSON cannot say."""
     if isinstance(part, dict):
-        endless = {
-            name
-            for name, value in part.items()
-            if isinstance(value, float) and not math.isfinite(value)
-        }
         return {
             name: _drop_infinite_defaults(value)
             for name, value in part.items()
-            if name not in endless
+            if not isinstance(value, float) or math.isfinite(value)
         }
     return [_drop_infinite_defaults(each) for each in part] if isinstance(part, list) else part

@@ -23,15 +23,18 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError
 from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
 from asbuilt.findings import Finding, Severity
-from asbuilt.monitoring.events import Event
 from asbuilt.validation import Validation, recording_name
 from asbuilt.workflow.watching.watched_log import WatchedLog
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.skeleton import build_round_mesh
 
 STATE, LOG = "sensor_msgs/msg/JointState", "rcl_interfaces/msg/Log"
-LEVELS: dict[Severity, int] = {"info": 20, "warning": 30, "error": 40}
-"""Levels of `rcl_interfaces/msg/Log`."""
+LEVELS: dict[Severity, tuple[int, str]] = {
+    "info": (20, "INFO"),
+    "warning": (30, "WARN"),
+    "error": (40, "ERROR"),
+}
+"""Levels of `rcl_interfaces/msg/Log` and of rerun."""
 
 
 def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Path:
@@ -82,23 +85,21 @@ def _list_topics(
     names = list(timeline.model.joint_names)
     for track in timeline.tracks:
         samples = _list_samples(track, names)
-        efforts = [(t, {"name": joints, "effort": torque}) for t, joints, torque in samples]
-        yield track.name, STATE, efforts
-    moved = zip(timeline.t.tolist(), timeline.q, strict=True)
-    yield "position", STATE, [(t, {"name": names, "position": q}) for t, q in moved]
-    marks = [
-        (mark.time, {"level": LEVELS[mark.severity], "msg": mark.text}) for mark in timeline.marks
-    ]
-    yield "events", LOG, marks
+        yield track.name, STATE, [(t, {"name": own, "effort": x}) for t, own, x in samples]
+    poses = zip(timeline.t.tolist(), timeline.q, strict=True)
+    yield "position", STATE, [(t, {"name": names, "position": q}) for t, q in poses]
+    marks = [(each.time, each.severity, each.text) for each in timeline.marks]
+    yield "events", LOG, [(t, {"level": LEVELS[kind][0], "msg": text}) for t, kind, text in marks]
 
 
 def _serialise_message(store: Any, kind: str, nanoseconds: int, fields: Mapping[str, Any]) -> bytes:
     """Return a message of a type, the fields that are not given empty."""
-    types, empty = store.types, np.empty(0)
+    types = store.types
     stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-    usual = {
-        STATE: {"header": header, "position": empty, "velocity": empty, "effort": empty},
+    none = dict.fromkeys(("position", "velocity", "effort"), np.empty(0))
+    usual: dict[str, dict[str, Any]] = {
+        STATE: {"header": header, **none},
         LOG: {"stamp": stamp, "name": "asbuilt", "file": "", "function": "", "line": 0},
     }
     return bytes(store.serialize_cdr(types[kind](**{**usual[kind], **fields}), kind))
@@ -106,7 +107,7 @@ def _serialise_message(store: Any, kind: str, nanoseconds: int, fields: Mapping[
 
 def _list_samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[str], Array]]:
     """Yield time, joints and their torques, of one joint each where it has times of its own."""
-    if not track.has_own_times:
+    if track.t.ndim == 1:
         for time, torque in zip(track.t.tolist(), track.torque, strict=True):
             yield time, names, np.ascontiguousarray(torque)
         return
@@ -115,7 +116,6 @@ def _list_samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[
             yield time, [name], np.array([value])
 
 
-RERUN_LEVELS: dict[Severity, str] = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 TRACK_COLOURS: dict[str, tuple[int, int, int]] = {
     "measured": (0, 114, 178),
     "as_built": (213, 94, 0),
@@ -163,15 +163,15 @@ def _write_timeline(rerun: Any, stream: Any, timeline: Timeline, above: list[str
             stream.log(place, lines, static=True)
             stream.send_columns(
                 rerun.new_entity_path(place),
-                [_make_time_column(rerun, t[valid])],
+                [rerun.TimeColumn("time", duration=t[valid])],
                 rerun.Scalars.columns(scalars=torque[valid]),
             )
     if timeline.marks:
         texts = rerun.TextLog.columns(
             text=[mark.text for mark in timeline.marks],
-            level=[RERUN_LEVELS[mark.severity] for mark in timeline.marks],
+            level=[LEVELS[mark.severity][1] for mark in timeline.marks],
         )
-        times = _make_time_column(rerun, np.array([mark.time for mark in timeline.marks]))
+        times = rerun.TimeColumn("time", duration=np.array([mark.time for mark in timeline.marks]))
         stream.send_columns(rerun.new_entity_path([*above, "events"]), [times], texts)
 
 
@@ -182,23 +182,20 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
     for number, solid in enumerate(link_solids(model)):
         parent = place if solid.link == ROOT else links[solid.link]
         vertices, faces = build_round_mesh(solid)
-        colour = ROD if solid.kind == "rod" else HOUSING
-        mesh = rerun.Mesh3D(vertex_positions=vertices, triangle_indices=faces, albedo_factor=colour)
+        mesh = rerun.Mesh3D(
+            vertex_positions=vertices,
+            triangle_indices=faces,
+            albedo_factor=ROD if solid.kind == "rod" else HOUSING,
+        )
         stream.log([*parent, f"{solid.kind} {number}"], mesh, static=True)
     if not len(timeline.t):
         return
-    poses = link_poses(model, timeline.q)
+    poses, times = link_poses(model, timeline.q), rerun.TimeColumn("time", duration=timeline.t)
     for k, link in enumerate(links):
         columns = rerun.Transform3D.columns(
             translation=poses[:, k, :3, 3], mat3x3=poses[:, k, :3, :3]
         )
-        stream.send_columns(
-            rerun.new_entity_path(link), [_make_time_column(rerun, timeline.t)], columns
-        )
-
-
-def _make_time_column(rerun: Any, t: Array) -> Any:
-    return rerun.TimeColumn("time", duration=t)
+        stream.send_columns(rerun.new_entity_path(link), [times], columns)
 
 
 SEVERITY_OF_EVENT: dict[str, Severity] = {
@@ -219,14 +216,9 @@ class Track:
     t: Array
     torque: Array
 
-    @property
-    def has_own_times(self) -> bool:
-        """Whether each joint has times of its own."""
-        return self.t.ndim == 2
-
     def joint(self, k: int) -> tuple[Array, Array]:
         """Return the times and torques of a joint."""
-        return (self.t[:, k] if self.has_own_times else self.t), self.torque[:, k]
+        return (self.t if self.t.ndim == 1 else self.t[:, k]), self.torque[:, k]
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,8 +259,8 @@ class Timeline:
     def start(self) -> float:
         """First time [s] of anything in it."""
         times = [self.t, *(track.t for track in self.tracks)]
-        marked = [mark.time for mark in self.marks]
-        return min([float(each.min()) for each in times if each.size] + marked, default=0.0)
+        firsts = [float(each.min()) for each in times if each.size]
+        return min([*firsts, *(mark.time for mark in self.marks)], default=0.0)
 
 
 def timelines_of_validations(
@@ -306,10 +298,6 @@ def timeline_of_watched(
 ) -> Timeline:
     """Return the timeline of a watched log: measured and external torque, thresholds, events."""
     head, trace = head_of(recording), watched.trace
-    marks = [
-        Mark(event.start, SEVERITY_OF_EVENT[event.kind], _describe_event(event))
-        for event in watched.events
-    ]
     valid = np.all(np.isfinite(head.q), axis=1)
     return Timeline(
         recording_name(watched.source),
@@ -321,7 +309,15 @@ def timeline_of_watched(
             Track("external", trace.t, trace.residual),
             Track("threshold", trace.t, trace.limit),
         ),
-        tuple(marks),
+        tuple(
+            Mark(
+                event.start,
+                SEVERITY_OF_EVENT[event.kind],
+                f"{event.kind} at {', '.join(event.joints)} from {event.start:.3f} to"
+                f" {event.end:.3f} s",
+            )
+            for event in watched.events
+        ),
     )
 
 
@@ -342,11 +338,5 @@ def _interpolate_positions(
     if not valid.any():
         return none
     logged, q = recording.t[valid], recording.q[valid]
-    inside = (t >= logged[0]) & (t <= logged[-1])
-    times = t[inside]
+    times = t[(t >= logged[0]) & (t <= logged[-1])]
     return times, np.column_stack([np.interp(times, logged, column) for column in q.T])
-
-
-def _describe_event(event: Event) -> str:
-    joints = ", ".join(event.joints)
-    return f"{event.kind} at {joints} from {event.start:.3f} to {event.end:.3f} s"

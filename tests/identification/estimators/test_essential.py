@@ -36,7 +36,7 @@ from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.models.physical import refuse_inconsistent_result
+from asbuilt.writers.models.physical import refuse_inconsistent
 from asbuilt.writers.tables.tabular import format_json, identify_document, tabulate_identified
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -218,4 +218,4 @@ def test_a_refusal_to_export_does_not_take_zeros_for_measurements(
     essential: IdentificationResult,
 ) -> None:
     with pytest.raises(InertiaError, match="dropped parameters count as zero"):
-        refuse_inconsistent_result(essential, as_built(essential).model)
+        refuse_inconsistent(as_built(essential).model, essential)

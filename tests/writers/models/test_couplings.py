@@ -71,7 +71,7 @@ def test_an_original_urdf_gets_inertias_of_all_links() -> None:
     built = replace(
         built, joints=(*built.joints[:2], replace(built.joints[2], drive=drive), *built.joints[3:])
     )
-    again = read_urdf(edit_urdf(text, built).content)
+    again = read_urdf(edit_urdf(text, built)[0])
     np.testing.assert_allclose(
         inverse_dynamics(again, *STATES), inverse_dynamics(built, *STATES), atol=1e-9
     )

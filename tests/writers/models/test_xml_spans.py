@@ -3,7 +3,7 @@ import codecs
 import pytest
 
 from asbuilt.errors import DescriptionError
-from asbuilt.writers.models.xml_spans import Edit, XmlFile, attribute_edits
+from asbuilt.writers.models.xml_spans import Edit, XmlFile, list_attribute_edits
 
 TEXT = """<?xml version="1.0"?>\r
 <!-- <mass value="9"/> é -->\r
@@ -57,8 +57,8 @@ def test_edits_keep_every_other_byte_in_every_encoding(
     mass = two.first("mass")
     assert mass is not None
     edits = [
-        *attribute_edits(mass, {"value": "2.5", "unit": "kg"}),
-        *attribute_edits(one, {"name": "one"}),
+        *list_attribute_edits(mass, {"value": "2.5", "unit": "kg"}),
+        *list_attribute_edits(one, {"name": "one"}),
         file.prepended(one, "<u:a/>"),
         file.appended(two, "<u:b/>"),
         file.prepended(three, "<u:c/>"),

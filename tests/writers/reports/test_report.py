@@ -15,7 +15,7 @@ from chromium import chromium
 from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study
-from asbuilt.writers.reports.cards import study_cards
+from asbuilt.writers.reports.cards import make_study_cards
 from asbuilt.writers.reports.report import report_html, write_report
 from asbuilt.writers.reports.sections.parameters import place_interval
 from command_line import call_elsewhere
@@ -117,12 +117,12 @@ def test_verdict_shouts_when_the_fit_is_worse_than_the_design(example: Any) -> N
         physically_consistent=True,
     )
     study = Study(result, ())
-    cards = study_cards(study)
+    cards = make_study_cards(study)
     assert cards[0].mood == "bad"
     assert study.verdict.text.startswith("DO NOT USE: CAD is better; ")
     assert cards[1].mood == "good"
     study = Study(example.result, ())
-    good = study_cards(study)
+    good = make_study_cards(study)
     assert study.verdict.text.startswith("USE WITH CARE: physically inconsistent")
     assert good[1].mood == "bad"
 
@@ -138,7 +138,7 @@ def test_cards_agree_with_each_other(example: Any) -> None:
         p.determined and p.std_error <= 0.5 * each
         for p, each in zip(example.result.parameters, size, strict=True)
     )
-    card = study_cards(study)[-2]
+    card = make_study_cards(study)[-2]
     assert card.figure == f"{expected} of {example.result.n_base}"
 
 

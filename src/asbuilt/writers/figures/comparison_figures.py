@@ -36,11 +36,8 @@ CAUSE_COLOURS: dict[str, str] = {
 """One colour per effect that is common, after Okabe and Ito (2008)."""
 FURTHER = (ORANGE, "#56B4E9")
 """Colours of other effects, in turn."""
-MOST_DIFFERENCES = 20
-"""Parameters in the figure of differences."""
-UNEXPLAINED = "#D5D9DE"
-LABELLED = 0.035
-"""Smallest share that is labelled with its number, as a part of the axis."""
+PALE = "#D5D9DE"
+"""Colour of what no cause explains, and of a change expected by chance."""
 CUT = 3.0
 """Share at which the axis ends: at a joint with almost no error the causes cancel, and their shares
 have no bound."""
@@ -49,24 +46,27 @@ have no bound."""
 def draw_attribution(attribution: Attribution) -> Figure:
     """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
     n = len(attribution.joint_names)
-    place, (low, high) = np.arange(n), _find_span(attribution)
+    place, shares = np.arange(n), np.array([each.share for each in attribution.shares])
+    ups, downs = np.maximum(shares, 0.0), np.minimum(shares, 0.0)
+    top, bottom = ups.sum(axis=0) + attribution.unexplained, downs.sum(axis=0)
+    low, high = max(-CUT, float(bottom.min(initial=0.0))), min(CUT, float(top.max()))
     gap = 0.015 * (high - low)
     bar: dict[str, Any] = {"width": 0.68, "edgecolor": "white", "linewidth": 0.6}
     small: dict[str, Any] = {"ha": "center", "fontsize": 7.5}
     title = f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
     with open_figure(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
         above, below = np.zeros(n), np.zeros(n)
-        for number, each in enumerate(attribution.shares):
+        for number, (each, up, down) in enumerate(zip(attribution.shares, ups, downs, strict=True)):
             colour = CAUSE_COLOURS.get(each.effect, FURTHER[number % len(FURTHER)])
             name = name_group(each.effect)
             ink = "white" if each.effect in ("friction", "payload", "links", "spring") else INK
-            up, down = np.maximum(each.share, 0.0), np.minimum(each.share, 0.0)
             axis.bar(place, 100 * up, bottom=100 * above, color=colour, label=name, **bar)
             axis.bar(place, 100 * down, bottom=100 * below, color=colour, **bar)
             for k, part in enumerate(each.share):
                 foot = above[k] if part > 0 else below[k]
                 ends = np.clip([foot, foot + part], low, high)
-                if abs(ends[1] - ends[0]) >= LABELLED * (high - low):
+                # Smallest share that has its number, as a part of the axis.
+                if abs(ends[1] - ends[0]) >= 0.035 * (high - low):
                     axis.text(
                         k, 50 * ends.sum(), f"{100 * part:.0f}", va="center", color=ink, **small
                     )
@@ -75,18 +75,14 @@ def draw_attribution(attribution: Attribution) -> Figure:
             place,
             100 * attribution.unexplained,
             bottom=100 * above,
-            color=UNEXPLAINED,
+            color=PALE,
             label="unexplained",
             **bar,
         )
-        top = above + attribution.unexplained
         for k, (rms, unit) in enumerate(zip(attribution.rms_cad, attribution.units, strict=True)):
-            height, error = (
-                100 * (min(top[k], high) + gap),
-                f"{round_significant(float(rms))} {unit}",
-            )
-            axis.text(k, height, error, va="bottom", **small)
-            for end, whole, mark in ((high, top[k], "\u25b2"), (low, below[k], "\u25bc")):
+            error = f"{round_significant(float(rms))} {unit}"
+            axis.text(k, 100 * (min(top[k], high) + gap), error, va="bottom", **small)
+            for end, whole, mark in ((high, top[k], "\u25b2"), (low, bottom[k], "\u25bc")):
                 if abs(whole) > abs(end):
                     axis.text(
                         k,
@@ -97,12 +93,13 @@ def draw_attribution(attribution: Attribution) -> Figure:
                         fontweight="bold",
                         **small,
                     )
-        if below.min() < -0.02:
+        if bottom.min() < -0.02:
             axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
-            against = (
-                "A negative share works against the others; the shares of a joint add up to 100 %."
+            figure.supxlabel(
+                "A negative share works against the others; the shares of a joint add up to 100 %.",
+                fontsize=7.5,
+                color=QUIET,
             )
-            figure.supxlabel(against, fontsize=7.5, color=QUIET)
         axis.axhline(0.0, color=INK, linewidth=0.6)
         names = [break_name(name, 14) for name in attribution.joint_names]
         axis.set_xticks(place, names, rotation=0 if n <= 8 else 30)
@@ -118,25 +115,18 @@ def draw_attribution(attribution: Attribution) -> Figure:
     return figure
 
 
-def _find_span(attribution: Attribution) -> tuple[float, float]:
-    """Return the lowest and the highest share that is drawn, within `CUT`."""
-    shares = np.array([each.share for each in attribution.shares])
-    lowest = float(np.minimum(shares, 0.0).sum(axis=0).min(initial=0.0))
-    highest = float((np.maximum(shares, 0.0).sum(axis=0) + attribution.unexplained).max())
-    return max(-CUT, lowest), min(CUT, highest)
-
-
 def draw_differences(comparison: Comparison) -> Figure:
     """Draw the parameters whose difference has the most torque, with the part that is their own.
 
     Those below a fiftieth of the largest are left out.
     """
     largest = max((each.torque_total or 0.0 for each in comparison.parameters), default=0.0)
+    # Most parameters in the figure.
     shown = [
         each
         for each in comparison.ranked
         if each.torque_total and each.torque_total >= 0.02 * largest
-    ][:MOST_DIFFERENCES]
+    ][:20]
     place = np.arange(len(shown))
     total = np.array([each.torque_total or 0.0 for each in shown])
     own = [each.torque_own or 0.0 for each in shown]
@@ -172,10 +162,6 @@ def draw_differences(comparison: Comparison) -> Figure:
     return figure
 
 
-CHANCE = "#D5D9DE"
-"""Colour of the change expected by chance."""
-
-
 def draw_drift(drift: Drift) -> Figure:
     """Draw the RMS torque of all changes at each joint, and what standard errors explain below."""
     change = "difference" if drift.of_models else "change"
@@ -190,7 +176,7 @@ def draw_drift(drift: Drift) -> Figure:
         for label, shift, height, colour, lengths, shown in (
             (f"{change}, significant", -0.2, 0.38, AS_BUILT, torque, sure),
             (f"{change}, within errors", -0.2, 0.38, GREY, torque, ~sure),
-            ("expected from standard errors", 0.17, 0.28, CHANCE, by_chance, sure | ~sure),
+            ("expected from standard errors", 0.17, 0.28, PALE, by_chance, sure | ~sure),
         ):
             if not shown.any():
                 continue
@@ -224,8 +210,6 @@ def draw_drift(drift: Drift) -> Figure:
 SHOWN = ("armature", "damping", "damping + kv", "friction loss", "kp", "forcerange")
 """Kinds of numbers in the figure."""
 COLOURS = {"contradicted": VERMILION, "supported": BLUE, "undetermined": GREY}
-SIGMAS = 2.0
-"""Half the length of an error bar in standard errors."""
 
 
 def review_figure(review: Review) -> Figure:
@@ -260,8 +244,8 @@ def _draw(axis: Axes, claims: list[Claim], joints: list[str]) -> None:
     size = max(max(abs(claim.claimed), abs(claim.estimate or 0.0)) for claim in claims)
     for claim in claims:
         place = joints.index(claim.joint)
-        # An error bar longer than so many times the largest number of its kind is cut.
-        bar = min(SIGMAS * (claim.std_error or 0.0), 4.0 * size)
+        # Two standard errors; a bar longer than 4 times the largest number of its kind is cut.
+        bar = min(2.0 * (claim.std_error or 0.0), 4.0 * size)
         axis.errorbar(
             claim.estimate or 0.0,
             place,

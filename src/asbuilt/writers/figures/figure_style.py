@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,8 @@ BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
 )
 MEASURED, AS_BUILT, CAD = BLUE, VERMILION, GREY
 
-FORMATS = ("png", "svg", "pdf")
+DATED = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
+"""Field of each kind of file that would make equal figures differ."""
 POINTS = 4000
 """Points of a long curve."""
 
@@ -88,26 +89,24 @@ def break_name(name: str, width: int) -> str:
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160) -> Path:
     """Write a figure whole, as PNG, SVG or PDF after its suffix; equal figures give equal bytes."""
     suffix = Path(path).suffix.lower().lstrip(".")
-    if suffix not in FORMATS:
+    if suffix not in DATED:
         raise UsageError(
-            f"figure {str(path)!r} has an unknown suffix; expected .{', .'.join(FORMATS)}"
+            f"figure {str(path)!r} has an unknown suffix; expected .{', .'.join(DATED)}"
         )
     return atomic_write(path, _draw_figure(figure, suffix, dpi=dpi))
 
 
 def _draw_figure(figure: Figure, kind: str, **how: Any) -> bytes:
     """Return a figure as a file of a kind, without a date."""
-    stream, dated = io.BytesIO(), {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
+    stream = io.BytesIO()
     with apply_style():
-        figure.savefig(stream, format=kind, metadata={dated[kind]: None}, **how)
+        figure.savefig(stream, format=kind, metadata={DATED[kind]: None}, **how)
     return stream.getvalue()
 
 
-@contextmanager
-def apply_style() -> Iterator[None]:
-    """Draw in the house style within this context."""
-    with mpl.rc_context(_STYLE):
-        yield
+def apply_style() -> AbstractContextManager[None]:
+    """Return the context in which figures are drawn in the house style."""
+    return mpl.rc_context(_STYLE)
 
 
 def make_blank_figure(width: float, height: float) -> Figure:

@@ -57,11 +57,7 @@ def draw_recording(recording: Recording, check: RecordingCheck) -> Figure:
     return figure
 
 
-BAND = "#E9ECEF"
 COLOURS = {"contact": VERMILION, "fault": ORANGE, "payload": "#009E73"}
-NARROWEST = 0.004
-"""Least width of an event, per length of the log."""
-MARGIN = 1.25
 
 
 def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
@@ -74,20 +70,28 @@ def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
     start, last = float(trace.t.min()), float(trace.t.max())
     subject = f"external torque [{format_torque_unit(watched.units)}] and its thresholds"
     title = subject if narrow else f"{watched.robot}: {subject}"
-    mixed = len(set(watched.units)) > 1
-    width = 3.9 if narrow else 8.6
+    mixed, width = len(set(watched.units)) > 1, 3.9 if narrow else 8.6
     with open_figure(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):
         for j, (axis, name) in enumerate(zip(axes, watched.joint_names, strict=True)):
             t, limit, residual = trace.t[:, j], trace.limit[:, j], trace.residual[:, j]
-            axis.fill_between(t, -limit, limit, color=BAND, linewidth=0.0, label="within threshold")
+            axis.fill_between(
+                t, -limit, limit, color="#E9ECEF", linewidth=0.0, label="within threshold"
+            )
             axis.plot(t, np.stack([limit, -limit], axis=1), color=GREY, linewidth=0.5)
             axis.plot(t, residual, color=BLUE, linewidth=0.8, label="external torque")
             for event in watched.events:
                 if name in event.joints:
-                    end = event.start + max(event.duration, NARROWEST * (last - start))
-                    look = {"color": COLOURS[event.kind], "alpha": 0.3, "linewidth": 0.0}
-                    axis.axvspan(event.start, end, label=event.kind, **look)
-            tallest = MARGIN * float(max(np.abs(residual).max(), np.quantile(limit, 0.5)))
+                    # Least width of an event, per length of the log.
+                    end = event.start + max(event.duration, 0.004 * (last - start))
+                    axis.axvspan(
+                        event.start,
+                        end,
+                        label=event.kind,
+                        color=COLOURS[event.kind],
+                        alpha=0.3,
+                        linewidth=0.0,
+                    )
+            tallest = 1.25 * float(max(np.abs(residual).max(), np.quantile(limit, 0.5)))
             label = f"{name} [{watched.units[j]}]" if mixed else name
             axis.set(ylim=(-tallest, tallest), ylabel=break_name(label, 12))
         axes[-1].set(xlabel="time [s]", xlim=(start, last))
@@ -130,8 +134,13 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         above.set_ylabel(f"moved [{unit}]")
         above.legend(handlelength=1.2, **legend_place)
         for values, colour, style, width, label in curves:
-            look = {"color": colour, "linestyle": style, "linewidth": width}
-            below.plot(*thin_curves(t, values, points=POINTS), label=label, **look)
+            below.plot(
+                *thin_curves(t, values, points=POINTS),
+                label=label,
+                color=colour,
+                linestyle=style,
+                linewidth=width,
+            )
         below.set(xlabel="time [s]", ylabel="energy [J]")
         below.margins(x=0.01)
         legend = below.legend(handlelength=1.6, **legend_place)

@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
-from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.tables import round_significant
@@ -73,7 +72,7 @@ def torque_figure(
         lefts, rights = axes[::2], axes[1::2]
         for k, (left, right) in enumerate(zip(lefts, rights, strict=True)):
             by_cad = None if cad is None else cad[:, k]
-            draw_torque(left, t, measured[:, k], predicted[:, k], label, beside=by_cad)
+            draw_torque(left, t, measured[:, k], predicted[:, k], label, cad=by_cad)
             left.set_ylabel(label_torque_axis(names[k], kinds[k]))
             draw_errors(right, t, measured[:, k], predicted[:, k], label, cad=by_cad)
             low, high = right.get_ylim()
@@ -97,11 +96,11 @@ def draw_torque(
     predicted: Array,
     label: str = "as built",
     *,
-    beside: Array | None = None,
+    cad: Array | None = None,
 ) -> None:
-    """Draw measured and predicted torque (N,), thinned as a curve `beside` them."""
-    curves = [measured, predicted] + ([] if beside is None else [beside])
-    instants, torque, modelled, *_ = thin_curves(t, *curves, points=POINTS)
+    """Draw measured and predicted torque (N,), thinned as the prediction by `cad` is."""
+    others = () if cad is None else (cad,)
+    instants, torque, modelled, *_ = thin_curves(t, measured, predicted, *others, points=POINTS)
     axis.plot(instants, torque, color=MEASURED, linewidth=1.5, label="measured")
     dashed: dict[str, Any] = {"linewidth": 0.9, "linestyle": (0, (4, 1.6))}
     axis.plot(instants, modelled, color=AS_BUILT, label=f"predicted, {label}", **dashed)
@@ -117,15 +116,18 @@ def draw_errors(
     cad: Array | None = None,
 ) -> None:
     """Draw measured less predicted torque (N,), with CAD's error behind it."""
-    errors = {
-        f"{name}, RMS {_format_rms(measured - curve)}": measured - curve
-        for name, curve in (("CAD", cad), (label, predicted))
+    shown = [
+        (name, measured - curve, colour, width)
+        for name, curve, colour, width in (
+            ("CAD", cad, CAD, 0.8),
+            (label, predicted, GREEN, 0.9),
+        )
         if curve is not None
-    }
-    instants, *thin = thin_curves(t, *errors.values(), points=POINTS)
-    looks = [(CAD, 0.8), (GREEN, 0.9)][-len(errors) :]
-    for name, error, (colour, width) in zip(errors, thin, looks, strict=True):
-        axis.plot(instants, error, color=colour, linewidth=width, label=name)
+    ]
+    instants, *thin = thin_curves(t, *(error for _, error, *_ in shown), points=POINTS)
+    for (name, error, colour, width), curve in zip(shown, thin, strict=True):
+        rms = f"RMS {round_significant(float(np.sqrt(np.mean(np.square(error)))))}"
+        axis.plot(instants, curve, color=colour, linewidth=width, label=f"{name}, {rms}")
     axis.axhline(0.0, color=INK, linewidth=0.5)
 
 
@@ -134,15 +136,11 @@ def label_torque_axis(joint: str, unit: str) -> str:
     return f"{break_name(joint, 14)}\n[{unit}]"
 
 
-def _format_rms(error: ArrayLike) -> str:
-    return round_significant(float(np.sqrt(np.mean(np.square(error)))))
-
-
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
     """Draw held-out error and the whiteness of the residual against the cutoff."""
     cutoffs = [trial.cutoff for trial in sweep.trials]
-    with open_figure(7.0, 4.6, title, rows=2, sharex=True, height_ratios=(3, 2)) as (figure, axes):
-        upper, lower = axes
+    with open_figure(7.0, 4.6, title, rows=2, sharex=True, height_ratios=(3, 2)) as opened:
+        figure, (upper, lower) = opened
         right = lower.twinx()
         for axis, name, factor, colour, mark, size, style, label in (
             (upper, "score", 1, VERMILION, "o", 4, "-", "against unfiltered torque"),
@@ -151,8 +149,15 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
             (right, "effective_share", 100, GREEN, "s", 3, "-", ""),
         ):
             values = [factor * getattr(trial, name) for trial in sweep.trials]
-            look = {"color": colour, "marker": mark, "markersize": size, "linestyle": style}
-            axis.plot(cutoffs, values, label=label, **look)
+            axis.plot(
+                cutoffs,
+                values,
+                label=label,
+                color=colour,
+                marker=mark,
+                markersize=size,
+                linestyle=style,
+            )
         upper.set_ylabel("held-out error,\nrelative to the best")
         upper.legend(loc="best")
         # Held-out error, relative to the best, above which the axis is logarithmic.

@@ -14,20 +14,16 @@ def thin_curves(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     Every bucket of time keeps the samples where any curve is smallest and largest, and each
     contiguous segment its ends; NaN between segments keeps lines from bridging gaps.
     """
-    t_out: list[Array] = []
-    kept: list[list[Array]] = [[] for _ in curves]
-    share = points / max(len(t), 1)
-    gap = np.array([np.nan])
+    share, kept = points / max(len(t), 1), list[list[Array]]()
     for start, stop in find_contiguous_segments(t):
         index = start + _find_extremes(
             [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))
         )
-        t_out += [t[index], gap]
-        for curve, parts in zip(curves, kept, strict=True):
-            parts += [curve[index], gap]
-    if not t_out:
+        kept.append([np.append(each[index], np.nan) for each in (t, *curves)])
+    if not kept:
         return t, *curves
-    return np.concatenate(t_out[:-1]), *(np.concatenate(parts[:-1]) for parts in kept)
+    # No gap behind the last segment.
+    return tuple(np.concatenate(parts)[:-1] for parts in zip(*kept, strict=True))
 
 
 def _find_extremes(curves: list[Array], points: int) -> Indices:

@@ -40,8 +40,9 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     weighted by their noise.
     """
     found = as_built_parameters(result, nearest)
-    robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
-    robot = with_servo(robot, result.servo)
+    robot = with_servo(
+        with_standard_parameters(result.model, result.base.drive, found.parameters), result.servo
+    )
     sources = ", ".join(result.sources)
     notes = (*result.model.notes, f"identified ({result.method}) from {sources}; {found.verdict}")
     return AsBuilt(found, replace(robot, notes=notes, source=f"identified from {sources}"))
@@ -121,14 +122,8 @@ def keep_described_drives(
             else:
                 as_described.add(key)
         joints.append(replace(joint, drive=replace(joint.drive, **kept)))
-    notes = (
-        [
-            "not identified, and as described:"
-            f" {', '.join(key for key in PLAIN_TERMS if key in as_described)} of the drives"
-        ]
-        if as_described
-        else []
-    )
+    listed = ", ".join(key for key in PLAIN_TERMS if key in as_described)
+    notes = [f"not identified, and as described: {listed} of the drives"] if listed else []
     for (key, richer_key), names in replaced.items():
         at = "" if len(names) == robot.n_joints else f" at {', '.join(names)}"
         notes.append(
@@ -137,15 +132,15 @@ def keep_described_drives(
     return replace(robot, joints=tuple(joints)), tuple(notes)
 
 
-def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
-    """Return the largest torque difference [N m or N] to the result from load-dependent friction.
+def note_load_friction(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
+    """Return a note if load-dependent friction differs from the result's.
 
     In the base parameters of a result the load contains what is grouped with a link, such as the
     armature of the first joint; the robot as built has it apart.
     """
     drive = result.base.drive
     if not drive.needs_load:
-        return 0.0
+        return ()
     # Random states at which torques are compared.
     q, qd, qdd = draw_sample_states(built.model, 100)
     rigid, shares = len(built.model.parameters), built.model.motor_shares
@@ -158,5 +153,10 @@ def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
             load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares)
         )
     apart = float(np.abs(torques[1] - torques[0]).max())
+    note = (
+        "load-dependent friction acts on the load of the links alone; in the result the load"
+        " includes armatures grouped with a link. The torques differ by up to"
+        f" {apart:.2g} N m in random motion"
+    )
     # Torques [N m or N] that differ by less are the same.
-    return apart if apart > 1e-9 else 0.0
+    return (note,) if apart > 1e-9 else ()

@@ -92,10 +92,9 @@ def convert_robot(
             f"{path} names no format to write; its suffix must be one of {', '.join(FORMATS)}",
             value=str(path),
         )
-    held_still = [f"{name} at {value!r}" for name, value in model.locked_joints.items()]
-    if held_still:
-        note = f"locked when converted: {', '.join(held_still)}"
-        model = replace(model, notes=(*model.notes, note))
+    if model.locked_joints:
+        held = ", ".join(f"{name} at {value!r}" for name, value in model.locked_joints.items())
+        model = replace(model, notes=(*model.notes, f"locked when converted: {held}"))
     try:
         written, notes = _write_as_named(path, model)
     except InertiaError as problem:
@@ -129,9 +128,8 @@ def _write_as_named(
         "which inertias are unknown": not all(link.inertia_known for link in model.links),
     }
     lost = [what for what, is_there in there.items() if is_there]
-    if lost:
-        notes = (*notes, f"{title} has no place for {join_names(lost)}; the robot file (.toml) has")
-    return written, notes
+    note = f"{title} has no place for {join_names(lost)}; the robot file (.toml) has"
+    return written, (*notes, *([note] if lost else []))
 
 
 def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
@@ -144,9 +142,7 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
     # Random states at which torques are compared.
     states = draw_sample_states(model, 100)
     expected = inverse_dynamics(model, *states)
-    there = [np.empty_like(part) for part in states]
-    for given, part in zip(there, states, strict=True):
-        given[:, order] = part
+    there = [part[:, np.argsort(order)] for part in states]
     torque = inverse_dynamics(replace(read, gravity=model.gravity), *there)[:, order]
     apart = np.abs(torque - expected).max(axis=0)
     size = float(np.abs(expected).max(initial=0.0))
@@ -177,8 +173,7 @@ def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path
     if not computed:
         raise UsageError("no mass properties were computed, so there is nothing to write")
     for name, inertia in computed.items():
-        reason = inertia.inconsistency()
-        if reason is not None:
+        if (reason := inertia.inconsistency()) is not None:
             raise InertiaError(f"computed mass properties of link {name!r}: {reason}", link=name)
     if place.suffix.lower() == ".toml":
         return write_robot_toml(place, model), ()

@@ -95,13 +95,11 @@ def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
 
 def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
     """Return one robot of an ensemble, counted from 0, with its drive terms and servo."""
-    result = ensemble.result
+    result, servo = ensemble.result, ensemble.servo(draw)
     robot = with_standard_parameters(
         result.model, result.base.drive, ensemble.parameters[draw].copy()
     )
-    robot = with_servo(robot, ensemble.servo(draw))
-    kept, _ = keep_described_drives(robot, result.model)
-    servo = ensemble.servo(draw)
+    kept, _ = keep_described_drives(with_servo(robot, servo), result.model)
     late = "" if servo is None else f"; delay of the servo {servo.delay!r} s"
     note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters{late}"
     return replace(kept, notes=(*result.model.notes, note))
@@ -132,7 +130,6 @@ class EnsembleFiles:
     def as_text(self, full: bool = False) -> str:
         """Return the ranges of drives and servo, `full` of the links too, the files and notes."""
         head = f"{self.ensemble.result.robot}: {len(self.ensemble)} robots, equally probable"
-        shown = [row for row in self.document["parameters"] if full or "joint" in row]
         columns = tuple(Column(name) for name in ("parameter", "of", "unit", "5 %", "50 %", "95 %"))
         rows = tuple(
             (
@@ -141,10 +138,10 @@ class EnsembleFiles:
                 row["unit"],
                 *(Shown(row[key], round_significant(row[key], 4)) for key in ("q05", "q50", "q95")),
             )
-            for row in shown
+            for row in self.document["parameters"]
+            if full or "joint" in row
         )
-        first, last = self.models[0], self.models[-1]
-        files = {"models": Path(f"{first} ... {last.name}"), **self.files}
+        files = {"models": Path(f"{self.models[0]} ... {self.models[-1].name}"), **self.files}
         listed = file_lines(files, {}, 10) + [f"  note: {note}" for note in self.notes]
         return "\n".join([head, "", Table(columns, rows).as_text().strip(), "", *listed])
 
@@ -180,9 +177,8 @@ def write_ensemble(
         raise UsageError(
             f"there is no model format {models!r}", cure=Cure(f"take one of {', '.join(SUFFIXES)}")
         )
-    place, n = Path(folder), len(ensemble)
-    digits = max(3, len(str(n - 1)))
-    names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(n)]
+    place, digits = Path(folder), max(3, len(str(len(ensemble) - 1)))
+    names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(len(ensemble))]
     notes = (*ensemble.notes, *_format_notes(ensemble, models))
     document = _build_document(ensemble, seed, names, notes)
     older = [path.name for ends in SUFFIXES.values() for path in place.glob(f"model_*{ends}")]
@@ -191,7 +187,7 @@ def write_ensemble(
         files = {
             "parameters": atomic_write(place / "parameters.parquet", encode_parquet(ensemble)),
             "loader": atomic_write(
-                place / "load_ensemble.py", choose_loader_text(SUFFIXES[models])
+                place / "load_ensemble.py", LOADER.replace("@SUFFIX@", SUFFIXES[models])
             ),
             "ensemble": write_json(place / MARK, document),
         }
@@ -229,10 +225,11 @@ def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     first = ensemble_model(ensemble, 0)
     _, kept = keep_described_drives(first, ensemble.result.model)
     notes = note_mjcf_limits(first) if models == "mjcf" else note_urdf_limits(first)
-    own = f"numbers are from draw 0: {'; '.join(notes)}" if notes else ""
-    held = note_held_base(ensemble.result.model) if models == "mjcf" else ()
-    return tuple(
-        each for each in (own, *kept, *note_missing_servo(ensemble.result, models), *held) if each
+    return (
+        *([f"numbers are from draw 0: {'; '.join(notes)}"] if notes else []),
+        *kept,
+        *note_missing_servo(ensemble.result, models),
+        *(note_held_base(ensemble.result.model) if models == "mjcf" else ()),
     )
 
 
@@ -327,8 +324,3 @@ if __name__ == "__main__":
     for number, robot in enumerate(models()):
         print(number, "total mass [kg]", mujoco.mj_getTotalmass(robot))
 '''
-
-
-def choose_loader_text(suffix: str) -> str:
-    """Return the module for model files that end so."""
-    return LOADER.replace("@SUFFIX@", suffix)

@@ -22,21 +22,20 @@ from asbuilt.tables import round_significant
 from asbuilt.validation.nearest_consistent import NearestModel, compare_with_nearest
 from asbuilt.writers.files import atomic_write, file_lines, path_texts
 from asbuilt.writers.models.as_built import (
-    AsBuilt,
     as_built,
     keep_described_drives,
-    load_counted,
+    note_load_friction,
 )
 from asbuilt.writers.models.c.c_code import write_c
 from asbuilt.writers.models.c.c_observer import generate_observer_code
-from asbuilt.writers.models.mjcf import add_elastic_joints, with_rotors_described, write_mjcf
+from asbuilt.writers.models.mjcf import describe_rotors, write_mjcf
 from asbuilt.writers.models.physical import (
     note_left_out_servo,
-    refuse_inconsistent_result,
+    refuse_inconsistent,
     refuse_poor_nearest_model,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.simulators.simulator_format import ExportedDrives, find_simulator_format
+from asbuilt.writers.models.simulators.simulator_format import SIMULATOR_FORMATS, ExportedDrives
 from asbuilt.writers.models.urdf import write_urdf
 
 Place = str | os.PathLike[str]
@@ -79,12 +78,13 @@ class Export:
 
     def as_text(self) -> str:
         """Return the files and notes, one a line."""
-        lines = [f"{self.robot} as built: {self.verdict}"]
-        if self.cost is not None:
-            lines += ["", *self.cost.table().as_text().splitlines(), ""]
-        if self.beyond:
-            lines += [self.beyond, ""]
-        return "\n".join([*lines, *file_lines(self.files, self.notes, 9)])
+        lines = [
+            f"{self.robot} as built: {self.verdict}",
+            *([] if self.cost is None else ["", *self.cost.table().as_text().splitlines(), ""]),
+            *([self.beyond, ""] if self.beyond else []),
+            *file_lines(self.files, self.notes, 9),
+        ]
+        return "\n".join(lines)
 
 
 def export_result(
@@ -142,14 +142,15 @@ def export_result(
     UsageError
         If no file is named, or options do not go together.
     """
-    formats = {find_simulator_format(key): place for key, place in (simulators or {}).items()}
+    formats = {SIMULATOR_FORMATS.find(key): place for key, place in (simulators or {}).items()}
     models = (urdf, mjcf, toml, c)
-    if all(place is None for place in (*models, observer)) and not formats:
-        files_to_name = dict.fromkeys(("urdf", "mjcf", "toml", "c", "observer"), "FILE")
-        raise UsageError(
-            "no file to export is named", cure=Cure("name at least one", files_to_name)
-        )
-    for idle, why, cure, settings in (
+    for refused, why, cure, settings in (
+        (
+            all(place is None for place in (*models, observer)) and not formats,
+            "no file to export is named",
+            "name at least one",
+            dict.fromkeys(("urdf", "mjcf", "toml", "c", "observer"), "FILE"),
+        ),
         (
             original is not None and urdf is None,
             f"{original} is to be edited, but no URDF to write is named",
@@ -175,9 +176,9 @@ def export_result(
             {"mjcf": "FILE"},
         ),
     ):
-        if idle:
+        if refused:
             raise UsageError(why, cure=Cure(cure, settings))
-    result = with_rotors_described(result) if elastic else result
+    result = describe_rotors(result) if elastic else result
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     if observer is not None:
@@ -188,12 +189,12 @@ def export_result(
         return Export(result.robot, "the identified parameters", files, {})
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
-    refuse_inconsistent_result(result, model)
+    refuse_inconsistent(model, result)
     cost = compare_with_nearest(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
     in_simulators, kept = keep_described_drives(model, result.model)
-    load = load_note(result, built)
+    load = note_load_friction(result, built)
     if c is not None:
         files["c"], files["header"] = write_c(
             c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_links :]
@@ -204,10 +205,7 @@ def export_result(
         files["urdf"], remarks = write_urdf(urdf, in_simulators, original=edited)
         notes["urdf"] = (*missing, *remarks, *kept, *note_missing_servo(result, "urdf"))
     if mjcf is not None:
-        files["mjcf"], remarks = write_mjcf(mjcf, in_simulators)
-        if elastic:
-            text = add_elastic_joints(files["mjcf"].read_text(encoding="utf-8"), result.encoders)
-            atomic_write(mjcf, text)
+        files["mjcf"], remarks = write_mjcf(mjcf, in_simulators, result.encoders if elastic else ())
         notes["mjcf"] = (
             *remarks,
             *kept,
@@ -252,57 +250,40 @@ def find_urdf_to_edit(
 ) -> tuple[Path | None, tuple[str, ...]]:
     """Return the URDF to edit, given or the robot's, and a note if that is missing."""
     place = Path(given if given is not None else model.source)
-    if given is not None or place.is_file():
-        content, source = described_text(place)
-        if find_outermost_tag(content) == "robot":
-            return place, ()
-        if given is not None:
-            raise DescriptionError(
-                f"{source} is no URDF",
-                cure=Cure("give the URDF that the robot was identified with"),
-                file=source,
-            )
-        return None, ()
-    if place.suffix.lower() == ".urdf":
+    if given is None and not place.is_file():
         note = (
             f"{place}, with which the robot was identified, does not exist: a URDF without shapes"
             " was written; name the original to keep its shapes"
         )
-        return None, (note,)
-    return None, ()
+        return None, (note,) if place.suffix.lower() == ".urdf" else ()
+    content, source = described_text(place)
+    if find_outermost_tag(content) == "robot":
+        return place, ()
+    if given is None:
+        return None, ()
+    raise DescriptionError(
+        f"{source} is no URDF",
+        cure=Cure("give the URDF that the robot was identified with"),
+        file=source,
+    )
 
 
 def note_missing_servo(
     result: IdentificationResult, kind: Literal["mjcf", "urdf"]
 ) -> tuple[str, ...]:
     """Return what a model file cannot hold of the servo of a result."""
-    if result.servo is None:
-        return ()
-    gains = ("URDF has no place for the gains of the servo",) if kind == "urdf" else ()
+    with_gains = kind == "urdf" and result.servo is not None
+    gains = ("URDF has no place for the gains of the servo",) if with_gains else ()
     return (*note_left_out_servo(result.servo, kind.upper()), *gains)
 
 
 def note_held_base(model: RobotModel) -> tuple[str, ...]:
     """Return what a model file lacks of a robot whose free joint was held."""
-    held = [note for note in model.notes if note.startswith("the free joint of ")]
     return tuple(
         f"{note}: the file has no free joint and no trunk; put its bodies under yours"
-        for note in held[:1]
-    )
-
-
-def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
-    """Return a note if load-dependent friction differs from the result's."""
-    apart = load_counted(result, built)
-    if not apart:
-        return ()
-    return (
-        (
-            "load-dependent friction acts on the load of the links alone; in the result the load"
-            " includes armatures grouped with a link. The torques differ by up to"
-            f" {apart:.2g} N m in random motion"
-        ),
-    )
+        for note in model.notes
+        if note.startswith("the free joint of ")
+    )[:1]
 
 
 def write_observer(

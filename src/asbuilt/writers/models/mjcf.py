@@ -31,7 +31,7 @@ from asbuilt.writers.models.physical import (
     refuse_inconsistent,
 )
 
-STIFF_FRICTION = ("0.002 1", "0.9999 0.9999 0.001 0.5 2")
+STIFF_FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
 """Reference (two steps of 1 ms) and impedance (the hardest) of dry friction at small speeds."""
 CARRIED = frozenset(
     (
@@ -65,12 +65,13 @@ def export_mjcf(model: RobotModel) -> str:
     root = fromstring(format_mjcf(plain))
     elements = {element.get("name"): element for element in root.iter("joint")}
     for joint in plain.joints:
-        element = elements[joint.name]
         if joint.drive.coulomb:
-            element.attrib.update(_write_dry_friction(joint.drive.coulomb))
+            elements[joint.name].attrib.update(
+                STIFF_FRICTION, frictionloss=repr(joint.drive.coulomb)
+            )
     for motor, joint in zip([*root.iter("motor")], plain.joints, strict=True):
         if joint.drive.kp is not None:
-            _as_servo(motor, elements[joint.name], joint)
+            _make_servo(motor, elements[joint.name], joint)
         elif offset := joint.drive.offset:
             motor.tag = "general"
             motor.attrib.update(biastype="affine", biasprm=f"{-offset!r} 0 0")
@@ -78,14 +79,14 @@ def export_mjcf(model: RobotModel) -> str:
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
     if model.n_floating:
-        _free_base(root, model)
+        _release_base(root, model)
     for place, note in enumerate((*model.notes, *note_mjcf_limits(model))):
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
 
-def _free_base(root: Element, model: RobotModel) -> None:
+def _release_base(root: Element, model: RobotModel) -> None:
     """Take the actuators of the base's joints out, and make one free joint of six of them."""
     names = set(model.joint_names[: model.n_floating])
     for actuators in root.iter("actuator"):
@@ -105,7 +106,7 @@ def _free_base(root: Element, model: RobotModel) -> None:
     world.remove(first)
 
 
-def _as_servo(actuator: Element, element: Element, joint: Joint) -> None:
+def _make_servo(actuator: Element, element: Element, joint: Joint) -> None:
     """Make a position actuator of a motor: `clip(kp (u - q) - kd qd, -limit, limit) - Fo`."""
     kp, kd, offset = joint.drive.kp or 0.0, joint.drive.kd or 0.0, joint.drive.offset or 0.0
     limit = joint.limits.torque
@@ -144,16 +145,11 @@ def _add_motors(root: Element, model: RobotModel) -> None:
             },
         )
         if coulomb:
-            tendon.attrib.update(_write_dry_friction(coulomb))
+            tendon.attrib.update(STIFF_FRICTION, frictionloss=repr(coulomb))
         for k in np.flatnonzero(shares):
             SubElement(tendon, "joint", joint=model.joints[k].name, coef=repr(float(shares[k])))
     if len(tendons) and not written:
         root.insert(list(root).index(next(root.iter("actuator"))), tendons)
-
-
-def _write_dry_friction(size: float) -> dict[str, str]:
-    reference, impedance = STIFF_FRICTION
-    return {"frictionloss": repr(size), "solreffriction": reference, "solimpfriction": impedance}
 
 
 def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:
@@ -181,15 +177,19 @@ def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:
     )
 
 
-def write_mjcf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
-    """Write the robot for MuJoCo; returns the path and notes on what the file cannot hold."""
-    return atomic_write(path, export_mjcf(model)), note_mjcf_limits(model)
+def write_mjcf(
+    path: str | os.PathLike[str], model: RobotModel, elastic: Sequence[EncoderPair] = ()
+) -> tuple[Path, tuple[str, ...]]:
+    """Write the robot for MuJoCo, its `elastic` joints as two each.
+
+    Returns the path and notes on what the file cannot hold.
+    """
+    text = export_mjcf(model)
+    text = add_elastic_joints(text, elastic) if elastic else text
+    return atomic_write(path, text), note_mjcf_limits(model)
 
 
-KEPT = ("type", "axis", "pos")
-
-
-def with_rotors_described(result: IdentificationResult) -> IdentificationResult:
+def describe_rotors(result: IdentificationResult) -> IdentificationResult:
     """Return a result whose description has the rotors that two encoders show.
 
     Where a rotor is one parameter with its link, it is then taken from the link's inertia.
@@ -246,7 +246,7 @@ def add_elastic_joints(text: str, pairs: Sequence[EncoderPair]) -> str:
                     " their motors",
                     cure=Cure("identify it: drive terms with armature, torque of the motor"),
                 )
-            twist = Element("joint", {key: joint.get(key, "") for key in KEPT})
+            twist = Element("joint", {key: joint.get(key, "") for key in ("type", "axis", "pos")})
             stiffness, damping = pair.stiffness or (0.0, 0.0), pair.damping or (0.0, 0.0)
             twist.attrib.update(
                 name=f"{pair.joint} link", stiffness=repr(stiffness[0]), damping=repr(damping[0])

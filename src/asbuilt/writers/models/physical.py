@@ -36,22 +36,20 @@ def list_impossibilities(model: RobotModel) -> tuple[str, ...]:
     """Return one sentence per inconsistent link and per non-passive drive parameter."""
     reasons = list(find_inconsistencies(model))
     for number, joint in enumerate(model.joints, start=1):
-        plain = {
+        bounded = {
             "armature": joint.drive.armature,
             "viscous friction": joint.drive.viscous,
             "Coulomb friction": joint.drive.coulomb,
-        }
-        reasons += [
-            f"joint {number}: {what} is {value:.4g}; it must not be negative"
-            for what, value in plain.items()
-            if value is not None and value < 0.0
-        ]
-        reasons += [
-            f"joint {number}: {key} {symbol} is {numbers[symbol]:.4g}; it must not be negative"
+        } | {
+            f"{key} {symbol}": numbers.get(symbol)
             for key, numbers in joint.drive.terms.items()
             if (term := available_terms().get(key)) is not None and term.non_negative
             for symbol in term.symbols
-            if numbers.get(symbol, 0.0) < 0.0
+        }
+        reasons += [
+            f"joint {number}: {what} is {value:.4g}; it must not be negative"
+            for what, value in bounded.items()
+            if value is not None and value < 0.0
         ]
     return tuple(reasons)
 
@@ -64,10 +62,8 @@ def convert_to_plain_friction(model: RobotModel) -> RobotModel:
     joints = []
     for joint in model.joints:
         drive, terms = joint.drive, dict(joint.drive.terms)
-        asymmetric, smooth = (
-            terms.pop("asymmetric_coulomb", None),
-            terms.pop("smooth_coulomb", None),
-        )
+        asymmetric = terms.pop("asymmetric_coulomb", None)
+        smooth = terms.pop("smooth_coulomb", None)
         if asymmetric is not None:
             forwards, backwards = asymmetric["Fcp"], asymmetric["Fcn"]
             drive = replace(
@@ -83,11 +79,10 @@ def convert_to_plain_friction(model: RobotModel) -> RobotModel:
 
 def note_left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:
     """Return a note on drive terms, with their joints, that a kind of file does not hold."""
-    joints: dict[str, list[str]] = {}
-    for joint in model.joints:
-        for key in joint.drive.terms:
-            if key not in carried:
-                joints.setdefault(key, []).append(joint.name)
+    lost = [key for joint in model.joints for key in joint.drive.terms if key not in carried]
+    joints = {
+        key: [joint.name for joint in model.joints if key in joint.drive.terms] for key in lost
+    }
     if not joints:
         return ()
     listed = ", ".join(
@@ -101,37 +96,27 @@ def note_left_out_drives(model: RobotModel, carried: Collection[str], kind: str)
     )
 
 
-def refuse_inconsistent(model: RobotModel) -> None:
-    """Raise `InertiaError` with every reason if the model is physically inconsistent."""
-    reasons = list_impossibilities(model)
+def refuse_inconsistent(model: RobotModel, result: IdentificationResult | None = None) -> None:
+    """Raise `InertiaError` with every reason if the model is physically inconsistent.
+
+    Of the robot as built of a `result` the reason is the proof by its base parameters.
+    """
+    reasons = "; ".join(list_impossibilities(model))
     if reasons:
         raise InertiaError(
             f"{model.name} is not exported, because its model is physically inconsistent:"
-            f" {'; '.join(reasons)}",
+            f" {reasons if result is None else _name_reasons(result, reasons)}",
             cure=CURE,
         )
 
 
-def refuse_inconsistent_result(result: IdentificationResult, model: RobotModel) -> None:
-    """Raise `InertiaError` with the proof if the robot as built is physically inconsistent."""
-    if list_impossibilities(model):
-        raise InertiaError(
-            f"{result.robot} is not exported, because its model is physically inconsistent:"
-            f" {_name_reasons(result, model)}",
-            cure=CURE,
-        )
-
-
-def _name_reasons(result: IdentificationResult, model: RobotModel) -> str:
-    """Return which base parameters are inconsistent, or else what of the model is.
+def _name_reasons(result: IdentificationResult, reasons: str) -> str:
+    """Return which base parameters are inconsistent, or else the reasons of the model.
 
     Dropped parameters prove nothing: they count as unknown.
     """
-    prior, dropped = (
-        build_cad_prior(result.model, result.base.drive),
-        np.flatnonzero(result.dropped),
-    )
-    covariance = np.array(result.covariance)
+    prior = build_cad_prior(result.model, result.base.drive)
+    dropped, covariance = np.flatnonzero(result.dropped), np.array(result.covariance)
     # Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown.
     covariance[dropped, dropped] = (
         100.0 * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
@@ -140,7 +125,7 @@ def _name_reasons(result: IdentificationResult, model: RobotModel) -> str:
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
     zero = f"; the {len(dropped)} dropped parameters count as zero, which is rare for links"
-    return "; ".join(list_impossibilities(model)) + (zero if dropped.size else "")
+    return reasons + (zero if dropped.size else "")
 
 
 def refuse_poor_nearest_model(
@@ -151,19 +136,22 @@ def refuse_poor_nearest_model(
     Without `cost`, since the result has no cause data, the growth of the training error decides.
     Raises `InertiaError`.
     """
-    head = (
-        f"{result.robot} is not exported: the nearest consistent model predicts the recordings"
-        " poorly"
-    )
     if cost is not None:
-        if cost.bad or cost.worse_than_cad:
-            raise InertiaError(f"{head}: on {cost.judged_by}, {cost.objection()}", cure=FORCED)
-        return
-    grown = _measure_error_growth(result, beta)
-    if grown > POOR.error:
+        poor, why = (
+            bool(cost.bad) or cost.worse_than_cad,
+            f"on {cost.judged_by}, {cost.objection()}",
+        )
+    else:
+        grown = _measure_error_growth(result, beta)
+        poor = grown > POOR.error
+        why = (
+            f"its error on the training data is {round_significant(grown)} times the identified"
+            " model's"
+        )
+    if poor:
         raise InertiaError(
-            f"{head}: its error on the training data is {round_significant(grown)} times the"
-            " identified model's",
+            f"{result.robot} is not exported: the nearest consistent model predicts the recordings"
+            f" poorly: {why}",
             cure=FORCED,
         )
 

@@ -13,7 +13,7 @@ import tomli_w
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf_text import reference_posture
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.inertia import PARAMETER_NAMES, LinkInertia
 from asbuilt.description.lengths import evaluate_lengths
 from asbuilt.description.model import (
     PLAIN_TERMS,
@@ -27,13 +27,11 @@ from asbuilt.description.model import (
 )
 from asbuilt.writers.files import atomic_write
 
-_TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
 def format_robot_toml(model: RobotModel) -> str:
     """Return a robot file: rotation matrices, inertias about link origins, full precision."""
-    passive = [joint.name for joint in model.followers if joint.is_passive]
     head = {
         "name": model.name,
         "citation": model.citation or None,
@@ -43,27 +41,34 @@ def format_robot_toml(model: RobotModel) -> str:
         "root_link": model.root_link,
         "lengths": model.lengths or None,
         "drives_by_design": None if model.drives_by_design else False,
-        "passive": passive or None,
+        "passive": [joint.name for joint in model.followers if joint.is_passive] or None,
         "posture": _find_posture(model) if model.loops else None,
     }
     moved = [joint for joint in model.moving_joints if joint.mimic and not joint.is_passive]
-    blocks = [_write_fields(head)]
-    for k in _order_links(model):
-        blocks += _write_link_blocks(model, model.moving_joints[k], model.links[k])
-    for joint in moved:
-        if joint.has_motor:
-            blocks.append(_write_block("motors", {"name": joint.name, **_list_drive_fields(joint)}))
-    blocks += [_write_coupling_block(joint) for joint in moved]
-    blocks += [_write_loop_block(loop) for loop in model.loops]
-    names, coupling = model.joint_names, model.motor_coupling
-    for k, row in enumerate(() if coupling is None else coupling):
-        if not np.array_equal(row, np.eye(len(names))[k]):
-            turns = {other: share for other, share in zip(names, row, strict=True) if share}
-            blocks.append(_write_block("couplings", {"motor": names[k], "turns": turns}))
-    for frame in model.frames:
-        place = _list_placement_fields(frame.placement, None, model)
-        link = _name_link(model, frame.link)
-        blocks.append(_write_block("frames", {"name": frame.name, "link": link, **place}))
+    links = ((model.moving_joints[k], model.links[k]) for k in _order_links(model))
+    blocks = [
+        _write_fields(head),
+        *(block for joint, link in links for block in _write_link_blocks(model, joint, link)),
+        *(
+            _write_block("motors", {"name": joint.name, **_list_drive_fields(joint)})
+            for joint in moved
+            if joint.has_motor
+        ),
+        *map(_write_coupling_block, moved),
+        *map(_write_loop_block, model.loops),
+        *_write_motor_blocks(model),
+        *(
+            _write_block(
+                "frames",
+                {
+                    "name": frame.name,
+                    "link": _name_link(model, frame.link),
+                    **_list_placement_fields(frame.placement, None, model),
+                },
+            )
+            for frame in model.frames
+        ),
+    ]
     return "\n\n".join(blocks) + "\n"
 
 
@@ -104,11 +109,13 @@ def _write_link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]
         **(_list_inertia_fields(link.inertia) if link.inertia_known and not by_parts else {}),
         **(_list_drive_fields(joint) if joint.mimic is None or not joint.has_motor else {}),
     }
-    own = [
-        _write_block("links.parts", {"name": name, **_list_inertia_fields(inertia)})
-        for name, inertia in (link.parts if by_parts else ())
+    return [
+        _write_block("links", fields),
+        *(
+            _write_block("links.parts", {"name": name, **_list_inertia_fields(inertia)})
+            for name, inertia in (link.parts if by_parts else ())
+        ),
     ]
-    return [_write_block("links", fields), *own]
 
 
 def _write_coupling_block(joint: Joint) -> str:
@@ -118,10 +125,29 @@ def _write_coupling_block(joint: Joint) -> str:
     )
 
 
+def _write_motor_blocks(model: RobotModel) -> list[str]:
+    """Return a block for each motor that turns another joint than its own, or several."""
+    n, names = model.n_joints, model.joint_names
+    shares = np.eye(n) if model.motor_coupling is None else model.motor_coupling
+    return [
+        _write_block(
+            "couplings",
+            {
+                "motor": name,
+                "turns": {other: share for other, share in zip(names, row, strict=True) if share},
+            },
+        )
+        for name, row, own in zip(names, shares, np.eye(n), strict=True)
+        if not np.array_equal(row, own)
+    ]
+
+
 def _find_posture(model: RobotModel) -> dict[str, float]:
     """Return where all joints are at the posture from which assembly modes are kept."""
-    at = reference_posture(model)
-    return {joint.name_in_tree: float(q) for joint, q in zip(model.moving_joints, at, strict=True)}
+    return {
+        joint.name_in_tree: float(q)
+        for joint, q in zip(model.moving_joints, reference_posture(model), strict=True)
+    }
 
 
 def _write_loop_block(loop: Loop) -> str:
@@ -133,8 +159,8 @@ def _write_loop_block(loop: Loop) -> str:
         for side, end in zip("ab", loop.ends, strict=True)
         for what, value in zip(("link", "point"), end, strict=True)
     }
-    turned = not np.array_equal(loop.rotation, np.eye(3))
-    return _write_block("loops", {**head, **ends, "rotation": loop.rotation if turned else None})
+    rotation = None if np.array_equal(loop.rotation, np.eye(3)) else loop.rotation
+    return _write_block("loops", {**head, **ends, "rotation": rotation})
 
 
 def _list_drive_fields(joint: Joint) -> dict[str, Any]:
@@ -142,17 +168,19 @@ def _list_drive_fields(joint: Joint) -> dict[str, Any]:
     limits = {
         name: value for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))
     }
-    drive = {name: getattr(joint.drive, name) for name in (*PLAIN_TERMS, "gear_ratio", "kp", "kd")}
-    known = {name: value for name, value in drive.items() if value is not None}
-    known |= {"terms": joint.drive.terms} if joint.drive.terms else {}
-    return {"limits": limits or None, "drive": known or None}
+    drive = {
+        name: value
+        for name in (*PLAIN_TERMS, "gear_ratio", "kp", "kd")
+        if (value := getattr(joint.drive, name)) is not None
+    } | ({"terms": joint.drive.terms} if joint.drive.terms else {})
+    return {"limits": limits or None, "drive": drive or None}
 
 
 def _list_inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
     return {
         "mass": inertia.mass,
         "first_moment": inertia.first_moment,
-        "inertia_about_origin": dict(zip(_TENSOR, inertia.parameters[:6], strict=True)),
+        "inertia_about_origin": dict(zip(PARAMETER_NAMES[:6], inertia.parameters[:6], strict=True)),
     }
 
 
@@ -190,19 +218,21 @@ def _write_block(name: str, fields: Mapping[str, Any]) -> str:
 
 def _write_fields(fields: Mapping[str, Any]) -> str:
     """Return a line for each field that is there."""
-    there = ((name, value) for name, value in fields.items() if value is not None)
-    return "\n".join(f"{_write_key(name)} = {_write_value(value)}" for name, value in there)
+    return "\n".join(_list_items(fields))
+
+
+def _list_items(fields: Mapping[str, Any]) -> list[str]:
+    return [
+        f"{_write_key(name)} = {_write_value(value)}"
+        for name, value in fields.items()
+        if value is not None
+    ]
 
 
 def _write_value(value: Any) -> str:
     """Return a value on one line, as `tomli_w` does not write tables and lists."""
     if isinstance(value, Mapping):
-        there = (
-            f"{_write_key(key)} = {_write_value(each)}"
-            for key, each in value.items()
-            if each is not None
-        )
-        return f"{{{', '.join(there)}}}"
+        return f"{{{', '.join(_list_items(value))}}}"
     if isinstance(value, list | tuple | np.ndarray):
         return f"[{', '.join(map(_write_value, value))}]"
     if isinstance(value, bool | str):

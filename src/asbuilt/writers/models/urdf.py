@@ -15,7 +15,6 @@ from asbuilt.description import ROOT, Joint, Link, LinkInertia, Mimic, RobotMode
 from asbuilt.description.rotation import (
     compose_placements,
     invert_placement,
-    placement,
     rpy_from_rotation,
 )
 from asbuilt.dynamics.kinematics import draw_postures
@@ -27,8 +26,6 @@ from asbuilt.writers.models.urdf_edit import TENSOR, edit_urdf, note_urdf_limits
 
 PROPORTIONAL = 1e-9
 """Largest change of a share for which a passive joint counts as one that follows."""
-POSTURES = 20
-"""Random postures between which shares are compared."""
 UNLIMITED = 1e9
 """Value of a required limit that is unknown [rad, m, rad/s, m/s, N m or N]."""
 
@@ -51,13 +48,17 @@ def format_urdf(model: RobotModel) -> str:
     refuse_inconsistent(model)
     model = _adapt_to_urdf(model)
     root = Element("robot", name=model.name)
-    for note in (*model.notes, *note_urdf_limits(model)):
-        root.append(Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
+    root.extend(
+        Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} ")
+        for note in (*model.notes, *note_urdf_limits(model))
+    )
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
     moved = [_find_shift(joint) for joint in model.moving_joints]
-    carriers = dict(enumerate(zip(model.link_names, moved, strict=True)))
-    carriers[ROOT] = model.root_link, np.eye(4)
+    carriers = {
+        ROOT: (model.root_link, np.eye(4)),
+        **dict(enumerate(zip(model.link_names, moved, strict=True))),
+    }
     joints = convert_to_plain_friction(model).moving_joints
     for joint, link, shift in zip(joints, model.links, moved, strict=True):
         _add_link(root, link, shift)
@@ -70,12 +71,12 @@ def format_urdf(model: RobotModel) -> str:
         parent, carried = carriers[frame.link]
         _add_fixed_link(root, frame.name, parent, compose_placements(carried, frame.placement))
     if model.n_floating:
-        _without_base(root, model)
+        _drop_base(root, model)
     indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
 
 
-def _without_base(root: Element, model: RobotModel) -> None:
+def _drop_base(root: Element, model: RobotModel) -> None:
     """Take the joints of a free base out, with the links between, so that it is the root link."""
     count = model.n_floating
     links = {model.root_link, *model.link_names[: count - 1]}
@@ -90,7 +91,7 @@ def _without_base(root: Element, model: RobotModel) -> None:
 
 def _adapt_to_urdf(model: RobotModel) -> RobotModel:
     """Return the robot with a joint for every coordinate, as URDF needs; refuse what it cannot."""
-    model = _without_loops(model).with_rotors
+    model = _replace_loops(model).with_rotors
     for joint in model.followers:
         if joint.mimic is not None and len(joint.mimic.factors) > 1:
             raise DescriptionError(
@@ -101,14 +102,15 @@ def _adapt_to_urdf(model: RobotModel) -> RobotModel:
     return model
 
 
-def _without_loops(model: RobotModel) -> RobotModel:
+def _replace_loops(model: RobotModel) -> RobotModel:
     """Return the robot with joints that follow in place of loops, where these have equal sides.
 
     Raises `DescriptionError` where passive joints do not move in proportion to motors.
     """
     if not model.loops:
         return model
-    q = draw_postures(model, np.random.default_rng(0), POSTURES)
+    # Random postures between which shares are compared.
+    q = draw_postures(model, np.random.default_rng(0), 20)
     moved = model.link_motion(q)
     n, G = model.n_joints, moved.shares[0]
     joints = list(model.followers)
@@ -116,10 +118,9 @@ def _without_loops(model: RobotModel) -> RobotModel:
         if not joint.is_passive:
             continue
         if np.ptp(moved.shares[:, n + k], axis=0).max() > PROPORTIONAL:
-            loops = join_names([str(loop) for loop in model.loops])
             raise DescriptionError(
                 f"URDF has no loops, and joint {joint.name!r} of {model.name} does not move in"
-                f" proportion to a motor ({loops})",
+                f" proportion to a motor ({join_names([str(loop) for loop in model.loops])})",
                 cure=Cure("write the robot file (.toml) or MJCF (.xml)"),
                 joint=joint.name,
             )
@@ -145,8 +146,8 @@ def write_urdf(
     """
     if original is None:
         return atomic_write(path, format_urdf(model)), note_urdf_limits(model)
-    edited = edit_urdf(original, model)
-    return atomic_write(path, edited.content), edited.notes
+    content, notes = edit_urdf(original, model)
+    return atomic_write(path, content), notes
 
 
 def _find_shift(joint: Joint) -> Array:
@@ -182,12 +183,8 @@ def _add_joint(
         joint.kind != "continuous" and math.isfinite(limits.lower) and math.isfinite(limits.upper)
     )
     kind = "prismatic" if not joint.is_revolute else "revolute" if limited else "continuous"
-    element = SubElement(root, "joint", name=joint.name, type=kind)
-    _add_origin(element, origin)
-    SubElement(element, "parent", link=parent)
-    SubElement(element, "child", link=child)
-    axis = (joint.after @ invert_placement(shift))[2, :3]
-    SubElement(element, "axis", xyz=_write_numbers(axis))
+    element = _connect_links(root, joint.name, kind, parent, child, origin)
+    SubElement(element, "axis", xyz=_write_numbers((joint.after @ invert_placement(shift))[2, :3]))
     bounds = (
         {}
         if kind == "continuous"
@@ -202,13 +199,18 @@ def _add_joint(
         )
     if joint.mimic is not None:
         ((other, factor),) = joint.mimic.factors.items()
-        follows = {
-            "multiplier": _write_numbers([factor]),
-            "offset": _write_numbers([joint.mimic.offset]),
-        }
-        SubElement(element, "mimic", {"joint": other, **follows})
-    known = {"damping": drive.viscous, "friction": drive.coulomb}
-    given = {name: _write_numbers([value]) for name, value in known.items() if value is not None}
+        SubElement(
+            element,
+            "mimic",
+            joint=other,
+            multiplier=_write_numbers([factor]),
+            offset=_write_numbers([joint.mimic.offset]),
+        )
+    given = {
+        name: _write_numbers([value])
+        for name, value in (("damping", drive.viscous), ("friction", drive.coulomb))
+        if value is not None
+    }
     if given:
         SubElement(element, "dynamics", given)
     silent = [
@@ -220,20 +222,24 @@ def _add_joint(
 
 def _add_fixed_link(root: Element, name: str, parent: str, pose: Array) -> None:
     SubElement(root, "link", name=name)
-    element = SubElement(root, "joint", name=f"{name}_fixed", type="fixed")
-    _add_origin(element, pose)
-    SubElement(element, "parent", link=parent)
-    SubElement(element, "child", link=name)
+    _connect_links(root, f"{name}_fixed", "fixed", parent, name, pose)
 
 
-def _add_origin(element: Element, pose: Array) -> None:
-    if not np.array_equal(pose, placement()):
+def _connect_links(
+    root: Element, name: str, kind: str, parent: str, child: str, pose: Array
+) -> Element:
+    """Add a joint between two links, its frame at `pose` in the parent's."""
+    element = SubElement(root, "joint", name=name, type=kind)
+    if not np.array_equal(pose, np.eye(4)):
         SubElement(
             element,
             "origin",
             xyz=_write_numbers(pose[:3, 3]),
             rpy=_write_numbers(rpy_from_rotation(pose[:3, :3])),
         )
+    SubElement(element, "parent", link=parent)
+    SubElement(element, "child", link=child)
+    return element
 
 
 def _reserve_name(name: str, taken: set[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,40 +21,12 @@ from asbuilt.writers.models.physical import (
     refuse_inconsistent,
 )
 from asbuilt.writers.models.sample_states import draw_sample_states
-from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, attribute_edits
+from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, list_attribute_edits
 
 TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EditedUrdf:
-    """Hold the edited file and notes on what it cannot hold.
-
-    Parameters
-    ----------
-    content
-        The file, in the encoding of the original.
-    links, joints
-        Names of what was changed.
-    emptied
-        Links behind fixed joints whose inertia was moved to the link that carries them.
-    reread_difference, literal_difference
-        Largest torque difference (n,) [N m or N] to the model over random states, for the file as
-        asbuilt reads it and for rounded right angles (1.5708) taken literally.
-    notes
-        What the file cannot hold.
-    """
-
-    content: bytes
-    links: tuple[str, ...]
-    joints: tuple[str, ...]
-    emptied: tuple[str, ...]
-    reread_difference: Array
-    literal_difference: Array
-    notes: tuple[str, ...]
-
-
-def edit_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
+def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, tuple[str, ...]]:
     """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
     All other bytes are kept. The identified inertia of a moving link includes everything fixed to
@@ -62,6 +34,8 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     that is physically consistent; else it gets the whole and theirs are removed, with a note.
     Inertials are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values that
     the model does not have stay as they are.
+
+    Returns the file, in the encoding of the original, and notes on what it cannot hold.
 
     Raises
     ------
@@ -77,10 +51,12 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     described = _lock_alike(read_urdf(original, base=kind), model)
     _check_same_robot(described, model, source)
     file = XmlFile.of(content, source)
-    links = {span.attributes["name"].strip(): span for span in file.root.all("link")}
-    joints = {span.attributes["name"].strip(): span for span in file.root.all("joint")}
+    links, joints = (
+        {span.attributes["name"].strip(): span for span in file.root.all(tag)}
+        for tag in ("link", "joint")
+    )
     edits: list[Edit] = []
-    changed_links, changed_joints, emptied = [], [], []
+    emptied: list[str] = []
     for was, link in zip(described.links, model.links, strict=True):
         if (
             link.negligible
@@ -100,29 +76,23 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
                 edits += [Edit(span.start, span.stop, "") for span in links[name].all("inertial")]
                 emptied.append(name)
         edits += _list_inertial_edits(file, links[link.name], own)
-        changed_links.append(link.name)
     for before, joint in zip(described.joints, plain.joints, strict=True):
-        given = {
-            "damping": (before.drive.viscous, joint.drive.viscous),
-            "friction": (before.drive.coulomb, joint.drive.coulomb),
-        }
         values = {
             name: _write_number(new)
-            for name, (old, new) in given.items()
+            for name, old, new in (
+                ("damping", before.drive.viscous, joint.drive.viscous),
+                ("friction", before.drive.coulomb, joint.drive.coulomb),
+            )
             if new is not None and new != (old or 0.0)
         }
         if values and joint.name in joints:
             edits += _list_dynamics_edits(file, joints[joint.name], values)
             driven = model.link_shares[model.n_joints :, model.joint_names.index(joint.name)]
             for follower, share in zip(model.followers, driven, strict=True):
-                edits += _without_friction(joints[follower.name], values) if share else []
-            changed_joints.append(joint.name)
+                edits += _list_zero_friction_edits(joints[follower.name], values) if share else []
     edited = file.edited(edits)
-    reread, literal = (
-        _measure_torque_difference(
-            model, _lock_alike(read_urdf(edited, straighten=exact, base=kind), model)
-        )
-        for exact in (True, False)
+    literal = measure_torque_difference(
+        model, _lock_alike(read_urdf(edited, straighten=False, base=kind), model)
     )
     worst = int(np.argmax(literal))
     held = [
@@ -142,57 +112,37 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
             emptied
         ),
     }
-    return EditedUrdf(
-        edited,
-        tuple(changed_links),
-        tuple(changed_joints),
-        tuple(emptied),
-        reread,
-        literal,
-        (*(note for note, holds in cases.items() if holds), *note_urdf_limits(model)),
-    )
+    notes = (note for note, holds in cases.items() if holds)
+    return edited, (*notes, *note_urdf_limits(model))
 
 
 def note_urdf_limits(model: RobotModel) -> tuple[str, ...]:
     """Return notes on what changes torques and has no place in URDF."""
-    plain, notes = convert_to_plain_friction(model), []
-    for term, note in (
-        (
-            "asymmetric_coulomb",
-            "asymmetric Coulomb friction is written as symmetric friction; the offset holds the"
-            " rest",
-        ),
-        (
-            "smooth_coulomb",
-            "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
-            " faster than its width",
-        ),
-    ):
-        if any(term in joint.drive.terms for joint in model.joints):
-            notes.append(note)
+    plain = convert_to_plain_friction(model)
+    terms = {key for joint in model.joints for key in joint.drive.terms}
+    cases = {
+        "asymmetric Coulomb friction is written as symmetric friction; the offset holds the"
+        " rest": "asymmetric_coulomb" in terms,
+        "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
+        " faster than its width": "smooth_coulomb" in terms,
+    }
     for key, symbol, unit in (
         ("armature", "Ia", "kg m^2, or kg for prismatic joints"),
         ("offset", "Fo", "N m, or N for prismatic joints"),
     ):
-        values = {
-            joint.name: getattr(joint.drive, key)
-            for joint in plain.joints
-            if getattr(joint.drive, key)
-        }
-        if values:
-            listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
-            notes.append(
-                f"URDF has no place for the {key} of the drives; add it in the simulator ({symbol}"
-                f" [{unit}]: {listed})"
-            )
-    notes += note_left_out_drives(plain, (), "URDF")
-    if not np.array_equal(model.gravity, USUAL_GRAVITY):
-        notes.append(
-            "URDF has no place for gravity; the model has"
-            f" ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame; set it in"
-            " the simulator"
-        )
-    return tuple(notes)
+        values = {joint.name: getattr(joint.drive, key) for joint in plain.joints}
+        listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items() if value)
+        cases[
+            f"URDF has no place for the {key} of the drives; add it in the simulator ({symbol}"
+            f" [{unit}]: {listed})"
+        ] = bool(listed)
+    cases |= dict.fromkeys(note_left_out_drives(plain, (), "URDF"), True)
+    cases[
+        "URDF has no place for gravity; the model has"
+        f" ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame; set it in"
+        " the simulator"
+    ] = not np.array_equal(model.gravity, USUAL_GRAVITY)
+    return tuple(note for note, holds in cases.items() if holds)
 
 
 def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> None:
@@ -203,18 +153,24 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
             file=source,
         )
 
-    if described.joint_names != model.joint_names:
-        refuse(
+    for same, what in (
+        (
+            described.joint_names == model.joint_names,
             f"its joints are {', '.join(described.joint_names)}, the model's"
-            f" {', '.join(model.joint_names)}"
-        )
-    if not np.array_equal(described.link_shares, model.link_shares):
-        refuse("its joints follow others than the model's")
-    if described.link_names != model.link_names:
-        refuse(
+            f" {', '.join(model.joint_names)}",
+        ),
+        (
+            np.array_equal(described.link_shares, model.link_shares),
+            "its joints follow others than the model's",
+        ),
+        (
+            described.link_names == model.link_names,
             f"its moving links are {', '.join(described.link_names)}, the model's"
-            f" {', '.join(model.link_names)}"
-        )
+            f" {', '.join(model.link_names)}",
+        ),
+    ):
+        if not same:
+            refuse(what)
     for there, here in zip(described.moving_joints, model.moving_joints, strict=True):
         if there.parent != here.parent or there.is_revolute != here.is_revolute:
             refuse(
@@ -247,49 +203,45 @@ def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> lis
         raise DescriptionError(
             f"link {link.attributes['name']!r}: <inertial> lacks <mass> or <inertia>"
         )
-    edits = attribute_edits(mass, {"value": _write_number(inertia.mass)}) + attribute_edits(
-        moment, moments
-    )
+    edits = list_attribute_edits(
+        mass, {"value": _write_number(inertia.mass)}
+    ) + list_attribute_edits(moment, moments)
     if origin is None:
-        return [
-            *edits,
-            file.prepended(inertial, f'<{inertial.named_as("origin")} xyz="{com}" rpy="0 0 0"/>'),
-        ]
-    turned = (
-        {"rpy": "0 0 0"}
-        if any(float(angle) != 0.0 for angle in origin.attributes.get("rpy", "").split())
-        else {}
-    )
-    return edits + attribute_edits(origin, {"xyz": com} | turned)
+        markup = f'<{inertial.named_as("origin")} xyz="{com}" rpy="0 0 0"/>'
+        return [*edits, file.prepended(inertial, markup)]
+    turned = any(float(angle) != 0.0 for angle in origin.attributes.get("rpy", "").split())
+    return edits + list_attribute_edits(origin, {"xyz": com} | ({"rpy": "0 0 0"} if turned else {}))
 
 
 def _list_dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[Edit]:
     dynamics = joint.first("dynamics")
     if dynamics is not None:
-        return attribute_edits(dynamics, values)
+        return list_attribute_edits(dynamics, values)
     attributes = " ".join(f'{name}="{value}"' for name, value in values.items())
     return [file.appended(joint, f"<{joint.named_as('dynamics')} {attributes}/>")]
 
 
-def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
+def _list_zero_friction_edits(joint: Span, values: dict[str, str]) -> list[Edit]:
     """Return edits that set a follower's friction to 0, since its driven joint holds it."""
     dynamics = joint.first("dynamics")
     if dynamics is None:
         return []
-    return attribute_edits(dynamics, {each: "0" for each in values if each in dynamics.attributes})
+    return list_attribute_edits(
+        dynamics, {each: "0" for each in values if each in dynamics.attributes}
+    )
 
 
-def _measure_torque_difference(model: RobotModel, read: RobotModel) -> Array:
-    q, qd, qdd = draw_sample_states(model, 200)
-    chi = model.parameters
+def measure_torque_difference(model: RobotModel, read: RobotModel) -> Array:
+    """Return the largest torque difference (n,) [N m or N] of a file that was read to the model.
+
+    Links of negligible mass have the parameters of the file in both.
+    """
+    states, chi = draw_sample_states(model, 200), model.parameters
     for k in (k for k, link in enumerate(model.links) if link.negligible):
         chi[10 * k : 10 * k + 10] = read.links[k].inertia.parameters
-    expected = inverse_dynamics(model, q, qd, qdd, parameters=chi)
-    return np.asarray(
-        np.abs(inverse_dynamics(replace(read, gravity=model.gravity), q, qd, qdd) - expected).max(
-            axis=0
-        )
-    )
+    found = inverse_dynamics(replace(read, gravity=model.gravity), *states)
+    expected = inverse_dynamics(model, *states, parameters=chi)
+    return np.asarray(np.abs(found - expected).max(axis=0))
 
 
 def _lock_alike(described: RobotModel, model: RobotModel) -> RobotModel:

@@ -110,10 +110,8 @@ class XmlFile:
 
     def blanks_before(self, element: Span) -> str:
         """Return the white space in front of an element, back to what precedes it."""
-        at = element.start
-        while at > 0 and self.text[at - 1 : at] in (b" ", b"\t", b"\r", b"\n"):
-            at -= 1
-        return self.text[at : element.start].decode()
+        before = self.text[: element.start]
+        return before[len(before.rstrip(b" \t\r\n")) :].decode()
 
     def appended(self, parent: Span, markup: str) -> Edit:
         """Return the edit that adds an element behind the last child, indented like it."""
@@ -130,17 +128,15 @@ class XmlFile:
         if parent.children:
             first = parent.children[0]
             return Edit(first.start, first.start, markup + self.blanks_before(first))
-        outside = self.blanks_before(parent)
-        line = outside[max(outside.rfind("\n"), 0) :] if "\n" in outside else ""
-        if outside.endswith("\r" + line):
-            line = "\r" + line
+        # The line break in front of the parent, with its indentation.
+        line = re.findall(r"\r?\n[^\n]*\Z|\Z", self.blanks_before(parent))[0]
         inside = line + "  " if line else ""
         if parent.close is not None:
             return Edit(parent.inner, parent.inner, inside + markup)
         return Edit(parent.named, parent.stop, f">{inside}{markup}{line}</{parent.raw_name}>")
 
 
-def attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]:
+def list_attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]:
     """Return the edits that give attributes new values, quotes kept.
 
     Absent ones are added behind the last, a value already there is left.
@@ -181,10 +177,9 @@ class _Spotter:
             at,
             end.end(),
             values,
+            close=None if end[1] else end.end(),
             stop=end.end(),
         )
-        if not end[1]:
-            span.close = end.end()
         (self.open[-1].children if self.open else self.roots).append(span)
         self.open.append(span)
 
@@ -193,12 +188,6 @@ class _Spotter:
         if span.close is not None:
             span.close = self.parser.CurrentByteIndex
             span.stop = self.text.index(b">", span.close) + 1
-
-    def data(self, text: str) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 def _detect_encoding(content: bytes) -> str:

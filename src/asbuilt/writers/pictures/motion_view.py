@@ -14,10 +14,6 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation import Motion, MotionBounds, SplineMotion
 from asbuilt.experiment import Recording, RecordingStream, head_of
 
-PLAYED_RATE = 25.0
-"""Poses per second [Hz]; the eye sees no more."""
-MOST_POSES = 3000
-"""Poses of a motion: two minutes; a longer one is played in larger steps."""
 FEWEST_POSES = 6
 
 
@@ -31,7 +27,6 @@ class MotionView:
     `radius` a ball that encloses every pose.
     """
 
-    model: RobotModel
     t: Array
     q: Array
     poses: Array
@@ -62,14 +57,15 @@ class MotionView:
         solids = link_solids(model)
         strength = np.linalg.norm(model.gravity)
         up = -model.gravity / strength if strength > 0 else np.array([0.0, 0.0, 1.0])
-        ends = np.concatenate([np.zeros((1, 3)), *(_place_ends(solid, along) for solid in solids)])
+        ends = np.concatenate(
+            [np.zeros((1, 3)), *(end for solid in solids for end in place_ends(solid, along))]
+        )
         thickest = max(solid.radius for solid in solids)
         low, high = ends.min(axis=0) - thickest, ends.max(axis=0) + thickest
         floor = min(0.0, float(np.min(ends @ up)) - thickest)
         last, place = _find_tip(model)
         traced = along[:, last]
         return cls(
-            model=model,
             t=times,
             q=positions,
             poses=poses,
@@ -91,8 +87,9 @@ class MotionView:
         """
         if motion is None:
             return cls.of(model, [0.0], choose_resting_pose(model)[None])
-        frames = int(np.clip(np.ceil(motion.duration * rate), 2, most))
-        t = np.linspace(0.0, motion.duration, frames)
+        t = np.linspace(
+            0.0, motion.duration, int(np.clip(np.ceil(motion.duration * rate), 2, most))
+        )
         # 1000: most points of the drawn path of the tip.
         fine = np.linspace(0.0, motion.duration, int(np.clip(40 * motion.duration, 200, 1000)))
         return cls.of(model, t, motion.derivative(t, 0), path=motion.derivative(fine, 0))
@@ -117,10 +114,9 @@ def choose_resting_pose(model: RobotModel) -> Array:
     Bent, no two axes hide each other.
     """
     bounds = MotionBounds.assumed(model)
-    bend = np.array(
-        [0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)]
-    )
-    bend[0] = 0.0
+    bend = [
+        0.35 * (-1) ** k if k and joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)
+    ]
     margin = 0.1 * (bounds.upper - bounds.lower)
     return np.asarray(np.clip(bend, bounds.lower + margin, bounds.upper - margin))
 
@@ -135,22 +131,22 @@ def motion_of_recording(recording: Recording | RecordingStream) -> SplineMotion:
     t, q = head.t[valid], head.q[valid]
     if len(t) < FEWEST_POSES:
         raise MotionError(f"{head.source} has {len(t)} valid positions; at least 6 can be played")
-    wanted = max(FEWEST_POSES, min(MOST_POSES, int(PLAYED_RATE * (t[-1] - t[0]))))
+    # 25 poses per second, the eye sees no more; motions beyond two minutes have larger steps.
+    wanted = max(FEWEST_POSES, min(3000, int(25.0 * (t[-1] - t[0]))))
     chosen = np.unique(np.linspace(0, len(t) - 1, wanted).round().astype(int))
     return SplineMotion.through(q[chosen], t[chosen] - t[0], degree=3, ends="natural")
 
 
-def _place_ends(solid: Solid, poses: Array) -> Array:
+def place_ends(solid: Solid, poses: Array) -> list[Array]:
+    """Return both ends (N, 3) of a body at poses (N, n, 4, 4) of the links; (1, 3) of the base."""
     if solid.link == ROOT:
-        return np.stack([solid.start, solid.stop])
+        return [solid.start[None], solid.stop[None]]
     pose = poses[:, solid.link]
-    return np.concatenate(
-        [pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)]
-    )
+    return [pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)]
 
 
 def _find_tip(model: RobotModel) -> tuple[int, Array]:
     """Return the link of the tool and the point whose path is drawn: a frame, or its origin."""
     last = model.tool_link
     on_it = [frame.placement[:3, 3] for frame in model.frames if frame.link == last]
-    return last, np.asarray(on_it[-1] if on_it else np.zeros(3))
+    return last, np.asarray([np.zeros(3), *on_it][-1])

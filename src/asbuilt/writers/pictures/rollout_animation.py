@@ -16,7 +16,7 @@ from asbuilt.description import ROOT, RobotModel, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.validation import Rollout, SimulatedMotion, position_unit
-from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.motion_view import MotionView, place_ends
 from asbuilt.writers.pictures.skeleton import Camera, draw_skeleton_frames
 from asbuilt.writers.pictures.view import write_frames
 
@@ -37,10 +37,6 @@ class _Shown:
     q: Array
     errors: dict[str, Array]
     factor: float
-
-    def size(self, name: str) -> Array:
-        """Return the root mean square error over the joints at each time, shape (N,)."""
-        return np.asarray(np.sqrt(np.mean(self.errors[name] ** 2, axis=1)))
 
 
 def write_rollout_animation(
@@ -69,14 +65,14 @@ def write_rollout_animation(
         If the suffix is unknown, or no robot was simulated.
     """
     shown = _select_frames(rollout.motions[0])
-    return write_frames(path, [*_draw_frames(model, shown, rollout, WIDTH)], float(shown.t[-1]))
+    return write_frames(path, [*_draw_frames(model, shown, rollout)], float(shown.t[-1]))
 
 
 def _select_frames(motion: SimulatedMotion) -> _Shown:
     """Return the frames of the first windows, one after another."""
     cut = motion.windows
-    paths = {"CAD": motion.cad, "as built": motion.as_built}
-    given = {name: path for name, path in paths.items() if path is not None}
+    paths = (("CAD", motion.cad), ("as built", motion.as_built))
+    given = {name: path for name, path in paths if path is not None}
     if not given:
         raise UsageError(f"no robot of {cut.source} could be simulated, so there is no animation")
     # Longest part of a recording that is shown [s].
@@ -84,34 +80,34 @@ def _select_frames(motion: SimulatedMotion) -> _Shown:
     # Frames per second [Hz].
     every = max(1, round(cut.rate / 12.5))
     t = (cut.starts[:count, None] + cut.times).ravel()[::every]
-    measured = cut.q[:count].reshape(len(cut.q[:count]) * cut.n_samples, -1)[::every]
+    measured = cut.q[:count].reshape(-1, cut.q.shape[2])[::every]
     errors = {
         name: path[:count].reshape(-1, path.shape[2])[::every] - measured
         for name, path in given.items()
     }
     worst = max(float(np.sqrt(np.nanmean(error**2))) for error in errors.values())
     # Error of the worse simulation as it is drawn [rad or m], root mean square over joints.
-    fitting = [each for each in FACTORS if each * worst <= 0.12]
-    return _Shown(_without_gaps(t), measured, errors, fitting[-1] if fitting else 1.0)
+    factor = max((each for each in FACTORS if each * worst <= 0.12), default=1.0)
+    return _Shown(_close_gaps(t), measured, errors, factor)
 
 
-def _without_gaps(t: Array) -> Array:
+def _close_gaps(t: Array) -> Array:
     """Return times from zero that pass over gaps between windows in one usual step."""
     steps = np.diff(t)
     usual = float(np.median(steps)) if len(steps) else 0.0
     return np.concatenate([[0.0], np.cumsum(np.where(steps > 1.5 * usual, usual, steps))])
 
 
-def _draw_frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> Iterator[Image]:
-    panel = (width - (len(shown.errors) + 1) * MARGIN) // len(shown.errors)
+def _draw_frames(model: RobotModel, shown: _Shown, rollout: Rollout) -> Iterator[Image]:
+    panel = (WIDTH - (len(shown.errors) + 1) * MARGIN) // len(shown.errors)
     size = (panel, round(0.66 * panel))
     view = MotionView.of(model, shown.t, shown.q)
     view = replace(view, path=view.path[:1].repeat(2, axis=0))
     camera = Camera.around(view, *size)
     lines = {name: _project_lines(model, camera, shown, name) for name in shown.errors}
-    canvas = Pillow.new("RGB", (width, TITLE + size[1] + STRIP + 2 * MARGIN), "white")
+    canvas = Pillow.new("RGB", (WIDTH, TITLE + size[1] + STRIP + 2 * MARGIN), "white")
     boxes = _write_titles(canvas, shown, rollout, size)
-    curves = _draw_axes(canvas, shown, TITLE + size[1] + MARGIN, width, position_unit(model))
+    curves = _draw_axes(canvas, shown, TITLE + size[1] + MARGIN, position_unit(model))
     for k, robot in enumerate(draw_skeleton_frames(view, *size)):
         frame = canvas.copy()
         for name, left in boxes.items():
@@ -132,23 +128,16 @@ def _draw_frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int)
 def _project_lines(model: RobotModel, camera: Camera, shown: _Shown, name: str) -> Array:
     """Return the ends of the simulated robot's rods in the picture, shape (N, rods, 2, 2)."""
     poses = link_poses(model, shown.q + shown.factor * shown.errors[name])
-    ends = []
-    for solid in link_solids(model):
-        if solid.kind != "rod" or solid.link == ROOT:
-            continue
-        pose = poses[:, solid.link]
-        points = [pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)]
-        ends.append(np.stack([camera.project(each)[0] for each in points], axis=1))
-    return np.stack(ends, axis=1)
+    rods = [each for each in link_solids(model) if each.kind == "rod" and each.link != ROOT]
+    ends = [[camera.project(end)[0] for end in place_ends(rod, poses)] for rod in rods]
+    return np.asarray(ends).transpose(2, 0, 1, 3)
 
 
 def _draw_simulated(
     draw: ImageDraw.ImageDraw, rods: Array, colour: tuple[int, int, int], panel: int
 ) -> None:
     thick = max(2, round(panel / 110))
-    if not np.all(np.isfinite(rods)):
-        return
-    for start, stop in rods.tolist():
+    for start, stop in rods.tolist() if np.all(np.isfinite(rods)) else ():
         draw.line((*start, *stop), fill=colour, width=thick)
         for x, y in (start, stop):
             draw.ellipse((x - thick, y - thick, x + thick, y + thick), fill=colour)
@@ -159,51 +148,40 @@ def _write_titles(
 ) -> dict[str, int]:
     """Write the titles of the panels; return the left edge of each."""
     draw = ImageDraw.Draw(canvas)
-    enlarged = "" if shown.factor == 1.0 else f", errors drawn {shown.factor:g} times"
-    lefts = {}
-    for k, name in enumerate(shown.errors):
-        left = MARGIN + k * (size[0] + MARGIN)
+    large, small = ImageFont.load_default(15), ImageFont.load_default(11)
+    legend = "measured: grey, simulated: lines"
+    if shown.factor != 1.0:
+        legend += f", errors drawn {shown.factor:g} times"
+    lefts = {name: MARGIN + k * (size[0] + MARGIN) for k, name in enumerate(shown.errors)}
+    for name, left in lefts.items():
         total = {"CAD": rollout.cad, "as built": rollout.as_built}[name]
-        known = "" if total is None else f": {total.text}"
-        draw.text(
-            (left, 6), f"{TITLES[name]}{known}", fill=COLOURS[name], font=ImageFont.load_default(15)
-        )
-        draw.text(
-            (left, 26),
-            f"measured: grey, simulated: lines{enlarged}",
-            fill=QUIET,
-            font=ImageFont.load_default(11),
-        )
-        lefts[name] = left
+        title = TITLES[name] + ("" if total is None else f": {total.text}")
+        draw.text((left, 6), title, fill=COLOURS[name], font=large)
+        draw.text((left, 26), legend, fill=QUIET, font=small)
     return lefts
 
 
 def _draw_axes(
-    canvas: Pillow.Image, shown: _Shown, top: int, width: int, unit: str
+    canvas: Pillow.Image, shown: _Shown, top: int, unit: str
 ) -> dict[str, list[tuple[float, float]]]:
     """Draw the axes of the errors; return their points in the picture."""
     draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(11)
-    left, right, bottom = MARGIN + 34, width - MARGIN, top + STRIP - 22
-    sizes = {name: 1e3 * shown.size(name) for name in shown.errors}
+    left, right, bottom = MARGIN + 34, WIDTH - MARGIN, top + STRIP - 22
+    # Root mean square over the joints at each time.
+    sizes = {name: 1e3 * np.sqrt(np.mean(x**2, axis=1)) for name, x in shown.errors.items()}
     most = _round_up(max(float(np.nanmax(each)) for each in sizes.values()))
     for share in (0.0, 0.5, 1.0):
         y = bottom - share * (bottom - top - 14)
         draw.line((left, y, right, y), fill=PALE)
         draw.text((left - 6, y), f"{share * most:g}", fill=QUIET, font=font, anchor="rm")
     draw.text((left, top - 4), f"error of all joints [{unit}]", fill=DARK, font=font)
-    t = shown.t - shown.t[0]
-    for second in range(int(t[-1]) + 1):
-        x = left + second / t[-1] * (right - left)
+    along = left + shown.t / shown.t[-1] * (right - left)
+    for second in range(int(shown.t[-1]) + 1):
+        x = left + second / shown.t[-1] * (right - left)
         draw.text((x, bottom + 5), f"{second} s", fill=QUIET, font=font, anchor="ma")
+    heights = {name: bottom - each / most * (bottom - top - 14) for name, each in sizes.items()}
     return {
-        name: list(
-            zip(
-                (left + t / t[-1] * (right - left)).tolist(),
-                (bottom - each / most * (bottom - top - 14)).tolist(),
-                strict=True,
-            )
-        )
-        for name, each in sizes.items()
+        name: [*zip(along.tolist(), each.tolist(), strict=True)] for name, each in heights.items()
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from PIL import ImageDraw
 
 from asbuilt.arrays import Array, Image
 from asbuilt.description import ROOT, Solid, rotation_onto
-from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.motion_view import MotionView, place_ends
 
 
 def build_round_mesh(
@@ -48,35 +49,20 @@ def build_round_mesh(
 
 
 ROD, HOUSING, STAND, SHADOW, GRID, PATH = (
-    np.array(colour)
-    for colour in (
-        (196, 201, 208),
-        (236, 128, 36),
-        (112, 118, 126),
-        (216, 220, 225),
-        (228, 231, 235),
-        (0, 114, 178),
-    )
+    (196, 201, 208),
+    (236, 128, 36),
+    (112, 118, 126),
+    (216, 220, 225),
+    (228, 231, 235),
+    (0, 114, 178),
 )
 AZIMUTH, ELEVATION = np.deg2rad(-45.0), np.deg2rad(18.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Drawing:
-    """Hold how a skeleton is drawn."""
-
-    oversampling: int = 2
-    """Pixels drawn for each one that is shown, for smooth edges."""
-    margin: float = 0.06
-    """Share of the picture that stays free at each side."""
-    distance: float = 5.0
-    """Distance of the camera in radii of the scene."""
-    housing_first: float = 0.4
-    """Depth, in its radius, by which a housing counts as nearer than the rods that it encloses."""
-
-
-DRAWING = Drawing()
-
+OVERSAMPLING = 2
+"""Pixels drawn for each one that is shown, for smooth edges."""
+DISTANCE = 5.0
+"""Distance of the camera in radii of the scene."""
 AMBIENT, DIFFUSE = 0.55, 0.5
 """Light from everywhere, and from the lamp above the left shoulder of the camera."""
 
@@ -100,13 +86,14 @@ class Camera:
         forward = -(np.cos(ELEVATION) * level + np.sin(ELEVATION) * view.up)
         right = np.cross(forward, view.up) / np.cos(ELEVATION)
         axes = np.stack([right, np.cross(right, forward), forward])
-        camera = cls(axes, view.centre - DRAWING.distance * view.radius * forward, 1.0, np.zeros(2))
+        camera = cls(axes, view.centre - DISTANCE * view.radius * forward, 1.0, np.zeros(2))
         points, radii = _list_balls(view)
         flat, depth = camera.project(points)
         grown = (radii / depth)[:, None] * 1.05
         low, high = (flat - grown).min(axis=0), (flat + grown).max(axis=0)
         size = np.array([width, height])
-        scale = float(np.min((1 - 2 * DRAWING.margin) * size / (high - low)))
+        # 0.06: share of the picture that stays free at each side.
+        scale = float(np.min((1 - 2 * 0.06) * size / (high - low)))
         return cls(axes, camera.eye, scale, size / 2 - scale * (low + high) / 2)
 
     def project(self, points: Array) -> tuple[Array, Array]:
@@ -117,31 +104,30 @@ class Camera:
 
 def draw_skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image]:
     """Yield every frame of a motion as an image (height, width, 3)."""
-    camera = Camera.around(view, DRAWING.oversampling * width, DRAWING.oversampling * height)
-    coarse = len(view.t) > 1
-    slices, rings, segments = (16, 4, 4) if coarse else (36, 8, 10)
+    size = OVERSAMPLING * width, OVERSAMPLING * height
+    camera = Camera.around(view, *size)
+    # Slices, rings and segments, fewer where many frames are drawn.
+    parts = (16, 4, 4) if len(view.t) > 1 else (36, 8, 10)
     solids = [*view.solids, *view.stand]
-    meshes = [build_round_mesh(solid, slices, rings, segments) for solid in solids]
+    meshes = [build_round_mesh(solid, *parts) for solid in solids]
     colours = [
         STAND if k >= len(view.solids) else ROD if solid.kind == "rod" else HOUSING
         for k, solid in enumerate(solids)
     ]
     counts = [len(faces) for _, faces in meshes]
     shades = np.repeat(np.array(colours), counts, axis=0)
-    nearer = np.repeat(
-        [DRAWING.housing_first * s.radius * (s.kind == "housing") for s in solids], counts
-    )
+    # A housing counts as nearer than the rods that it encloses, by this part of its radius.
+    nearer = np.repeat([0.4 * s.radius * (s.kind == "housing") for s in solids], counts)
     for k in range(len(view.t)):
-        vertices = [
-            _place_points(view, k, solid, points)
-            for solid, (points, _) in zip(solids, meshes, strict=True)
-        ]
-        canvas = Pillow.new(
-            "RGB", (DRAWING.oversampling * width, DRAWING.oversampling * height), "white"
+        corners = np.concatenate(
+            [
+                _place_points(view, k, solid, points)[faces]
+                for solid, (points, faces) in zip(solids, meshes, strict=True)
+            ]
         )
+        canvas = Pillow.new("RGB", size, "white")
         draw = ImageDraw.Draw(canvas)
         _draw_floor(draw, camera, view)
-        corners = np.concatenate([v[f] for v, (_, f) in zip(vertices, meshes, strict=True)])
         _draw_shadows(draw, camera, view, corners)
         _draw_bodies(draw, camera, view, corners, shades, nearer)
         yield np.asarray(canvas.resize((width, height), Pillow.Resampling.BOX))
@@ -170,17 +156,16 @@ def _draw_bodies(
     flat, depth = camera.project(corners.reshape(-1, 3))
     depths = depth.reshape(-1, 3).mean(axis=1) - nearer[seen]
     path, path_depth = camera.project(view.path)
-    steps = len(view.path) - 1
     order = np.argsort(-np.concatenate([depths, 0.5 * (path_depth[1:] + path_depth[:-1])]))
     triangles = [tuple(map(tuple, triangle)) for triangle in flat.reshape(-1, 3, 2).tolist()]
     fills = [tuple(colour) for colour in colours.astype(int).tolist()]
-    lines = [tuple(map(tuple, path[k : k + 2].tolist())) for k in range(steps)]
-    thick = max(2, round(camera.scale / DRAWING.distance * 0.011))
+    lines = [tuple(map(tuple, ends)) for ends in pairwise(path.tolist())]
+    thick = max(2, round(camera.scale / DISTANCE * 0.011))
     for place in order.tolist():
         if place < len(triangles):
             draw.polygon(triangles[place], fill=fills[place], outline=fills[place])
         else:
-            draw.line(lines[place - len(triangles)], fill=tuple(PATH.tolist()), width=thick)
+            draw.line(lines[place - len(triangles)], fill=PATH, width=thick)
 
 
 def _draw_shadows(
@@ -188,9 +173,8 @@ def _draw_shadows(
 ) -> None:
     points = corners.reshape(-1, 3)
     flat, _ = camera.project(points - np.outer(points @ view.up - view.floor, view.up))
-    fill = tuple(SHADOW.tolist())
     for triangle in flat.reshape(-1, 3, 2).tolist():
-        draw.polygon(tuple(map(tuple, triangle)), fill=fill)
+        draw.polygon(tuple(map(tuple, triangle)), fill=SHADOW)
 
 
 def _draw_floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
@@ -204,7 +188,7 @@ def _draw_floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> 
         for a, b in ((one, two), (two, one)):
             ends = np.stack([offset * a - reach * b, offset * a + reach * b]) + middle
             flat, _ = camera.project(ends)
-            draw.line(tuple(map(tuple, flat.tolist())), fill=tuple(GRID.tolist()), width=2)
+            draw.line(tuple(map(tuple, flat.tolist())), fill=GRID, width=2)
 
 
 def _place_points(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
@@ -216,14 +200,10 @@ def _place_points(view: MotionView, k: int, solid: Solid, points: Array) -> Arra
 
 def _list_balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:
     """Return centres (N, 3) and radii (N,) of balls that hold everything drawn but the floor."""
-    points, radii = [view.path], [np.zeros(len(view.path))]
-    for solid in (*view.solids, *view.stand):
-        for end in (solid.start, solid.stop):
-            moved = (
-                end[None]
-                if solid.link == ROOT
-                else view.poses[:, solid.link, :3, :3] @ end + view.poses[:, solid.link, :3, 3]
-            )
-            points.append(moved)
-            radii.append(np.full(len(moved), solid.radius))
-    return np.concatenate(points), np.concatenate(radii)
+    ends = [
+        (end, solid.radius)
+        for solid in (*view.solids, *view.stand)
+        for end in place_ends(solid, view.poses)
+    ]
+    radii = [np.zeros(len(view.path)), *(np.full(len(end), radius) for end, radius in ends)]
+    return np.concatenate([view.path, *(end for end, _ in ends)]), np.concatenate(radii)

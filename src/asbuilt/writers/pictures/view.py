@@ -110,11 +110,11 @@ def write_picture(
     # Frames of an animation per second [Hz].
     # 125: longer motions are shown with fewer frames per second.
     view = MotionView.of_motion(model, motion, most=125 if moving else 2, rate=12.5)
-    images = []
-    for k, image in enumerate(draw_skeleton_frames(view if moving else view.first(), *size)):
+    images: list[Image] = []
+    for image in draw_skeleton_frames(view if moving else view.first(), *size):
         images.append(image)
         if progress is not None:
-            progress((k + 1) / len(view.t))
+            progress(len(images) / len(view.t))
     return write_frames(path, images, float(view.t[-1]) if moving else 0.0)
 
 

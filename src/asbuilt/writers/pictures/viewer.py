@@ -7,7 +7,6 @@ import io
 import socket
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -24,7 +23,6 @@ from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import build_round_mesh
 
-LOOPBACK = ("127.0.0.1", "localhost")
 ROD, HOUSING, STAND, PATH, COM, INERTIA = (
     (205, 208, 213),
     (226, 122, 32),
@@ -35,21 +33,12 @@ ROD, HOUSING, STAND, PATH, COM, INERTIA = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Viewing:
-    """Hold what the page of the viewer shows and keeps."""
-
-    body_opacity: float = 0.35
-    """Opacity of the bodies while something inside them is shown."""
-    frame_rate: float = 30.0
-    """Poses sent per second [Hz]."""
-    saved_frames: int = 600
-    """Most poses in a saved page."""
-    last_port_offset: int = 20
-    """How many ports after the wanted one are tried."""
-
-
-VIEWING = Viewing()
+BODY_OPACITY = 0.35
+"""Opacity of the bodies while something inside them is shown."""
+FRAME_RATE = 30.0
+"""Poses sent per second [Hz]."""
+PORTS = 20
+"""Ports from the wanted one on that are tried."""
 DISTANCE, BESIDE_PANEL = 2.7, 0.3
 """Distance of the camera and its sideways offset from the panel, in radii of the scene."""
 
@@ -81,11 +70,9 @@ class Viewer:
             viser = import_module("viser")
         except ImportError:
             raise MissingExtraError("viser", "view", "the 3-D view") from None
-        self.model = model
-        self.motion = motion
-        self.view = MotionView.of_motion(
-            model, motion, most=VIEWING.saved_frames, rate=VIEWING.frame_rate
-        )
+        self.model, self.motion = model, motion
+        # 600: most poses in a saved page.
+        self.view = MotionView.of_motion(model, motion, most=600, rate=FRAME_RATE)
         self.port = _find_free_port(host, port)
         with contextlib.redirect_stdout(io.StringIO()), _refuse_foreign_origins(host, self.port):
             self.server: Any = viser.ViserServer(
@@ -99,7 +86,7 @@ class Viewer:
             "inertia ellipsoids": [],
             "path of the tip": [],
         }
-        self._scene()
+        self._build_scene()
         self._pose(self.view.q[0])
 
     def __repr__(self) -> str:
@@ -112,7 +99,7 @@ class Viewer:
 
     def page(self) -> str:
         """Return one self-contained HTML page that shows the robot and plays the motion."""
-        self._show(dict.fromkeys(self._layers, True), opacity=VIEWING.body_opacity)
+        self._show(dict.fromkeys(self._layers, True), opacity=BODY_OPACITY)
         recorder = self.server.get_scene_serializer()
         pause = float(self.view.t[-1]) / max(1, len(self.view.t) - 1)
         for q in self.view.q if len(self.view.t) > 1 else ():
@@ -128,18 +115,17 @@ class Viewer:
             now = time.perf_counter()
             controls.advance(now - last)
             last = now
-            time.sleep(1.0 / VIEWING.frame_rate)
+            time.sleep(1.0 / FRAME_RATE)
 
     def close(self) -> None:
         """Stop the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
-    def _scene(self) -> None:
+    def _build_scene(self) -> None:
         scene, view, model = self.server.scene, self.view, self.model
         scene.set_up_direction(tuple(view.up))
         scene.configure_default_lights(cast_shadow=True)
-        seat = rotation_onto(view.up)
         scene.add_grid(
             "/floor",
             width=8 * view.radius,
@@ -151,11 +137,11 @@ class Viewer:
             plane_color=(250, 250, 251),
             plane_opacity=1.0,
             shadow_opacity=0.2,
-            wxyz=_convert_to_wxyz(seat),
+            wxyz=_convert_to_wxyz(rotation_onto(view.up)),
             position=tuple((view.floor - 2e-3) * view.up),
         )
         for place, solid in zip(("/stand", "/column"), view.stand, strict=False):
-            self._mesh(place, solid, STAND)
+            self._add_mesh(place, solid, STAND)
         for k, link in enumerate(model.links):
             name = f"/links/{k + 1} {link.name.replace('/', '-')}"
             self._links.append(scene.add_frame(name, show_axes=False))
@@ -169,11 +155,11 @@ class Viewer:
                     visible=False,
                 )
             )
-            self._inertia(name, k)
+            self._add_inertia(name, k)
         for number, solid in enumerate(view.solids):
             parent = "" if solid.link == ROOT else self._links[solid.link].name
             self._layers["bodies"].append(
-                self._mesh(
+                self._add_mesh(
                     f"{parent}/{solid.kind} {number}",
                     solid,
                     ROD if solid.kind == "rod" else HOUSING,
@@ -194,7 +180,7 @@ class Viewer:
         camera.look_at = tuple(centre)
         camera.position = tuple(centre + DISTANCE * view.radius * towards)
 
-    def _inertia(self, name: str, k: int) -> None:
+    def _add_inertia(self, name: str, k: int) -> None:
         inertia, size = self.model.links[k].inertia, 0.016 * self.view.radius
         if not inertia.mass > 0.0:
             return
@@ -208,20 +194,21 @@ class Viewer:
         if ellipsoid is None:
             return
         semi_axes, axes = ellipsoid
-        handle = scene.add_icosphere(
-            f"{name}/inertia ellipsoid",
-            radius=1.0,
-            color=INERTIA,
-            opacity=0.45,
-            scale=tuple(np.maximum(semi_axes, 0.1 * size)),
-            wxyz=_convert_to_wxyz(axes),
-            position=centre,
-            cast_shadow=False,
-            visible=False,
+        self._layers["inertia ellipsoids"].append(
+            scene.add_icosphere(
+                f"{name}/inertia ellipsoid",
+                radius=1.0,
+                color=INERTIA,
+                opacity=0.45,
+                scale=tuple(np.maximum(semi_axes, 0.1 * size)),
+                wxyz=_convert_to_wxyz(axes),
+                position=centre,
+                cast_shadow=False,
+                visible=False,
+            )
         )
-        self._layers["inertia ellipsoids"].append(handle)
 
-    def _mesh(self, name: str, solid: Solid, colour: tuple[int, int, int]) -> Any:
+    def _add_mesh(self, name: str, solid: Solid, colour: tuple[int, int, int]) -> Any:
         vertices, faces = build_round_mesh(solid)
         return self.server.scene.add_mesh_simple(
             name, vertices.astype(np.float32), faces.astype(np.uint32), color=colour
@@ -270,22 +257,18 @@ class _Controls:
             return
         bounds = MotionBounds.assumed(model)
         with gui.add_folder("Joints"):
+            start = np.clip(viewer.view.q[0], bounds.lower + 1e-3, bounds.upper - 1e-3)
             self.sliders = [
                 gui.add_slider(
                     f"{joint.name} [{'rad' if joint.is_revolute else 'm'}]",
-                    min=round(float(bounds.lower[k]), 3),
-                    max=round(float(bounds.upper[k]), 3),
+                    min=round(float(low), 3),
+                    max=round(float(high), 3),
                     step=0.001,
-                    initial_value=round(
-                        float(
-                            np.clip(
-                                viewer.view.q[0, k], bounds.lower[k] + 1e-3, bounds.upper[k] - 1e-3
-                            )
-                        ),
-                        3,
-                    ),
+                    initial_value=round(float(q), 3),
                 )
-                for k, joint in enumerate(model.joints)
+                for joint, low, high, q in zip(
+                    model.joints, bounds.lower, bounds.upper, start, strict=True
+                )
             ]
         for slider in self.sliders:
             slider.on_update(
@@ -299,7 +282,7 @@ class _Controls:
             visible.get(layer, False)
             for layer in ("frames", "centres of mass", "inertia ellipsoids")
         )
-        self.viewer._show(visible, opacity=VIEWING.body_opacity if inside else None)
+        self.viewer._show(visible, opacity=BODY_OPACITY if inside else None)
 
     def advance(self, seconds: float) -> None:
         """Move on by so much time, or go where the slider was put."""
@@ -328,7 +311,8 @@ def _refuse_foreign_origins(host: str, port: int) -> Iterator[None]:
     """
     from websockets.asyncio import server  # noqa: PLC0415 - comes with viser
 
-    names = {host, "localhost", "127.0.0.1"} if host in LOOPBACK else {host}
+    loopback = {"localhost", "127.0.0.1"}
+    names = loopback if host in loopback else {host}
     origins = [None, *(f"http://{name}:{port}" for name in sorted(names))]
     serve = server.serve
     server.serve = partial(serve, origins=origins)  # type: ignore[misc, assignment, arg-type]
@@ -342,7 +326,7 @@ def _find_free_port(host: str, port: int) -> int:
     """Return the first free port from `port` on."""
     if not 0 < port < 65536:
         raise UsageError(f"a port is a number from 1 to 65535, got {port}")
-    for candidate in range(port, min(port + VIEWING.last_port_offset, 65536)):
+    for candidate in range(port, min(port + PORTS, 65536)):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
@@ -351,6 +335,6 @@ def _find_free_port(host: str, port: int) -> int:
                 continue
             return candidate
     raise UsageError(
-        f"the ports {port} to {port + VIEWING.last_port_offset - 1} of {host} are all taken",
-        cure=Cure("use another port", {"port": port + VIEWING.last_port_offset}),
+        f"the ports {port} to {port + PORTS - 1} of {host} are all taken",
+        cure=Cure("use another port", {"port": port + PORTS}),
     )

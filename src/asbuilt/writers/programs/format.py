@@ -26,25 +26,6 @@ REST = 1e-3
 """Speed relative to the top speed below which a motion is at rest at its ends."""
 
 
-@dataclass(frozen=True)
-class Approach:
-    """Limits of the approach to the start pose; revolute joints first, then prismatic ones.
-
-    | field | meaning and source |
-    |---|---|
-    | `speed` | top speed [rad/s, m/s]; below the 250 mm/s of ISO 10218 at 1.25 m |
-    | `fraction` | largest share of a joint's velocity limit |
-    | `tolerance` | deviation from the start pose with which the motion may begin [rad, m] |
-    """
-
-    speed: tuple[float, float] = (0.2, 0.05)
-    fraction: float = 0.2
-    tolerance: tuple[float, float] = (0.01, 0.002)
-
-
-APPROACH = Approach()
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ProgramRequest:
     """Request a program that moves `model` along `motion`, sampled at `rate` [Hz].
@@ -115,13 +96,14 @@ class ProgramRequest:
     @property
     def approach_speed(self) -> Array:
         """Top speed of each joint on the approach to the start pose (n,) [rad/s or m/s]."""
-        slow = np.where(self.revolute, *APPROACH.speed)
-        return read_only(np.minimum(slow, APPROACH.fraction * MotionBounds.of(self.model).velocity))
+        # Below the 250 mm/s of ISO 10218 at 1.25 m, and at most a fifth of the velocity limit.
+        slow, limit = np.where(self.revolute, 0.2, 0.05), MotionBounds.of(self.model).velocity
+        return read_only(np.minimum(slow, 0.2 * limit))
 
     @property
     def start_tolerance(self) -> Array:
         """Allowed deviation of each joint from the start pose (n,) [rad or m]."""
-        return np.where(self.revolute, *APPROACH.tolerance)
+        return np.where(self.revolute, 0.01, 0.002)
 
     @property
     def period_ms(self) -> int:
@@ -176,10 +158,8 @@ class ProgramFormat(ABC):
 
     def check_joints(self, model: RobotModel) -> None:
         """Raise `MotionError` if the format cannot move this robot."""
-        if self.n_joints is None:
-            return
         sliding = [joint.name for joint in model.joints if not joint.is_revolute]
-        if model.n_joints != self.n_joints or sliding:
+        if self.n_joints is not None and (model.n_joints != self.n_joints or sliding):
             slide = f", of which {', '.join(sliding)} are prismatic" if sliding else ""
             raise MotionError(
                 f"the format {self.key} is for robots with {self.n_joints} revolute joints"

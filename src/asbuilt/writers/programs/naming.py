@@ -18,11 +18,10 @@ def make_plain_text(text: str) -> str:
     "Mullers 'arm' * / /u000a"
     """
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode("ascii")
-    line = " ".join(
-        "".join(character if character.isprintable() else " " for character in plain).split()
-    )
+    printable = "".join(character if character.isprintable() else " " for character in plain)
     return (
-        line.replace("\\", "/")
+        " ".join(printable.split())
+        .replace("\\", "/")
         .replace('"', "'")
         .replace("`", "'")
         .replace("*/", "* /")
@@ -44,8 +43,8 @@ def quote_yaml(text: str) -> str:
     return f'"{"".join(plain)}"'
 
 
-def make_file_stem(name: str, *, default: str = "motion") -> str:
-    """Return a file name without suffix of characters a-z, A-Z, digits, `_` and `-`.
+def make_file_stem(name: str) -> str:
+    """Return a file name without suffix of characters a-z, A-Z, digits, `_` and `-`, or `motion`.
 
     Examples
     --------
@@ -55,7 +54,7 @@ def make_file_stem(name: str, *, default: str = "motion") -> str:
     # 60: longest name made here.
     return (
         re.sub(r"[^A-Za-z0-9-]+", "_", make_plain_text(name)).strip("_-")[:60].strip("_-")
-        or default
+        or "motion"
     )
 
 

@@ -35,8 +35,9 @@ def program_request(
     chosen = program_format(form, model)
     moved = motion if isinstance(motion, Motion) else read_motion(motion, model)
     clearance = None if collision is None else measure_clearance(model, moved, collision)
-    frequency = chosen.default_rate if rate is None else float(rate)
-    return ProgramRequest(model, moved, name, frequency, clearance)
+    return ProgramRequest(
+        model, moved, name, chosen.default_rate if rate is None else float(rate), clearance
+    )
 
 
 def make_program(
@@ -94,10 +95,9 @@ def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) 
     """
     written = {}
     for file in files:
-        path = atomic_write(Path(folder) / file.name, file.text)
+        written[file.role] = path = atomic_write(Path(folder) / file.name, file.text)
         if file.executable:
             path.chmod(path.stat().st_mode | 0o111)
-        written[file.role] = path
     return written
 
 

@@ -6,7 +6,6 @@ import csv
 import io
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from math import floor
 from typing import Any
 
@@ -18,13 +17,22 @@ from asbuilt.excitation import Motion, times_to_end
 from asbuilt.writers.programs.format import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.naming import make_plain_text
 
+ENVIRONMENT = Environment(
+    loader=PackageLoader("asbuilt.writers.programs"),
+    undefined=StrictUndefined,
+    autoescape=False,
+    keep_trailing_newline=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+
 
 def render(template: str, **values: Any) -> str:
     """Return a template filled in.
 
     A value that the template needs and does not get is an error.
     """
-    return _load_environment().get_template(template).render(**values)
+    return ENVIRONMENT.get_template(template).render(**values)
 
 
 def format_numbers(values: Iterable[float], decimals: int = 6) -> str:
@@ -38,15 +46,15 @@ def format_numbers(values: Iterable[float], decimals: int = 6) -> str:
     return ", ".join(f"{round(float(value), decimals) + 0.0:.{decimals}f}" for value in values)
 
 
-def format_rounded_down(value: float, decimals: int = 4) -> str:
-    """Return a positive number with fixed decimals, rounded down as a limit must be.
+def format_rounded_down(value: float) -> str:
+    """Return a positive number with four decimals, rounded down as a limit must be.
 
     Examples
     --------
     >>> format_rounded_down(0.06999), format_rounded_down(0.5)
     ('0.0699', '0.5000')
     """
-    return f"{floor(value * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
+    return f"{floor(value * 10**4 + 1e-9) / 10**4:.4f}"
 
 
 def format_motion_csv(motion: Motion, columns: Sequence[str], rate: float, decimals: int) -> str:
@@ -64,25 +72,26 @@ def format_motion_csv(motion: Motion, columns: Sequence[str], rate: float, decim
 
 def format_streamed_motion(request: ProgramRequest) -> str:
     """Return the table that programs in C++ read: `t,q1,...,qn,qd1,...,qdn`."""
-    joints = range(1, request.model.n_joints + 1)
-    names = [f"{symbol}{j}" for symbol in ("q", "qd") for j in joints]
+    numbers = [*range(1, request.model.n_joints + 1)]
+    names = [f"{symbol}{j}" for symbol in ("q", "qd") for j in numbers]
     return format_motion_csv(request.motion, names, request.rate, STREAMED_DECIMALS)
 
 
-@cache
-def _load_environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("asbuilt.writers.programs"),
-        undefined=StrictUndefined,
-        autoescape=False,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
+def render_motion_class(request: ProgramRequest) -> str:
+    """Return the class with which programs in C++ read and interpolate that table."""
+    return render(
+        "motion_table.hpp.j2",
+        n_joints=request.model.n_joints,
+        duration=f"{request.motion.duration:.9f}",
+        start=format_numbers(request.motion.start, STREAMED_DECIMALS),
     )
 
 
 STREAMED_DECIMALS = 12
 """Decimals of streamed positions and velocities: differences at 1 kHz give a clean jerk."""
+
+EMPTY = ("", "")
+"""Line between two paragraphs of the header."""
 
 WIDTH = 100
 """Longest line of the header."""
@@ -177,39 +186,38 @@ def compose_preamble(request: ProgramRequest, title: str, use: Sequence[str]) ->
         ("", "HOW TO RUN"),
         *((f"{k}. ", make_plain_text(step)) for k, step in enumerate(use, start=1)),
     ]
-    lines: list[str] = []
-    for paragraph in (facts, limits, safety, steps):
-        for label, text in paragraph:
-            lines += wrap_lines(text, label)
-        lines.append("")
-    return tuple(lines[:-1])
+    return tuple(
+        line
+        for label, text in (*facts, EMPTY, *limits, EMPTY, *safety, EMPTY, *steps)
+        for line in wrap_lines(text, label) or [""]
+    )
 
 
 def _describe_approach(request: ProgramRequest) -> str:
     """Return the top speeds of the approach, with their joints if they differ."""
-    joints: dict[str, list[str]] = {}
-    for name, turns, speed in zip(
-        request.model.joint_names, request.revolute, request.approach_speed, strict=True
-    ):
-        joints.setdefault(f"{speed:.3g} {'rad/s' if turns else 'm/s'}", []).append(
-            make_plain_text(name)
-        )
-    if len(joints) == 1:
-        return f"{next(iter(joints))} per joint"
-    return "; ".join(f"{speed} ({', '.join(names)})" for speed, names in joints.items())
+    speeds = [
+        f"{speed:.3g} {'rad/s' if turns else 'm/s'}"
+        for turns, speed in zip(request.revolute, request.approach_speed, strict=True)
+    ]
+    if len(set(speeds)) == 1:
+        return f"{speeds[0]} per joint"
+    named = [*zip(map(make_plain_text, request.model.joint_names), speeds, strict=True)]
+    return "; ".join(
+        f"{speed} ({', '.join(name for name, own in named if own == speed)})"
+        for speed in dict.fromkeys(speeds)
+    )
 
 
 def _describe_checks(request: ProgramRequest) -> str:
     """Return what is checked and what is not."""
     limits = "Checked: the joint limits above, on the description of the robot."
-    load = "nor the load of a tool that is not in the description."
-    if request.clearance is None:
+    load, known = "nor the load of a tool that is not in the description.", request.clearance
+    if known is None:
         return (
             f"{limits} NOT checked: collisions of the robot with itself, with its tool, with cables"
             " or with anything around it, neither on the motion nor on the approach to its start"
             f" pose; {load}"
         )
-    known = request.clearance
     around = f" and the obstacles {', '.join(known.obstacles)}" if known.obstacles else ""
     touching = (
         f" Pairs that touch in nearly every pose were left out: {', '.join(known.left_out)}."
@@ -261,8 +269,10 @@ def format_sheet(
     lines = [
         line for comment in (title, *comments) for line in wrap_lines(make_plain_text(comment))
     ]
-    scalars = {key: value for key, value in fields.items() if not isinstance(value, Mapping)}
-    tables = {key: value for key, value in fields.items() if isinstance(value, Mapping)}
+    scalars, tables = (
+        {key: value for key, value in fields.items() if isinstance(value, Mapping) == nested}
+        for nested in (False, True)
+    )
     text = tomli_w.dumps(scalars)
     if gains is not None:
         places = ", ".join(f"g{k}" for k in range(1, request.model.n_joints + 1))

@@ -16,12 +16,6 @@ from asbuilt.excitation.motions.motion import Motion
 GRID_RATE = 1000.0
 """Rate at which points are compared with the motion [Hz]."""
 
-KNOT_STEPS = (0.2, 0.004)
-"""Longest and shortest time between knots of cubics [s]."""
-
-SPLINE_STEPS = (0.5, 0.02)
-"""Longest and shortest time between the points of a spline [s]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Segment:
@@ -37,12 +31,15 @@ def choose_hermite_knots(motion: Motion, tolerance: float) -> Array:
 
     The cubics match position and velocity; the tolerance is in rad or m.
     """
-
-    def error(knots: Array) -> float:
-        cubic = CubicHermiteSpline(knots, motion.derivative(knots), motion.derivative(knots, 1))
-        return _measure_largest_deviation(motion, cubic)
-
-    return _choose_equal_times(motion, error, tolerance, KNOT_STEPS, "cubics")
+    return _choose_equal_times(
+        motion,
+        lambda knots: CubicHermiteSpline(
+            knots, motion.derivative(knots), motion.derivative(knots, 1)
+        ),
+        tolerance,
+        (0.2, 0.004),
+        "cubics",
+    )
 
 
 def choose_spline_times(motion: Motion, tolerance: float) -> Array:
@@ -50,13 +47,13 @@ def choose_spline_times(motion: Motion, tolerance: float) -> Array:
 
     The spline passes the poses then and is at rest at both ends.
     """
-
-    def error(times: Array) -> float:
-        return _measure_largest_deviation(
-            motion, CubicSpline(times, motion.derivative(times), bc_type="clamped")
-        )
-
-    return _choose_equal_times(motion, error, tolerance, SPLINE_STEPS, "a spline")
+    return _choose_equal_times(
+        motion,
+        lambda times: CubicSpline(times, motion.derivative(times), bc_type="clamped"),
+        tolerance,
+        (0.5, 0.02),
+        "a spline",
+    )
 
 
 def divide_point_to_point(motion: Motion) -> tuple[Segment, ...] | None:
@@ -80,10 +77,9 @@ def divide_point_to_point(motion: Motion) -> tuple[Segment, ...] | None:
         # Largest deviation of a straight segment from the line in joint space [rad or m].
         if np.max(np.abs(q[begin : end + 1] - a - along[:, None] * line)) > 1e-3:
             return None
-        middle = (end + last) // 2
         segments.append(
             Segment(
-                q[middle],
+                q[(end + last) // 2],
                 speed[begin : end + 1].max(axis=0),
                 max(0.0, float(t[last] - t[end]) - 1 / GRID_RATE),
             )
@@ -93,16 +89,20 @@ def divide_point_to_point(motion: Motion) -> tuple[Segment, ...] | None:
 
 def _choose_equal_times(
     motion: Motion,
-    error: Callable[[Array], float],
+    fit: Callable[[Array], CubicHermiteSpline | CubicSpline],
     tolerance: float,
     steps: tuple[float, float],
     what: str,
 ) -> Array:
-    longest, shortest = steps
-    intervals = max(2, int(np.ceil(motion.duration / longest)))
+    """Return the fewest equally spaced times whose curve, of `fit`, stays near the motion.
+
+    `steps` are the longest and the shortest time between them [s].
+    """
+    (longest, shortest), grid = steps, _make_grid(motion)
+    expected, intervals = motion.derivative(grid), max(2, int(np.ceil(motion.duration / longest)))
     while True:
         times = np.linspace(0.0, motion.duration, intervals + 1)
-        worst = error(times)
+        worst = float(np.max(np.abs(fit(times)(grid) - expected)))
         if worst <= tolerance:
             return times
         if motion.duration / intervals < shortest:
@@ -112,11 +112,6 @@ def _choose_equal_times(
                 " velocity"
             )
         intervals = int(np.ceil(intervals * 1.25))
-
-
-def _measure_largest_deviation(motion: Motion, curve: CubicSpline | CubicHermiteSpline) -> float:
-    t = _make_grid(motion)
-    return float(np.max(np.abs(curve(t) - motion.derivative(t))))
 
 
 def _make_grid(motion: Motion) -> Array:

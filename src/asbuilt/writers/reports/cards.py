@@ -12,44 +12,41 @@ from asbuilt.writers.reports.page import Card, Mood
 MOODS: dict[Use, Mood] = {"yes": "good", "with care": "neutral", "no": "bad"}
 
 
-def study_cards(study: Study) -> tuple[Card, ...]:
+def make_study_cards(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
     return (
-        error_card(study.verdict, position_unit(study.result.model)),
-        consistency_card(study.result),
-        determination_card(study.determination),
-        difference_card(study.comparison),
+        make_error_card(study.verdict, position_unit(study.result.model)),
+        make_consistency_card(study.result),
+        make_determination_card(study.determination),
+        make_difference_card(study.comparison),
     )
 
 
-def error_card(found: Verdict, unit: str) -> Card:
+def make_error_card(found: Verdict, unit: str) -> Card:
     """Return the deciding error of the exported robot, compared with CAD's; `unit` of positions."""
+    measured = "torque" if found.measure == "torque" else "simulation"
 
     def text(value: float | None) -> str:
-        if found.measure == "torque" or value is None:
+        if measured == "torque" or value is None:
             return format_share(value)
         return f"{1e3 * value:.3g} {unit}"
 
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
-    measured = "torque error" if found.measure == "torque" else "simulation error"
-    return Card(
-        MOODS[found.use], text(found.error.decisive), f"{measured} of the exported robot{cad}"
-    )
+    label = f"{measured} error of the exported robot{cad}"
+    return Card(MOODS[found.use], text(found.error.decisive), label)
 
 
-def torque_card(comparison: Comparison) -> Card:
+def make_torque_card(comparison: Comparison) -> Card:
     """Return how well torque is predicted as built, compared with CAD if that is known."""
     cad, built = comparison.torque[0]
-    error, label = format_share(built.relative_error), "torque error as built"
+    label, error = "torque error as built", format_share(built.relative_error)
     if cad is None:
         return Card("neutral", error, label)
-    better = built.relative_error < cad.relative_error
-    return Card(
-        "good" if better else "bad", error, f"{label}, CAD {format_share(cad.relative_error)}"
-    )
+    mood: Mood = "good" if built.relative_error < cad.relative_error else "bad"
+    return Card(mood, error, f"{label}, CAD {format_share(cad.relative_error)}")
 
 
-def consistency_card(result: IdentificationResult) -> Card:
+def make_consistency_card(result: IdentificationResult) -> Card:
     """Return whether physically consistent links and passive drives have the parameters."""
     if result.physically_consistent is None:
         return Card("neutral", "not checked", "physical consistency")
@@ -59,7 +56,7 @@ def consistency_card(result: IdentificationResult) -> Card:
     return Card("bad", "inconsistent", f"physically{f', negative {negative}' if negative else ''}")
 
 
-def determination_card(found: Determination) -> Card:
+def make_determination_card(found: Determination) -> Card:
     """Return how many parameters the recordings determine to half their value."""
     classes = (found.well, found.fairly, found.hardly, found.not_at_all, found.dropped)
     good, total = len(found.well) + len(found.fairly), sum(map(len, classes))
@@ -67,11 +64,9 @@ def determination_card(found: Determination) -> Card:
     return Card(mood, f"{good} of {total}", "parameters determined to 50 % or better")
 
 
-def difference_card(comparison: Comparison) -> Card:
+def make_difference_card(comparison: Comparison) -> Card:
     """Return how many parameters differ from CAD."""
-    matter = comparison.n_mattering
-    verb = "matters" if matter == 1 else "matter"
-    label = "parameters differ from CAD" + (
-        "" if matter is None else f", {matter} {verb} to the torque"
-    )
+    label, matter = "parameters differ from CAD", comparison.n_mattering
+    if matter is not None:
+        label += f", {matter} {'matters' if matter == 1 else 'matter'} to the torque"
     return Card("neutral", f"{comparison.n_differing} of {comparison.n_compared}", label)

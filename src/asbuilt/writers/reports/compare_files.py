@@ -22,7 +22,11 @@ from asbuilt.writers.figures.comparison_figures import (
 )
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.reports.cards import determination_card, difference_card, torque_card
+from asbuilt.writers.reports.cards import (
+    make_determination_card,
+    make_difference_card,
+    make_torque_card,
+)
 from asbuilt.writers.reports.page import (
     Block,
     Card,
@@ -108,9 +112,9 @@ class CadVerdict:
         comparison, found = self.comparison, self.attribution
         sources = ", ".join(recording_name(source) for source in result.sources)
         cards = [
-            *([torque_card(comparison)] if comparison.torque else []),
-            difference_card(comparison),
-            determination_card(self.determination),
+            *([make_torque_card(comparison)] if comparison.torque else []),
+            make_difference_card(comparison),
+            make_determination_card(self.determination),
         ]
         sentences = (
             self.headline,
@@ -123,27 +127,19 @@ class CadVerdict:
             if found is None
             else found.joint_table(comparison.torque[0][1].rms)
         )
-        parameters = table_markup(
-            comparison.parameter_table(), "parameters-by-torque", "scroll parameters"
-        )
-        causes: tuple[Markup, ...] = ()
-        drawn = Markup("")
+        table = comparison.parameter_table()
+        parameters = [table_markup(table, "parameters-by-torque", "scroll parameters")]
+        causes: list[Markup] = []
         if found is not None:
             mood: Mood = "good" if found.explained > 0.9 else "bad"
             label = "of the squared CAD error explained by causes"
             cards.insert(-1, Card(mood, format_share(found.explained), label))
-            causes = (
-                image_markup(
-                    encode_figure(draw_attribution(found)),
-                    "Shares of the squared CAD error by cause, joint by joint; the numbers are in"
-                    " the table below",
-                ),
+            causes += [
+                draw_shares(found),
                 table_markup(found.share_table(), "shares"),
-            )
-            drawn = image_markup(
-                encode_figure(draw_differences(comparison)),
-                "Torque of each difference; the numbers are in the table below",
-            )
+            ]
+            words = "Torque of each difference; the numbers are in the table below"
+            parameters.insert(0, image_markup(encode_figure(draw_differences(comparison)), words))
         return render_page(
             result.robot,
             f"as built against {comparison.cad_source}",
@@ -161,7 +157,7 @@ class CadVerdict:
                 Block(
                     "parameters",
                     "Parameters, those with the most torque first",
-                    (drawn, parameters),
+                    parameters,
                     "Parameters",
                 ),
                 Block(
@@ -185,9 +181,10 @@ def write_comparison(
     Returns the paths by kind.
     """
     comparison, found = verdict.comparison, verdict.attribution
-    table = comparison.parameter_table()
     files = {
-        "comparison": atomic_write(folder / "comparison.csv", table.as_csv()),
+        "comparison": atomic_write(
+            folder / "comparison.csv", comparison.parameter_table().as_csv()
+        ),
         "text": atomic_write(folder / "comparison.txt", verdict.as_text(full=True)),
         "report": atomic_write(folder / "comparison.html", verdict.as_html(result)),
     }
@@ -198,6 +195,15 @@ def write_comparison(
         "attribution_figure": save_figure(draw_attribution(found), folder / "attribution.png"),
         "difference_figure": save_figure(draw_differences(comparison), folder / "differences.png"),
     }
+
+
+def draw_shares(found: Attribution) -> Markup:
+    """Return the drawing of the causes of the CAD error."""
+    words = (
+        "Shares of the squared CAD error by cause, joint by joint; the numbers are in the table"
+        " below"
+    )
+    return image_markup(encode_figure(draw_attribution(found)), words)
 
 
 def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[str, Path]:
@@ -226,8 +232,10 @@ def render_drift(compared: Drift | ControllerComparison) -> str:
             " are in the table below"
         )
         joints = tabulate_joint_changes(drift.joints, drift.level, of_models=drift.of_models)
-        drawn.append(image_markup(encode_figure(draw_drift(drift)), words))
-        drawn.append(table_markup(joints, "joints-by-torque"))
+        drawn = [
+            image_markup(encode_figure(draw_drift(drift)), words),
+            table_markup(joints, "joints-by-torque"),
+        ]
     changed, others = (
         [table_markup(drift.table(changed=which), name, "scroll parameters")] if count else []
         for which, name, count in (
@@ -270,7 +278,7 @@ def _make_drift_cards(drift: Drift) -> list[Card]:
     ]
     if changed:
         most = max(changed, key=lambda joint: joint.torque)
-        of = f"{round_significant(most.torque_of_motion)} {most.unit} RMS torque"
-        figure = f"{round_significant(most.torque)} {most.unit}"
-        cards.append(Card("neutral", figure, f"largest, at {most.joint}, of {of}"))
+        figure, of = map(round_significant, (most.torque, most.torque_of_motion))
+        label = f"largest, at {most.joint}, of {of} {most.unit} RMS torque"
+        cards.append(Card("neutral", f"{figure} {most.unit}", label))
     return cards

@@ -26,12 +26,6 @@ from asbuilt.writers.reports.page import (
 )
 from asbuilt.writers.tables.fleet_tables import describe_drift_outcome
 
-SMALL, LARGE = (220, 40), (640, 150)
-"""Width and height of a history in a row, and in a robot's own part."""
-LEAST_SCALE = 3.0
-"""Distance at the upper edge of a quiet history."""
-MOST_POINTS = 240
-"""Points of a history; more days are thinned to the largest of neighbours."""
 USUAL = 1.0
 """Distance of a day by natural variation."""
 
@@ -145,8 +139,8 @@ def _build_row(robot: RobotDrift) -> dict[str, Any]:
         "status": f"changed {(robot.when or '')[:10]}" if robot.changed else quiet,
         "p_value": "" if robot.p_value is None else format_probability(robot.p_value),
         "span": f"{robot.first[:10]} to {robot.last[:10]}",
-        "small": _draw_history(robot, *SMALL, labels=False),
-        "large": _draw_history(robot, *LARGE, labels=True),
+        "small": _draw_history(robot, 220, 40, labels=False),
+        "large": _draw_history(robot, 640, 150, labels=True),
     }
 
 
@@ -155,10 +149,10 @@ def _draw_history(robot: RobotDrift, width: int, height: int, *, labels: bool) -
     points = _thin_distances(robot)
     if not points:
         return Markup("")
-    left, bottom, top = (34, 20, 8) if labels else (2, 2, 2)
+    left, bottom, top, right = (34, 20, 8, width - 10) if labels else (2, 2, 2, width - 4)
     first, last = points[0][0], points[-1][0]
-    most = max([LEAST_SCALE, *(y for _, y in points)])
-    right = width - (10 if labels else 4)
+    # Distance at the upper edge of a quiet history.
+    most = max([3.0, *(y for _, y in points)])
 
     def x(day: int) -> float:
         return left + (right - left) * (day - first) / max(last - first, 1)
@@ -166,26 +160,26 @@ def _draw_history(robot: RobotDrift, width: int, height: int, *, labels: bool) -
     def y(value: float) -> float:
         return height - bottom - (height - bottom - top) * value / most
 
-    parts = [
-        f'<line class="usual" x1="{left}" x2="{right}" y1="{y(USUAL):.1f}" y2="{y(USUAL):.1f}"/>'
-    ]
+    path = [f"{x(day):.1f},{y(value):.1f}" for day, value in points]
+    cx, cy = path[-1].split(",")
+    change = ""
     if robot.changed and robot.when:
         at = x(date.fromisoformat(robot.when[:10]).toordinal())
-        parts.append(
-            f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{y(0):.1f}"/>'
-        )
-    path = " ".join(f"{x(day):.1f},{y(value):.1f}" for day, value in points)
-    parts.append(f'<polyline points="{path}"/>')
-    end = points[-1]
-    parts.append(f'<circle cx="{x(end[0]):.1f}" cy="{y(end[1]):.1f}" r="2.2"/>')
-    if labels:
-        parts += [
-            f'<text x="{left - 5}" y="{y(most) + 4:.1f}" class="end">{most:.3g}</text>',
-            f'<text x="{left - 5}" y="{y(USUAL) + 4:.1f}" class="end">1</text>',
-            f'<text x="{left}" y="{height - 5}">{robot.days[0]}</text>',
-            f'<text x="{right}" y="{height - 5}" class="end">{robot.days[-1]}</text>',
-        ]
-    title = f"Distance from the reference, day by day; the last is {end[1]:.2g}"
+        change = f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{y(0):.1f}"/>'
+    named = [
+        f'<text x="{left - 5}" y="{y(most) + 4:.1f}" class="end">{most:.3g}</text>',
+        f'<text x="{left - 5}" y="{y(USUAL) + 4:.1f}" class="end">1</text>',
+        f'<text x="{left}" y="{height - 5}">{robot.days[0]}</text>',
+        f'<text x="{right}" y="{height - 5}" class="end">{robot.days[-1]}</text>',
+    ]
+    parts = [
+        f'<line class="usual" x1="{left}" x2="{right}" y1="{y(USUAL):.1f}" y2="{y(USUAL):.1f}"/>',
+        change,
+        f'<polyline points="{" ".join(path)}"/>',
+        f'<circle cx="{cx}" cy="{cy}" r="2.2"/>',
+        *(named if labels else []),
+    ]
+    title = f"Distance from the reference, day by day; the last is {points[-1][1]:.2g}"
     return Markup(
         f'<svg class="history {"changed" if robot.changed else "quiet"}"'
         f' viewBox="0 0 {width} {height}" role="img" aria-label="{title}">{"".join(parts)}</svg>'
@@ -198,7 +192,8 @@ def _thin_distances(robot: RobotDrift) -> list[tuple[int, float]]:
         (date.fromisoformat(day).toordinal(), value)
         for day, value in zip(robot.days, robot.distances, strict=True)
     ]
-    step = -(-len(points) // MOST_POINTS) or 1
+    # Most points of a history.
+    step = -(-len(points) // 240) or 1
     return [
         max(points[k : k + step], key=lambda point: point[1]) for k in range(0, len(points), step)
     ]

@@ -7,15 +7,14 @@ import os
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
-from asbuilt.arrays import Array
 from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
 from asbuilt.excitation.information.information import complete_limits
-from asbuilt.writers.figures.figure_style import apply_style, encode_figure, make_blank_figure
+from asbuilt.writers.figures.figure_style import encode_figure, open_figure
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
@@ -39,7 +38,6 @@ from asbuilt.writers.tables.design_tables import (
 POINTS = 400
 """Points of a curve; the page stays below 2 MB."""
 
-PATH = "The robot at the start of the motion, and the path of its tool in space"
 JOINTS = """\
 <div class="grid">
 {% for name, image in joints %}
@@ -49,7 +47,7 @@ JOINTS = """\
 </div>
 <p class="quiet">Dashed: limits. The torque follows the description, drive values included.</p>
 """
-CURVE, LIMIT, PATH_SIZE = "#0072b2", "#b3261e", (900, 675)
+CURVE, LIMIT = "#0072b2", "#b3261e"
 
 
 def write_motion_report(path: str | os.PathLike[str], design: Design | StaticDesign) -> Path:
@@ -84,7 +82,7 @@ def render_motion(design: Design | StaticDesign) -> str:
                     table_markup(tabulate_margins(limits), "margins"),
                 ),
             ),
-            Block("path", "Path of the tool", (image_markup(_draw_path(design), PATH),), "Path"),
+            Block("path", "Path of the tool", (_draw_path(design),), "Path"),
             Block(
                 "joints-drawn",
                 "Joints and their limits",
@@ -110,36 +108,34 @@ def draw_joint_figures(design: Design | StaticDesign) -> list[Figure]:
     lower = (bounds.lower, *(-limit for limit in upper[1:]))
     figures = []
     for j, joint in enumerate(model.joints):
-        unit = "rad" if joint.is_revolute else "m"
+        unit, of_torque = ("rad", "N m") if joint.is_revolute else ("m", "N")
         names = (
             f"position\n{unit}",
             f"velocity\n{unit}/s",
             f"acceleration\n{unit}/s\u00b2",
-            f"torque\n{'N m' if joint.is_revolute else 'N'}",
+            f"torque\n{of_torque}",
         )
-        figure = make_blank_figure(4.6, 5.4)
-        with apply_style():
-            all_axes = figure.subplots(4, 1, sharex=True)
-            for k, (axes, x) in enumerate(zip(all_axes, (q, qd, qdd, torque), strict=True)):
-                _draw(axes, t, x[:, j], float(lower[k][j]), float(upper[k][j]), names[k])
+        with open_figure(4.6, 5.4, rows=4, sharex=True) as (figure, all_axes):
+            curves = zip(all_axes, (q, qd, qdd, torque), lower, upper, names, strict=True)
+            for axes, x, low, high, name in curves:
+                axes.plot(t, x[:, j], color=CURVE, linewidth=1.1)
+                for limit in (low[j], high[j]):
+                    if np.isfinite(limit):
+                        axes.axhline(limit, color=LIMIT, linewidth=0.9, linestyle=(0, (4, 2)))
+                axes.set_ylabel(name)
+                axes.margins(x=0.0)
             all_axes[-1].set_xlabel("time [s]")
             figure.align_ylabels(all_axes)
         figures.append(figure)
     return figures
 
 
-def _draw(axes: Axes, t: Array, x: Array, low: float, high: float, name: str) -> None:
-    axes.plot(t, x, color=CURVE, linewidth=1.1)
-    for limit in (low, high):
-        if np.isfinite(limit):
-            axes.axhline(limit, color=LIMIT, linewidth=0.9, linestyle=(0, (4, 2)))
-    axes.set_ylabel(name)
-    axes.margins(x=0.0)
-
-
-def _draw_path(design: Design | StaticDesign) -> str:
-    """Return the skeleton at the start and the path of the tool as a data address."""
+def _draw_path(design: Design | StaticDesign) -> Markup:
+    """Return a drawing of the skeleton at the start and the path of the tool."""
     view = MotionView.of_motion(design.model, design.motion, most=2).first()
     stream = io.BytesIO()
-    Image.fromarray(next(draw_skeleton_frames(view, *PATH_SIZE))).save(stream, "PNG")
-    return data_address(stream.getvalue(), "image/png")
+    Image.fromarray(next(draw_skeleton_frames(view, 900, 675))).save(stream, "PNG")
+    return image_markup(
+        data_address(stream.getvalue(), "image/png"),
+        "The robot at the start of the motion, and the path of its tool in space",
+    )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +16,14 @@ from asbuilt.tables import Table
 CITATION = (
     "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic identification of manipulator: comparison"
     " between CAD and actual parameters, iNaCoMM 2015."
+)
+
+ENVIRONMENT = Environment(
+    loader=PackageLoader("asbuilt.writers.reports", "templates"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
 )
 
 Mood = Literal["good", "bad", "neutral"]
@@ -55,16 +62,16 @@ def render_page(heading: str, subject: str, blocks: Iterable[Block], **fields: A
         "subject": subject,
         "title": f"{heading}: {subject}",
         "blocks": [block for block in blocks if any(block.parts)],
-        "version": _read_version(),
+        "version": version("asbuilt"),
         "citation": CITATION,
         "style": read_resource("report.css"),
     }
-    return _load_environment().get_template("page.html.j2").render(own | fields)
+    return ENVIRONMENT.get_template("page.html.j2").render(own | fields)
 
 
 def section_markup(template: str, fields: Mapping[str, Any]) -> Markup:
     """Return the text of a template filled with fields; all text but `Markup` is escaped."""
-    return Markup(_load_environment().from_string(template).render(**fields))
+    return Markup(ENVIRONMENT.from_string(template).render(**fields))
 
 
 def cards_markup(cards: Sequence[Card]) -> Markup:
@@ -89,10 +96,8 @@ LINES = """\
 
 def facts_markup(facts: Iterable[tuple[str, str]]) -> Markup:
     """Return names with their texts, in columns."""
-    pairs = Markup("").join(
-        Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(*each) for each in facts
-    )
-    return Markup('<dl class="facts">{}</dl>').format(pairs)
+    pairs = (Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(*each) for each in facts)
+    return Markup('<dl class="facts">{}</dl>').format(Markup("").join(pairs))
 
 
 def paragraph_markup(text: str, kind: str = "quiet") -> Markup:
@@ -115,21 +120,3 @@ def table_markup(table: Table, identifier: str, kind: str = "scroll") -> Markup:
 def read_resource(name: str) -> Markup:
     """Return the text of a file in the folder of templates, unescaped."""
     return Markup((Path(__file__).parent / "templates" / name).read_text(encoding="utf-8"))
-
-
-@cache
-def _load_environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("asbuilt.writers.reports", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def _read_version() -> str:
-    try:
-        return version("asbuilt")
-    except PackageNotFoundError:
-        return "unknown version"

@@ -77,17 +77,12 @@ def report_html(
     )
 
 
-CURVE_POINTS = 90_000
-"""Points of all torque curves of a page together, which keep it below 2 MB."""
-FEWEST, MOST = 300, 2000
-"""Points of a joint's curves in one recording."""
-
-
 def plot_data(report: Report) -> dict[str, Any]:
     """Return what the page's script draws, ready for JSON."""
     result, predictions = report.study.result, [each for _, each in report.predictions]
     joints = max(1, len(predictions) * len(result.joint_names))
-    points = int(np.clip(CURVE_POINTS / joints / 4, FEWEST, MOST))
+    # 90 000 points of all four curves of each joint together keep the page below 2 MB.
+    points = int(np.clip(90_000 / joints / 4, 300, 2000))
     return {
         "joints": list(result.joint_names),
         "recordings": [_collect_recording_data(each, points) for each in predictions],
@@ -114,8 +109,8 @@ def _collect_joint_data(
         torque[:, k]
         for torque in (validation.measured, validation.predicted, validation.predicted_cad)
     )
-    t, *curves = thin_curves(validation.t, measured, built, cad, measured - built, points=points)
     error = measured - built
+    t, *curves = thin_curves(validation.t, measured, built, cad, error, points=points)
     spread = float(np.std(error)) or 1.0
     clipped = np.clip((error - error.mean()) / spread, -5, 5)
     counts, edges = np.histogram(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,11 @@ from asbuilt.writers.reports.page import (
     table_markup,
 )
 
-MOST_CLAIMS = 24
-"""Claims in a short text."""
 DRIVES = ("armature", "damping", "damping + kv", "friction loss", "kp", "kv", "forcerange")
 
 
 def review_document(review: Review) -> dict[str, Any]:
     """Return plain numbers, lists and None, ready for JSON."""
-    tolerance = review.tolerance
     return {
         "robot": review.robot,
         "recordings": list(review.sources),
@@ -57,9 +54,7 @@ def review_document(review: Review) -> dict[str, Any]:
         "false_discovery_rate": review.level,
         "misfit": review.misfit,
         "plausible": {
-            "mass": tolerance.mass,
-            "centre": tolerance.centre,
-            "inertia": tolerance.inertia,
+            name: getattr(review.tolerance, name) for name in ("mass", "centre", "inertia")
         },
         "claims": make_plain(review.claims),
         "effects": make_plain(review.result.effects),
@@ -71,25 +66,20 @@ def review_text(
     review: Review, *, full: bool = False, cure_text: Callable[[Cure], str] = str
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
+    letter = (
+        f"{review.letter}: the description predicts these recordings to"
+        f" {format_share(review.error)} of the torque ({LETTERS.text})"
+    )
     shown = [each for each in review.findings if full or each.code.startswith("servo_")]
     return "\n".join(
         [
             wrap_text(review_headline(review)),
-            *compose_letter(review),
+            *([] if review.letter is None else [wrap_text(letter)]),
             *list_findings(shown, cure_text, full=full),
             *format_effects(review.result.effects),
             review_table(review).as_text(full),
         ]
     )
-
-
-def compose_letter(review: Review) -> list[str]:
-    """Return the letter of the description with its rule; nothing if it has no masses."""
-    sentence = (
-        f"{review.letter}: the description predicts these recordings to"
-        f" {format_share(review.error)} of the torque ({LETTERS.text})"
-    )
-    return [] if review.letter is None else [wrap_text(sentence)]
 
 
 def review_headline(review: Review) -> str:
@@ -156,21 +146,15 @@ def review_table(review: Review) -> Table:
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
             *([widened] if review.misfit > 1.0 else []),
         ),
-        important=_select_important(review),
+        important=_select_important(review.claims),
     )
 
 
-def _select_important(review: Review) -> tuple[int, ...]:
+def _select_important(claims: Sequence[Claim]) -> tuple[int, ...]:
     """Return the places of the claims in a short text: contradicted, then drives, then bodies."""
-    order = sorted(
-        range(len(review.claims)),
-        key=lambda j: (
-            review.claims[j].verdict != "contradicted",
-            review.claims[j].what not in DRIVES,
-            j,
-        ),
-    )
-    return tuple(sorted(order[:MOST_CLAIMS]))
+    ranks = [(each.verdict != "contradicted", each.what not in DRIVES) for each in claims]
+    order = sorted(range(len(claims)), key=ranks.__getitem__)
+    return tuple(sorted(order[:24]))
 
 
 def _show_estimate(claim: Claim) -> tuple[Cell, ...]:

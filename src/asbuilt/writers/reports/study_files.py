@@ -5,30 +5,32 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from asbuilt import writers
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification import IdentificationResult, gear_ratios, motor_side_parameters
+from asbuilt.identification import (
+    IdentificationResult,
+    Payload,
+    gear_ratios,
+    motor_side_parameters,
+)
 from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, file_set
-from asbuilt.writers.models.as_built import as_built, keep_described_drives
+from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
 from asbuilt.writers.tables.drive_tables import tabulate_motor_side
 from asbuilt.writers.tables.mass_tables import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_text, tabulate_payload
-from asbuilt.writers.tables.rollout_tables import describe_refinement, rollout_text, with_rollouts
+from asbuilt.writers.tables.rollout_tables import describe_refinement, rollout_text
 from asbuilt.writers.tables.tabular import (
     identify_document,
     tabulate_identified,
     tabulate_prediction,
     write_json,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.identification import Payload
 
 MEMBERS = (
     "result.json",
@@ -61,21 +63,21 @@ def study_text(
     summary, masses = study.summary(), exported_masses(study.result)
     if masses is not None:
         summary = summary.with_mass((masses.total_cad, masses.total_as_built), masses.links)
-    parts = [summary.as_text(full, cure_text)]
-    if gear_ratios(study.result.model):
-        drives = tabulate_motor_side(motor_side_parameters(study.result)).as_text(full)
-        parts.append(f"Drives at the motor\n{drives}")
-    if study.cutoffs is not None:
-        parts.append(study.cutoffs.table().as_text(full))
-    parts.append(study.comparison.torque_table().as_text(full))
-    parts.append(wrap_text(study.comparison.verdict()) + "\n")
-    if study.rollouts:
-        parts.append(rollout_text(study.result.model, study.rollouts, full=full).lstrip("\n"))
-    if study.refined is not None:
-        parts.append(describe_refinement(study.refined))
-    if payload is not None:
-        parts.append(payload_text(payload, full))
-    return "\n".join(parts)
+    result, cutoffs, refined = study.result, study.cutoffs, study.refined
+    motors = motor_side_parameters(result) if gear_ratios(result.model) else None
+    parts = [
+        summary.as_text(full, cure_text),
+        ""
+        if motors is None
+        else f"Drives at the motor\n{tabulate_motor_side(motors).as_text(full)}",
+        "" if cutoffs is None else cutoffs.table().as_text(full),
+        study.comparison.torque_table().as_text(full),
+        wrap_text(study.comparison.verdict()) + "\n",
+        rollout_text(result.model, study.rollouts, full=full).lstrip("\n"),
+        "" if refined is None else describe_refinement(refined),
+        "" if payload is None else payload_text(payload, full),
+    ]
+    return "\n".join(filter(None, parts))
 
 
 def study_document(
@@ -85,17 +87,18 @@ def study_document(
     payload: Payload | None = None,
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `notes` come from `write_study`."""
-    document = identify_document(study, files=files) | {
-        "file_notes": {kind: list(texts) for kind, texts in (notes or {}).items()}
+    cutoffs, refined = study.cutoffs, study.refined
+    optional = {
+        "cutoff_sweep": None if cutoffs is None else cutoffs.as_document(),
+        "rollout": [each.as_dict() for each in study.rollouts] or None,
+        "refined": None if refined is None else refined.as_dict(),
+        "payload": None if payload is None else payload_document(payload),
     }
-    if study.cutoffs is not None:
-        document["cutoff_sweep"] = study.cutoffs.as_document()
-    document = with_rollouts(document, study.rollouts)
-    if study.refined is not None:
-        document["refined"] = study.refined.as_dict()
-    if payload is not None:
-        document["payload"] = payload_document(payload)
-    return document
+    return (
+        identify_document(study, files=files)
+        | {"file_notes": {kind: list(texts) for kind, texts in (notes or {}).items()}}
+        | {name: part for name, part in optional.items() if part is not None}
+    )
 
 
 def write_result(path: str | os.PathLike[str], result: IdentificationResult | Study) -> Path:
@@ -159,10 +162,7 @@ def _write_robot(
     folder: Path, result: IdentificationResult
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write robot.toml and robot.urdf, if there can be such, and note what they lack."""
-    from asbuilt.writers.models.export import (  # noqa: PLC0415 - light start
-        find_urdf_to_edit,
-        load_note,
-    )
+    from asbuilt.writers.models.export import find_urdf_to_edit  # noqa: PLC0415 - light start
     from asbuilt.writers.models.physical import list_impossibilities  # noqa: PLC0415 - light start
     from asbuilt.writers.models.robot_toml import write_robot_toml  # noqa: PLC0415 - light start
     from asbuilt.writers.models.urdf import write_urdf  # noqa: PLC0415 - light start
@@ -173,17 +173,17 @@ def _write_robot(
     try:
         built = as_built(result)
         files["robot"] = write_robot_toml(folder / "robot.toml", built.model)
-        notes["robot"] = load_note(result, built)
+        notes["robot"] = note_load_friction(result, built)
         kind = "urdf"
         original, missing = find_urdf_to_edit(result.model)
-        notes["urdf"] = tuple(f"not written: {why}" for why in missing)
-        impossible = original is not None and list_impossibilities(built.model)
         in_simulators, kept = keep_described_drives(built.model, result.model)
-        if impossible:
+        if original is None:
+            notes["urdf"] = tuple(f"not written: {why}" for why in missing)
+        elif impossible := list_impossibilities(built.model):
             notes["urdf"] = (
                 f"not written: {impossible[0]}; the nearest consistent model can be exported",
             )
-        elif original is not None:
+        else:
             files["urdf"], remarks = write_urdf(
                 folder / "robot.urdf", in_simulators, original=original
             )

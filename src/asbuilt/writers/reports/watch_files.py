@@ -43,19 +43,14 @@ def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
 
 def watch_html(watched: WatchedLog) -> str:
     """Return the page of a watched log as text."""
-    events = watched.events
-    thresholds, verified = watched.thresholds, watched.rate_verified
+    events, thresholds, verified = watched.events, watched.thresholds, watched.rate_verified
+    doubt = "" if verified else f"; not verified, from {format_duration(3600.0 * thresholds.hours)}"
     cards = [
         Card("neutral" if events else "good", str(len(events)), "events"),
         Card(
             "good" if verified else "neutral",
             f"{thresholds.false_alarms_per_hour:g} per hour",
-            "false alarms that the thresholds are set for"
-            + (
-                ""
-                if verified
-                else f"; not verified, from {format_duration(3600.0 * thresholds.hours)}"
-            ),
+            f"false alarms that the thresholds are set for{doubt}",
         ),
     ]
     drawn = image_markup(
@@ -77,12 +72,6 @@ def watch_html(watched: WatchedLog) -> str:
     )
 
 
-DRAWN = (
-    "Position and torque of every joint over time, with lines where findings begin; the findings"
-    " are listed above"
-)
-
-
 def write_check_page(
     folder: Path,
     recordings: Sequence[Recorded],
@@ -102,8 +91,13 @@ def write_check_page(
             list_markup((each.severity, each.as_line(cure_text)) for each in check.findings),
         ]
         if not isinstance(recording, Samples):
-            address = encode_figure(draw_recording(head_of(recording), check))
-            parts.append(image_markup(address, DRAWN))
+            parts.append(
+                image_markup(
+                    encode_figure(draw_recording(head_of(recording), check)),
+                    "Position and torque of every joint over time, with lines where findings begin;"
+                    " the findings are listed above",
+                )
+            )
         blocks.append(Block(f"log-{k}", recording_name(check.source), parts))
     text = render_page(checks[0].robot, "recordings checked", blocks)
     return {"page": atomic_write(folder / "check.html", text)}

@@ -69,7 +69,7 @@ def _build_own_document(design: Design | StaticDesign) -> dict[str, Any]:
         "id": base.ids,
         "name": base.names,
         "unit": base.units,
-        "cad": _list_cad_values(design),
+        "cad": base.values(parameter_values(design.model, base.drive)),
         "std_error": design.std_errors,
         "torque_effect": design.torque_effects,
     }
@@ -156,13 +156,13 @@ def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
         found = f"{design.log_det:.2f}, found in {design.solve_seconds:.1f} s"
         return [("log det", found), ("condition number", condition)]
     family, options = design.family_efficiency, design.options
+    names = join_names([name.strip() for name in options.focus])
+    criterion = options.criterion + (f", for {names}" if names else "")
     facts = [
+        *([("criterion", criterion)] if criterion != "d" else []),
         ("drive terms", f"{design.base.drive}, noise {_format_numbers(design.noise)} N m (N)"),
         ("log det", f"{design.log_det:.2f} for {design.n_samples:g} independent samples"),
     ]
-    if options.focus or options.criterion != "d":
-        names = join_names([name.strip() for name in options.focus]) if options.focus else ""
-        facts.insert(0, ("criterion", options.criterion + (f", for {names}" if names else "")))
     if design.d_efficiency is not None:
         known = family is not None and design.family_bound is not design.bound
         own = f"; {format_share(family)} relative to that for these harmonics" if known else ""
@@ -172,9 +172,8 @@ def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
         facts.append(("D-efficiency", text + own))
     condition = _format_condition(design.condition_number, 1)
     scaled = _format_condition(design.scaled_condition_number, 2)
-    facts.append(("condition number", f"{condition} (scaled {scaled})"))
     found = f"best of {len(design.candidates)} local searches in {design.solve_seconds:.1f} s"
-    return [*facts, ("search", found)]
+    return [*facts, ("condition number", f"{condition} (scaled {scaled})"), ("search", found)]
 
 
 def design_table(design: Design | StaticDesign) -> Table:
@@ -184,30 +183,29 @@ def design_table(design: Design | StaticDesign) -> Table:
     """
     if isinstance(design, StaticDesign):
         return _build_pose_table(design)
-    cad = np.array([np.nan if value is None else value for value in _list_cad_values(design)])
     base, errors, effects = design.base, design.std_errors, design.torque_effects
+    cad = base.values(parameter_values(design.model, base.drive))
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
     asked = [locate_base_parameter(base, name) for name in design.options.focus]
     worst = np.argsort(-errors * np.sqrt(np.diag(design.mean_information))).tolist()
     order = [*asked, *(i for i in worst if i not in asked)]
-    columns = (
-        Column("id", align="right", of=lambda i: int(base.ids[i])),
-        Column("parameter", of=lambda i: base.names[i]),
-        Column("unit", of=lambda i: base.units[i]),
-        Column("CAD", align="decimal", style=3, of=lambda i: cad[i]),
-        Column(
-            "std err",
-            align="decimal",
-            of=lambda i: (
-                round_significant(errors[i], 2) if np.isfinite(errors[i]) else "undetermined"
-            ),
-        ),
-        Column("of CAD", "%", "decimal", ".1f", of=lambda i: 100 * ratio[i]),
-        Column("of torque", "%", "decimal", ".2g", of=lambda i: 100 * effects[i]),
-    )
     return Table.of(
         order,
-        columns,
+        (
+            Column("id", align="right", of=lambda i: int(base.ids[i])),
+            Column("parameter", of=lambda i: base.names[i]),
+            Column("unit", of=lambda i: base.units[i]),
+            Column("CAD", align="decimal", style=3, of=lambda i: cad[i]),
+            Column(
+                "std err",
+                align="decimal",
+                of=lambda i: (
+                    round_significant(errors[i], 2) if np.isfinite(errors[i]) else "undetermined"
+                ),
+            ),
+            Column("of CAD", "%", "decimal", ".1f", of=lambda i: 100 * ratio[i]),
+            Column("of torque", "%", "decimal", ".2g", of=lambda i: 100 * effects[i]),
+        ),
         f"{'parameters in focus, then ' if asked else ''}worst determined parameters, predicted",
         details=(
             "of torque: torque of one standard error over the torque, both RMS on the motion",
@@ -221,15 +219,16 @@ def _build_pose_table(design: StaticDesign) -> Table:
     names = design.model.joint_names
     if sum(max(len(name), 7) + 2 for name in names) + 4 > WIDTH:
         names = tuple(f"joint {k}" for k in range(1, len(names) + 1))
-    heads = (
-        Column("pose", align="right"),
-        *(
-            Column(name, "rad" if joint.is_revolute else "m", "decimal", ".3f")
-            for name, joint in zip(names, design.model.joints, strict=True)
-        ),
-    )
+    heads = [
+        Column(name, "rad" if joint.is_revolute else "m", "decimal", ".3f")
+        for name, joint in zip(names, design.model.joints, strict=True)
+    ]
     rows = tuple((k, *pose) for k, pose in enumerate(design.poses.tolist(), 1))
-    return Table(heads, rows, important=tuple(range(min(len(rows), LISTED))))
+    return Table(
+        (Column("pose", align="right"), *heads),
+        rows,
+        important=tuple(range(min(len(rows), LISTED))),
+    )
 
 
 def describe_margins(limits: LimitReport) -> str:
@@ -244,29 +243,24 @@ def describe_margins(limits: LimitReport) -> str:
     return f"limits kept, smallest margin {format_share(worst.margin)} ({place})"
 
 
-MARGINS = (
-    Column("limit", of="quantity"),
-    Column("nearest joint", width=24, of="joint"),
-    Column("time", "s", "decimal", ".3f", of="time"),
-    Column("value", align="decimal", style=4, of="value"),
-    Column("allowed", align="decimal", style=4, of="limit"),
-    Column("unit", of="unit"),
-    Column("margin", "%", "decimal", ".1f", of=lambda margin: 100 * margin.margin),
-)
-
-
 def tabulate_margins(limits: LimitReport) -> Table:
     """Return the smallest margin of each quantity, with its joint and time."""
-    return Table.of([each for each in limits.worst.values() if each is not None], MARGINS)
+    return Table.of(
+        [each for each in limits.worst.values() if each is not None],
+        (
+            Column("limit", of="quantity"),
+            Column("nearest joint", width=24, of="joint"),
+            Column("time", "s", "decimal", ".3f", of="time"),
+            Column("value", align="decimal", style=4, of="value"),
+            Column("allowed", align="decimal", style=4, of="limit"),
+            Column("unit", of="unit"),
+            Column("margin", "%", "decimal", ".1f", of=lambda margin: 100 * margin.margin),
+        ),
+    )
 
 
 def _format_condition(number: float, digits: int) -> str:
     return f"{number:.{digits}f}" if number < LARGEST_CONDITION else f"above {LARGEST_CONDITION:g}"
-
-
-def _list_cad_values(design: Design) -> list[float | None]:
-    values = design.base.values(parameter_values(design.model, design.base.drive))
-    return [None if np.isnan(value) else float(value) for value in values]
 
 
 def _format_numbers(values: Any) -> str:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from asbuilt.codec import make_plain
 from asbuilt.dynamics import DriveTerm, available_terms
 from asbuilt.findings import join_names
-from asbuilt.identification import MotorSideParameter
+from asbuilt.identification import MotorSideParameter, TorqueGains, TwoChannelEstimate
 from asbuilt.tables import Column, Table, format_percent, format_plus_minus, stack_tables
-
-if TYPE_CHECKING:
-    from asbuilt.identification import TorqueGains, TwoChannelEstimate
 
 MOST_NOTES, MOST_ROWS = 3, 14
 """Notes and rows of a short text."""
@@ -62,14 +59,17 @@ def drives_document() -> dict[str, Any]:
 
 def drives_text(full: bool = False) -> str:
     """Return the drive terms as a table, and how to choose them; with units if `full`."""
-    columns = (
-        Column("term", of=lambda term: term.key + ("*" if term.tried_for else "")),
-        Column("parameters", detail=True, of=lambda term: " ".join(term.symbols)),
-        Column("torque", of="formula"),
-        Column("options", of=_word_options),
-        Column("units", detail=True, of=lambda term: ", ".join(term.units(revolute=True))),
-    )
-    return Table.of(available_terms().values(), columns, notes=USE).as_text(full)
+    return Table.of(
+        available_terms().values(),
+        (
+            Column("term", of=lambda term: term.key + ("*" if term.tried_for else "")),
+            Column("parameters", detail=True, of=lambda term: " ".join(term.symbols)),
+            Column("torque", of="formula"),
+            Column("options", of=_word_options),
+            Column("units", detail=True, of=lambda term: ", ".join(term.units(revolute=True))),
+        ),
+        notes=USE,
+    ).as_text(full)
 
 
 def _word_options(term: DriveTerm) -> str:
@@ -130,18 +130,12 @@ def gains_text(found: TorqueGains, full: bool = False) -> str:
     notes = tuple(f"{text[0].upper()}{text[1:]}." for text in found.sentences())
     shown = notes if full else notes[:MOST_NOTES]
     joints = range(len(found.joint_names))
-    text = Table.of(joints, columns, "Torque gains", notes=shown).as_text(full)
-    if not found.determined.any():
-        return text
-    return "\n".join(
-        [
-            text,
-            "Instead of the gains in use:",
-            f"  {_write_option(found)}",
-            "or in the recording sheet:",
-            f"  {_write_sheet_line(found)}\n",
-        ]
+    use = (
+        f"\nInstead of the gains in use:\n  {_write_option(found)}\n"
+        f"or in the recording sheet:\n  {_write_sheet_line(found)}\n"
     )
+    text = Table.of(joints, columns, "Torque gains", notes=shown).as_text(full)
+    return text + (use if found.determined.any() else "")
 
 
 def _format_gains(found: TorqueGains) -> str:
@@ -207,17 +201,7 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     """Return an estimate from sensors and motors together as tables."""
     values, spread = found.values, found.std_errors
     scales, doubts = found.scales, found.scale_errors
-    lost = join_names(found.estimate.undetermined)
-    notes = [f"UNDETERMINED by this motion: {lost}."] if lost else []
-    details = (
-        "Side link: torque that sensors and motors measure; side motor (names with m): torque that"
-        " motors alone measure. Standard errors allow for residual correlation.",
-    )
-    n, n_motor = len(found.names), int(found.of_motor_side.sum())
-    title = (
-        f"{found.robot}: sensors and motors together, {n} parameters, {n_motor} of"
-        " them of the motor side"
-    )
+    lost, n = join_names(found.estimate.undetermined), len(found.names)
     size = [
         abs(value) / error if error > 0 else 0.0
         for value, error in zip(values, spread, strict=True)
@@ -232,9 +216,13 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
             Column("value", of=lambda k: format_plus_minus(values[k], spread[k])),
             Column("%", align="decimal", of=lambda k: format_percent(values[k], spread[k])),
         ),
-        title,
-        notes=tuple(notes),
-        details=details,
+        f"{found.robot}: sensors and motors together, {n} parameters,"
+        f" {int(found.of_motor_side.sum())} of them of the motor side",
+        notes=(f"UNDETERMINED by this motion: {lost}.",) if lost else (),
+        details=(
+            "Side link: torque that sensors and motors measure; side motor (names with m): torque"
+            " that motors alone measure. Standard errors allow for residual correlation.",
+        ),
         important=tuple(sorted(most)),
     )
     errors = Table.of(
@@ -249,15 +237,17 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     return stack_tables((errors, parameters), full)
 
 
-MOTOR_SIDE = (
-    Column("parameter", of="name"),
-    Column("unit", of="unit"),
-    Column("gear ratio", align="right", of="gear_ratio"),
-    Column("at the joint", align="decimal", style=".4g", of="joint_side"),
-    Column("at the motor", of=lambda each: format_plus_minus(each.motor_side, each.std_error)),
-)
-
-
 def tabulate_motor_side(parameters: Sequence[MotorSideParameter]) -> Table:
     """Return drive parameters at the joint and at the shaft of the motor."""
-    return Table.of(parameters, MOTOR_SIDE)
+    return Table.of(
+        parameters,
+        (
+            Column("parameter", of="name"),
+            Column("unit", of="unit"),
+            Column("gear ratio", align="right", of="gear_ratio"),
+            Column("at the joint", align="decimal", style=".4g", of="joint_side"),
+            Column(
+                "at the motor", of=lambda each: format_plus_minus(each.motor_side, each.std_error)
+            ),
+        ),
+    )

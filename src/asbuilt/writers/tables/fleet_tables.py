@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from asbuilt.findings import Cure, list_findings
 from asbuilt.tables import Column, Table, format_share, wrap_text
 from asbuilt.validation.comparison.significance import format_probability
-from asbuilt.workflow import Addition, FleetDrift, LogReport, Overview
+from asbuilt.workflow import Addition, FleetDrift, Overview
 
 MOST = 10
 """Failed logs and robots shown without `full`."""
@@ -63,22 +63,18 @@ def addition_text(
     full: bool = False,
 ) -> str:
     """Return what `asbuilt fleet add` prints."""
-    counts = (
-        f"{_word_count(done.added, 'log')} added, {len(done.skipped)} skipped (in the ledger"
-        " already),"
-        f" {len(done.failed)} failed"
-    )
-    robots = sorted({each.robot_id for each in (*done.added, *done.skipped)})
+    robots = {each.robot_id for each in (*done.added, *done.skipped)}
     hours = sum(each.seconds for each in done.added) / 3600.0
     lines = [
-        f"{done.ledger}: {counts}",
+        f"{done.ledger}: {_word_count(done.added, 'log')} added, {len(done.skipped)} skipped (in"
+        f" the ledger already), {len(done.failed)} failed",
         f"{_word_count(robots, 'robot')}, {hours:.3g} h recorded, {done.seconds:.3g} s taken",
+        *([f"dashboard of the cluster: {done.dashboard}"] if done.dashboard else []),
     ]
-    if done.dashboard:
-        lines.append(f"dashboard of the cluster: {done.dashboard}")
     for each in done.failed if full else done.failed[:MOST]:
-        cure = f"; {cure_text(each.cure)}" if each.cure else ""
-        lines.append(wrap_text(f"FAILED {_with_name(each)}{cure}"))
+        cure, why = f"; {cure_text(each.cure)}" if each.cure else "", each.problem or ""
+        name = "" if each.log in why else f"{each.log}: "
+        lines.append(wrap_text(f"FAILED {name}{why}{cure}"))
     lines += _count_hidden(done.failed, full, "failed logs")
     return "\n".join([*lines, *_set_off(list_findings(done.findings, cure_text, full=full))]) + "\n"
 
@@ -94,10 +90,10 @@ def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: boo
         Column("logs", of="n_logs"),
         Column("first", of=lambda each: each.first[:10]),
         Column("last", of=lambda each: each.last[:10]),
+        Column("recorded", "h", "decimal", of=lambda each: (each.seconds or 0.0) / 3600.0),
     ]
-    if any(each.seconds is not None for each in seen.robots):
-        hours = Column("recorded", "h", "decimal", of=lambda each: (each.seconds or 0.0) / 3600.0)
-        heads.append(hours)
+    if all(each.seconds is None for each in seen.robots):
+        heads.pop()
     if seen.robots:
         shown = seen.robots if full else seen.robots[: 2 * MOST]
         lines.append(Table.of(shown, heads).as_text(full).rstrip())
@@ -152,16 +148,10 @@ def _set_off(lines: list[str]) -> list[str]:
     return ["", *lines] if lines else []
 
 
-def _with_name(report: LogReport) -> str:
-    """Return why a log failed, with its name if the reason lacks it."""
-    problem = report.problem or ""
-    return problem if report.log in problem else f"{report.log}: {problem}"
-
-
 def _count_hidden(items: Sequence[Any], full: bool, what: str, most: int = MOST) -> list[str]:
     hidden = 0 if full else len(items) - most
     return [f"... {hidden} more {what}"] if hidden > 0 else []
 
 
-def _word_count(items: Sequence[Any], what: str) -> str:
+def _word_count(items: Collection[Any], what: str) -> str:
     return f"{len(items)} {what}" + ("" if len(items) == 1 else "s")

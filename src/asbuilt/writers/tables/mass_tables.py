@@ -74,24 +74,26 @@ def _measure_mass_difference(link: tuple[str, float | None, float | None]) -> fl
 
 def mass_table(masses: ExportedMasses) -> Table:
     """Return the masses link by link with their total."""
-    columns = (
-        Column("link", width=30, of=lambda each: each[0]),
-        Column("CAD", "kg", "decimal", 4, of=lambda each: each[1]),
-        Column("as built", "kg", "decimal", 4, of=lambda each: each[2]),
-        Column(
-            "difference",
-            "kg",
-            "decimal",
-            4,
-            of=_measure_mass_difference,
+    return Table.of(
+        [*masses.links, ("total", masses.total_cad, masses.total_as_built)],
+        (
+            Column("link", width=30, of=lambda each: each[0]),
+            Column("CAD", "kg", "decimal", 4, of=lambda each: each[1]),
+            Column("as built", "kg", "decimal", 4, of=lambda each: each[2]),
+            Column(
+                "difference",
+                "kg",
+                "decimal",
+                4,
+                of=_measure_mass_difference,
+            ),
+        ),
+        "Masses of the links",
+        notes=(
+            "As built: links of the exported robot, the closest to CAD within the standard errors."
+            " Torques determine combinations of masses, not each mass.",
         ),
     )
-    note = (
-        "As built: links of the exported robot, the closest to CAD within the standard errors."
-        " Torques determine combinations of masses, not each mass."
-    )
-    rows = [*masses.links, ("total", masses.total_cad, masses.total_as_built)]
-    return Table.of(rows, columns, "Masses of the links", notes=(note,))
 
 
 def masses_document(masses: LinkMasses) -> dict[str, Any]:
@@ -125,30 +127,29 @@ def _build_body_document(body: LinkInertia | None) -> dict[str, Any] | None:
 
 def masses_table(masses: LinkMasses) -> Table:
     """List mass, centre of mass and moments, described and computed, worst link first."""
-    columns = (
-        Column("link", of="name"),
-        Column("mass", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.described)),
-        Column("computed", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.computed)),
-        Column("density", "kg/m^3", "right", ".4g", of="density"),
-        Column("centre off", "mm", "decimal", ".1f", of=_measure_centre_shift),
-        Column("inertia", "computed / file", "right", of=_format_inertia_ratio),
-        Column("from", detail=True, of=lambda each: each.origin or None),
-        Column(
-            "Ixx Iyy Izz in the file",
-            "kg m^2",
-            detail=True,
-            of=lambda each: _format_moments(each.described),
-        ),
-        Column(
-            "Ixx Iyy Izz computed",
-            "kg m^2",
-            detail=True,
-            of=lambda each: _format_moments(each.computed),
-        ),
-    )
     return Table.of(
         masses.links,
-        columns,
+        (
+            Column("link", of="name"),
+            Column("mass", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.described)),
+            Column("computed", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.computed)),
+            Column("density", "kg/m^3", "right", ".4g", of="density"),
+            Column("centre off", "mm", "decimal", ".1f", of=_measure_centre_shift),
+            Column("inertia", "computed / file", "right", of=_format_inertia_ratio),
+            Column("from", detail=True, of=lambda each: each.origin or None),
+            Column(
+                "Ixx Iyy Izz in the file",
+                "kg m^2",
+                detail=True,
+                of=lambda each: _format_moments(each.described),
+            ),
+            Column(
+                "Ixx Iyy Izz computed",
+                "kg m^2",
+                detail=True,
+                of=lambda each: _format_moments(each.computed),
+            ),
+        ),
         f"{masses.model.name}: mass properties described and computed",
         details=(
             "Moments are about the centre of mass; the density is mass over volume of geometry.",

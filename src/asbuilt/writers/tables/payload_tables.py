@@ -54,15 +54,15 @@ def describe_payload_outcome(payload: Payload) -> str:
 
 def tabulate_payload(payload: Payload) -> Table:
     """Return mass, centre of mass and inertia about it, with standard errors."""
-    split = bool(np.any(payload.gain_uncertainty > 0.0))
-    parts = (payload.noise_errors, payload.gain_errors) if split else ()
+    parts = (("noise", payload.noise_errors), ("gains", payload.gain_errors))
     columns = (
         Column("parameter", of=lambda k: payload.names[k]),
         Column("unit", of=lambda k: UNITS[k]),
-        *_estimate_columns(payload.values, payload.std_errors),
+        *_list_estimate_columns(payload.values, payload.std_errors),
         *(
             Column(f"of {name}", "", "decimal", 2, of=errors.__getitem__)
-            for name, errors in zip(("noise", "gains"), parts, strict=False)
+            for name, errors in parts
+            if np.any(payload.gain_uncertainty > 0.0)
         ),
         Column(
             "determined", of=lambda k: "yes" if payload.names[k] in payload.determined else "NO"
@@ -84,7 +84,7 @@ def tabulate_payload(payload: Payload) -> Table:
     )
 
 
-def _estimate_columns(values: Array, errors: Array) -> list[Column]:
+def _list_estimate_columns(values: Array, errors: Array) -> list[Column]:
     """Return the columns of an estimate, its standard error, and this in percent, by place."""
 
     def cell(part: int) -> Callable[[int], Cell]:
@@ -92,8 +92,10 @@ def _estimate_columns(values: Array, errors: Array) -> list[Column]:
             format_estimate(values[k], errors[k])[part] if np.isfinite(values[k]) else None
         )
 
-    heads = ("estimate", "std err", "%")
-    return [Column(head, align="decimal", of=cell(k)) for k, head in enumerate(heads)]
+    return [
+        Column(head, align="decimal", of=cell(part))
+        for part, head in enumerate(("estimate", "std err", "%"))
+    ]
 
 
 def _describe_gains(payload: Payload) -> tuple[str, ...]:
@@ -111,37 +113,22 @@ def _describe_gains(payload: Payload) -> tuple[str, ...]:
         100 * errors[0] / payload.values[0]
         for errors in (payload.noise_errors, payload.gain_errors)
     )
-    known_by = (
-        ()
-        if payload.gains_by_evidence
-        else (
-            "The result has no cause data, so the effect of gains on the centre of mass may be"
-            " underestimated.",
-        )
-    )
-    return (
+    doubted = len(payload.gains_in_doubt)
+    every = doubted == len(payload.gain_uncertainty)
+    cases = {
         f"Torque gains of {_SOURCES[payload.torque_source]} are taken as known to {spread}"
         f" (standard deviation): they leave {gains:.1f} % of the mass uncertain, most by"
         f" {join_names(leading)},"
-        f" noise {noise:.1f} %. A payload of known mass calibrates them (`gains`).",
-        *_describe_doubts(payload),
-        *known_by,
-    )
-
-
-def _describe_doubts(payload: Payload) -> tuple[str, ...]:
-    """Return which gains are doubted, since gravity torques are far from CAD's."""
-    if not payload.gains_in_doubt:
-        return ()
-    if len(payload.gains_in_doubt) == len(payload.gain_uncertainty):
-        return (
-            "GAINS IN DOUBT: no torque agrees in scale with a description that has masses; the"
-            " payload has the scale of the torques.",
-        )
-    return (
+        f" noise {noise:.1f} %. A payload of known mass calibrates them (`gains`).": True,
+        "GAINS IN DOUBT: no torque agrees in scale with a description that has masses; the"
+        " payload has the scale of the torques.": doubted and every,
         f"GAINS IN DOUBT: the gravity torques of {join_names(payload.gains_in_doubt)} are far from"
-        " CAD's, which may be the torque scale; the payload's errors allow for it.",
-    )
+        " CAD's, which may be the torque scale; the payload's errors allow for it.": doubted
+        and not every,
+        "The result has no cause data, so the effect of gains on the centre of mass may be"
+        " underestimated.": not payload.gains_by_evidence,
+    }
+    return tuple(note for note, holds in cases.items() if holds)
 
 
 def tabulate_payload_torques(payload: Payload) -> Table:
@@ -154,32 +141,26 @@ def tabulate_payload_torques(payload: Payload) -> Table:
 
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Return what `asbuilt payload --json` prints."""
-    errors, noise, gain = (
-        _fill_symmetric(each[4:])
-        for each in (payload.std_errors, payload.noise_errors, payload.gain_errors)
-    )
+    values = {
+        "estimate": payload.values,
+        "std_error": payload.std_errors,
+        "std_error_noise": payload.noise_errors,
+        "std_error_gains": payload.gain_errors,
+    }
     return {
         "robot": payload.robot,
         "frame": payload.frame,
         "headline": describe_payload_outcome(payload),
         "n_samples": payload.n_samples,
         "mass": {
-            "estimate": float(payload.values[0]),
-            "std_error": float(payload.std_errors[0]),
-            "std_error_noise": float(payload.noise_errors[0]),
-            "std_error_gains": float(payload.gain_errors[0]),
+            **{name: float(each[0]) for name, each in values.items()},
             "slope_by_joint": payload.gain_slopes[0].tolist(),
         },
-        "com": {
-            "estimate": payload.values[1:4].tolist(),
-            "std_error": payload.std_errors[1:4].tolist(),
-            "std_error_noise": payload.noise_errors[1:4].tolist(),
-            "std_error_gains": payload.gain_errors[1:4].tolist(),
-        },
+        "com": {name: each[1:4].tolist() for name, each in values.items()},
         "inertia_about_com": _fill_symmetric(payload.values[4:]),
-        "inertia_std_error": errors,
-        "inertia_std_error_noise": noise,
-        "inertia_std_error_gains": gain,
+        "inertia_std_error": _fill_symmetric(payload.std_errors[4:]),
+        "inertia_std_error_noise": _fill_symmetric(payload.noise_errors[4:]),
+        "inertia_std_error_gains": _fill_symmetric(payload.gain_errors[4:]),
         "torque_source": payload.torque_source,
         "gain_uncertainty": payload.gain_uncertainty.tolist(),
         "gains_by_evidence": payload.gains_by_evidence,
@@ -206,7 +187,7 @@ def moments_table(found: AddedMoments) -> Table:
     columns = (
         Column("parameter", of=lambda k: found.names[k]),
         Column("unit", of=lambda k: MOMENT_UNITS[k]),
-        *_estimate_columns(found.values, found.std_errors),
+        *_list_estimate_columns(found.values, found.std_errors),
         Column("determined", of=lambda k: "yes" if found.names[k] in found.determined else "NO"),
     )
     lost = [

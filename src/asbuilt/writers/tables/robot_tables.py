@@ -17,25 +17,23 @@ from asbuilt.tables import Cell, Column, Table, stack_tables, wrap_text
 
 MOST_ROWS = 24
 """Base parameters in a short text."""
-ROUNDING = 1e-12
-"""Products of inertia below this part of the largest moment are rounding, and shown as zero."""
 
 
 def robots_table(models: Sequence[RobotModel]) -> Table:
     """List robots: name, joints, total mass, whose facts they are."""
-    return Table.of(models, ROBOTS)
+    return Table.of(
+        models,
+        (
+            Column("robot", of="name"),
+            Column("joints", align="right", of="n_joints"),
+            Column("mass", "kg", "decimal", ".2f", of=_add_up_masses),
+            Column("source", width=96, of="citation"),
+        ),
+    )
 
 
 def _add_up_masses(model: RobotModel) -> float:
     return float(model.parameters[9::10].sum())
-
-
-ROBOTS = (
-    Column("robot", of="name"),
-    Column("joints", align="right", of="n_joints"),
-    Column("mass", "kg", "decimal", ".2f", of=_add_up_masses),
-    Column("source", width=96, of="citation"),
-)
 
 
 def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
@@ -99,9 +97,10 @@ def tabulate_robot_joints(model: RobotModel) -> Table:
         Column("Ia", "", "decimal", ".4g", detail=True, of="drive.armature"),
         Column("Fv", "", "decimal", ".4g", detail=True, of="drive.viscous"),
         Column("Fc", "", "decimal", ".4g", detail=True, of="drive.coulomb"),
+        Column("further drive terms", detail=True, of=_word_further_terms),
     ]
-    if any(joint.drive.terms for joint in model.joints):
-        columns.append(Column("further drive terms", detail=True, of=_word_further_terms))
+    if not any(joint.drive.terms for joint in model.joints):
+        columns.pop()
     return Table.of(model.moving_joints, columns, "Joints")
 
 
@@ -127,7 +126,23 @@ def _word_further_terms(joint: Joint) -> str:
 
 def tabulate_robot_links(model: RobotModel) -> Table:
     """List the links: mass, centre of mass, inertia about it in link axes, and consistency."""
-    return Table.of(model.links, LINKS, "Links")
+    return Table.of(
+        model.links,
+        (
+            Column("link", of="name"),
+            Column(
+                "mass",
+                "kg",
+                "decimal",
+                of=lambda link: link.inertia.mass if link.inertia_known else None,
+            ),
+            Column("centre of mass", "m", of=_format_centre),
+            Column("Ixx Iyy Izz about it", "kg m^2", of=_format_moments),
+            Column("Ixy Ixz Iyz", "kg m^2", detail=True, of=_format_products),
+            Column("consistency", of=_describe_consistency),
+        ),
+        "Links",
+    )
 
 
 def _read_central_inertia(link: Link) -> Array:
@@ -145,7 +160,9 @@ def _format_moments(link: Link) -> str:
 
 def _format_products(link: Link) -> str:
     about = _read_central_inertia(link)
-    entries = _round_values(about[np.triu_indices(3, 1)], float(np.abs(about).max()))
+    products = about[np.triu_indices(3, 1)]
+    # Products below this part of the largest moment are rounding.
+    entries = np.where(np.abs(products) > 1e-12 * np.abs(about).max(), products, 0.0)
     return _format_vector(entries) if link.inertia_known else "-"
 
 
@@ -159,18 +176,6 @@ def _describe_consistency(link: Link) -> str:
     if not link.inertia.parameters.any():
         return "ALL ZERO: no mass properties"
     return "OK" if np.any(_read_central_inertia(link)) else "ZERO INERTIA: a point mass"
-
-
-LINKS = (
-    Column("link", of="name"),
-    Column(
-        "mass", "kg", "decimal", of=lambda link: link.inertia.mass if link.inertia_known else None
-    ),
-    Column("centre of mass", "m", of=_format_centre),
-    Column("Ixx Iyy Izz about it", "kg m^2", of=_format_moments),
-    Column("Ixy Ixz Iyz", "kg m^2", detail=True, of=_format_products),
-    Column("consistency", of=_describe_consistency),
-)
 
 
 def robot_text(model: RobotModel, full: bool = False) -> str:
@@ -189,8 +194,7 @@ def robot_text(model: RobotModel, full: bool = False) -> str:
 
 def describe_robot_readiness(model: RobotModel) -> str:
     """Return what a user decides by: whether the description can be simulated and compared with."""
-    mass = f"{_add_up_masses(model):.4g}"
-    size = f"{model.name}: {model.n_joints} joints, {mass} kg moving"
+    size = f"{model.name}: {model.n_joints} joints, {_add_up_masses(model):.4g} kg moving"
     unknown = [link.name for link in model.links if not link.inertia_known]
     reasons = explain_inconsistent_links(model)
     if reasons:
@@ -205,17 +209,15 @@ def describe_robot_readiness(model: RobotModel) -> str:
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
     """List the base parameters: id, expression with symbolic lengths, value by design."""
     values, n = base.values(parameter_values(model, base.drive)), base.n_base
-    columns = (
-        Column("id", align="right", of=lambda k: int(base.ids[k])),
-        Column("base parameter", width=54, of=lambda k: base.symbolic[k]),
-        Column("unit", of=lambda k: base.units[k]),
-        Column("value", align="decimal", of=lambda k: float(values[k])),
-    )
-    title = f"{base.robot}: {n} base parameters of {base.n_standard} standard parameters"
     return Table.of(
         range(n),
-        columns,
-        title,
+        (
+            Column("id", align="right", of=lambda k: int(base.ids[k])),
+            Column("base parameter", width=54, of=lambda k: base.symbolic[k]),
+            Column("unit", of=lambda k: base.units[k]),
+            Column("value", align="decimal", of=lambda k: float(values[k])),
+        ),
+        f"{base.robot}: {n} base parameters of {base.n_standard} standard parameters",
         important=None if n <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS)),
     )
 
@@ -229,35 +231,34 @@ def identifiability_table(base: BaseParameters) -> Table:
         found = places.setdefault(parameter.name[len(symbol) :], {name: [] for name in statuses})
         found[parameter.status].append(symbol)
     rows: list[tuple[Cell, ...]] = [
-        (int(number), *(" ".join(found[status]) or "-" for status in statuses))
+        (int(number), *(" ".join(symbols) or "-" for symbols in found.values()))
         for number, found in places.items()
     ]
-    columns = (
-        Column("link", align="right"),
-        Column("identifiable"),
-        Column("in sums only"),
-        Column("unidentifiable"),
+    return Table(
+        (
+            Column("link", align="right"),
+            Column("identifiable"),
+            Column("in sums only"),
+            Column("unidentifiable"),
+        ),
+        tuple(rows),
+        title="Standard parameters",
     )
-    return Table(columns, tuple(rows), title="Standard parameters")
 
 
 def standard_table(base: BaseParameters) -> Table:
     """List the standard parameters: identifiable, in which base parameters, and why."""
-    return Table.of(base.standard, STANDARD, "Standard parameters")
-
-
-STANDARD = (
-    Column("id", align="right", of="id"),
-    Column("parameter", of="name"),
-    Column("status", of="status"),
-    Column("in base ids", of=lambda each: " ".join(map(str, each.members)) or "-"),
-    Column("why", of="why"),
-)
-
-
-def _round_values(values: Iterable[float], size: float) -> list[float]:
-    """Return values, zero where they are rounding errors of others of this size."""
-    return [value if abs(value) > ROUNDING * size else 0.0 for value in values]
+    return Table.of(
+        base.standard,
+        (
+            Column("id", align="right", of="id"),
+            Column("parameter", of="name"),
+            Column("status", of="status"),
+            Column("in base ids", of=lambda each: " ".join(map(str, each.members)) or "-"),
+            Column("why", of="why"),
+        ),
+        "Standard parameters",
+    )
 
 
 def _format_vector(values: Iterable[float]) -> str:

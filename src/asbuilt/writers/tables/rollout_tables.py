@@ -18,8 +18,6 @@ from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_e
 if TYPE_CHECKING:
     from asbuilt.workflow.refinement import Refined
 
-TITLE = "Rollout: position error of the simulation from the measured state, driven by the {}"
-
 
 def with_rollouts(document: dict[str, Any], rollouts: Sequence[Rollout]) -> dict[str, Any]:
     """Return a document of a command with its rollouts, if there are any."""
@@ -63,44 +61,51 @@ def describe_refinement(refined: Refined) -> str:
     )
     if refined.before is not None and refined.after is not None:
         text += f": rollout error {refined.before.text} before, {refined.after.text} after"
-    text += "" if refined.kept else ", which is not followed"
-    return wrap_text(text + ".") + "\n"
+    return wrap_text(text + ("." if refined.kept else ", which is not followed.")) + "\n"
 
 
 def tabulate_rollouts(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
     """Return one row of errors per horizon."""
     unit = position_unit(model)
-    columns = (
-        Column("horizon", "s", "decimal", ".3g", of="horizon"),
-        Column("windows", align="right", of="n_windows"),
-        Column("CAD", unit, "decimal", of=lambda each: _show_error(each.cad)),
-        Column("as built", unit, "decimal", of=lambda each: _show_error(each.as_built)),
-        Column("command", unit, "decimal", of=lambda each: _show_error(each.no_physics)),
-        Column("repeat", unit, "decimal", of=lambda each: _show_error(each.floor)),
-        Column("tool, CAD", "mm", "decimal", of=lambda each: _show_tool_error(each.cad)),
-        Column("tool, as built", "mm", "decimal", of=lambda each: _show_tool_error(each.as_built)),
-        *(
-            Column(f"{what}, {name}", unit, "decimal", of=partial(_show_base_error, robot, k))
-            for k, (what, unit) in enumerate((("base", "mm"), ("tilt", "mrad")))
-            for name, robot in (("CAD", "cad"), ("as built", "as_built"))
+    return Table.of(
+        rollouts,
+        (
+            Column("horizon", "s", "decimal", ".3g", of="horizon"),
+            Column("windows", align="right", of="n_windows"),
+            Column("CAD", unit, "decimal", of=lambda each: _show_error(each.cad)),
+            Column("as built", unit, "decimal", of=lambda each: _show_error(each.as_built)),
+            Column("command", unit, "decimal", of=lambda each: _show_error(each.no_physics)),
+            Column("repeat", unit, "decimal", of=lambda each: _show_error(each.floor)),
+            Column("tool, CAD", "mm", "decimal", of=lambda each: _show_tool_error(each.cad)),
+            Column(
+                "tool, as built", "mm", "decimal", of=lambda each: _show_tool_error(each.as_built)
+            ),
+            *(
+                Column(f"{what}, {name}", unit, "decimal", of=partial(_show_base_error, robot, k))
+                for k, (what, unit) in enumerate((("base", "mm"), ("tilt", "mrad")))
+                for name, robot in (("CAD", "cad"), ("as built", "as_built"))
+            ),
+            Column(
+                "worst joint",
+                width=16,
+                of=lambda each: _name_worst_joint(model, each.as_built or each.cad),
+            ),
         ),
-        Column(
-            "worst joint",
-            width=16,
-            of=lambda each: _name_worst_joint(model, each.as_built or each.cad),
-        ),
-    )
-    return Table.of(rollouts, columns, TITLE.format(rollouts[0].driven_by)).filled()
+        "Rollout: position error of the simulation from the measured state, driven by the"
+        f" {rollouts[0].driven_by}",
+    ).filled()
 
 
 def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every recording for one horizon."""
     unit, runs = position_unit(model), rollout.by_recording
-    heads = ("CAD", "as built", "command", "without outlying")
     columns = (
         Column("recording", width=24),
         Column("windows", align="right"),
-        *(Column(name, unit, "decimal") for name in heads),
+        *(
+            Column(name, unit, "decimal")
+            for name in ("CAD", "as built", "command", "without outlying")
+        ),
     )
     means = map(format_in_milli, average_errors(runs).values())
     rows = (

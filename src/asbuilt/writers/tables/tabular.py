@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,15 +29,9 @@ from asbuilt.validation import (
     study_verdict,
     torque_units,
 )
-from asbuilt.workflow import Study
+from asbuilt.workflow import RecordedInformation, Study
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.tables.mass_tables import exported_masses
-
-if TYPE_CHECKING:
-    from asbuilt.workflow import RecordedInformation
-
-MOST_FINDINGS = 12
-"""Findings in a document of `identify`, the weightiest; summary.txt and result.json have all."""
 
 
 def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
@@ -85,7 +79,8 @@ def identify_document(
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
     result, masses = study.result, exported_masses(study.result)
-    findings = study.findings[:MOST_FINDINGS]
+    # The weightiest; summary.txt and result.json have all.
+    findings = study.findings[:12]
     return result.as_dict() | {
         "verdict": make_plain(study.verdict),
         "drive": str(result.base.drive),
@@ -145,10 +140,12 @@ def described_document(model: RobotModel, errors: Sequence[TorqueMetrics]) -> di
 
 def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -> Table:
     """Return the RMS torque error of each joint of a robot as described, for each recording."""
-    joints = zip(model.joint_names, torque_units(model), strict=True)
     columns = (
         Column("recording", width=40),
-        *(Column(name, unit, "decimal", 3, width=16) for name, unit in joints),
+        *(
+            Column(name, unit, "decimal", 3, width=16)
+            for name, unit in zip(model.joint_names, torque_units(model), strict=True)
+        ),
         Column("relative error", "", "decimal", format_share),
     )
     rows = ((recording_name(e.source), *e.rms.tolist(), e.relative_error) for e in errors)
@@ -161,7 +158,6 @@ def check_document(
     carried: Sequence[RecordedInformation | None] = (),
 ) -> dict[str, Any]:
     """Return what `asbuilt check --json` prints; `information` is None if it was not asked for."""
-    parts = list(carried) or [None] * len(checks)
     return {
         "robot": model.name,
         "headline": " ".join(check.headline for check in checks),
@@ -176,7 +172,7 @@ def check_document(
                 "findings": [asdict(finding) for finding in check.findings],
                 "information": None if part is None else part.as_document(),
             }
-            for check, part in zip(checks, parts, strict=True)
+            for check, part in zip(checks, carried or [None] * len(checks), strict=True)
         ],
     }
 
@@ -186,19 +182,28 @@ def write_json(path: str | os.PathLike[str], document: Any) -> Path:
     return atomic_write(path, format_json(document))
 
 
-IDENTIFIED = (
-    *(
-        Column(name, of=name)
-        for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error")
-    ),
-    Column("determined", of=lambda each: "yes" if each.determined else "no"),
-    Column("dropped", of=lambda each: "yes" if each.dropped else "no"),
-)
-
-
 def tabulate_identified(result: IdentificationResult) -> Table:
     """Return every base parameter of a result in full precision; a dropped one has no std_error."""
-    return Table.of(result.parameters, IDENTIFIED)
+    return Table.of(
+        result.parameters,
+        (
+            *(
+                Column(name, of=name)
+                for name in (
+                    "id",
+                    "name",
+                    "expression",
+                    "symbolic",
+                    "unit",
+                    "cad",
+                    "estimate",
+                    "std_error",
+                )
+            ),
+            Column("determined", of=lambda each: "yes" if each.determined else "no"),
+            Column("dropped", of=lambda each: "yes" if each.dropped else "no"),
+        ),
+    )
 
 
 def tabulate_prediction(validation: Validation) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,25 +28,13 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.observer import armature_matrix
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.c.c_dynamics import Mechanism, list_drive_entries, with_drives
+from asbuilt.writers.models.c.c_dynamics import Mechanism, add_drives, list_drive_entries
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
-from asbuilt.writers.models.c.c_observer import ObserverCode
+from asbuilt.writers.models.c.c_observer import CCode
 from asbuilt.writers.models.sample_states import draw_sample_states
 
 CHECKED_STATES = 3
 """States in the self-test of the C file."""
-
-
-@dataclass(frozen=True, slots=True)
-class CCode:
-    """Hold the two files: `header` and `source`, which includes `<stem>.h`.
-
-    All names begin with `prefix`.
-    """
-
-    prefix: str
-    header: str
-    source: str
 
 
 def generate_c_code(
@@ -56,9 +44,9 @@ def generate_c_code(
     drive_values: ArrayLike | None = None,
     stem: str = "robot",
     prefix: str | None = None,
-    observer: Callable[[str], ObserverCode] | None = None,
+    observer: Callable[[str], CCode] | None = None,
 ) -> CCode:
-    """Write a robot as C99.
+    """Write a robot as C99; the source includes `<stem>.h`.
 
     `PREFIX_inverse_dynamics(q, qd, qdd, tau)` and `PREFIX_gravity_torque(q, tau)` use base
     parameters, which give the torques of the standard ones with fewer operations.
@@ -76,37 +64,32 @@ def generate_c_code(
     UsageError
         For drive terms that C code does not have.
     """
-    described, described_values = described_drive(model)
-    terms = described if drive is None else drive
-    values = np.asarray(
-        described_values if drive_values is None else drive_values, dtype=np.float64
-    )
-    if drive is not None and drive_values is None:
-        values = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
+    terms, known = described_drive(model)
+    if drive is not None:
+        terms = drive
+        known = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
+    values = np.asarray(known if drive_values is None else drive_values, dtype=np.float64)
     base = find_base_parameters(model, terms)
     beta = base.values(np.concatenate([model.parameters, values]))
     name = prefix or _make_identifier(model.name)
     n = model.n_joints
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
     chi = _derive_fewest_parameters(model)
-    torques = with_drives(forward, forward.torques(chi), terms, values, chi)
+    torques = add_drives(forward, forward.torques(chi), terms, values, chi)
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     functions = [
         _write_function(
             f"void {name}_inverse_dynamics({motion}, double tau[{n}])",
-            ("q", "qd", "qdd"),
             forward.code,
             _assign_entries("tau", torques),
         ),
         _write_function(
             f"void {name}_gravity_torque(const double q[{n}], double tau[{n}])",
-            ("q",),
             still.code,
             _assign_entries("tau", still.torques(chi)),
         ),
         _write_function(
             f"void {name}_regressor({motion}, double Y[{n * base.n_base}])",
-            ("q", "qd", "qdd"),
             linear.code,
             {
                 f"Y[{j * base.n_base + k}]": entry
@@ -116,24 +99,23 @@ def generate_c_code(
         ),
         *_write_controller_functions(model, terms, values, chi, name),
     ]
-    watching = None if observer is None else observer(name)
-    header = _write_header(
-        model, base, terms, name, stem, "" if watching is None else watching.header
+    watching = CCode(name, "", "") if observer is None else observer(name)
+    parts = [
+        _write_comment(
+            f"{model.name}: inverse dynamics, gravity torque, regressor and what controllers"
+            f" need; see {stem}.h for units and conventions."
+        ),
+        f'#include "{stem}.h"\n\n#include <math.h>',
+        _write_tables(base, beta, name),
+        *functions,
+        *filter(None, [watching.source]),
+        _write_self_test(model, terms, values, base, name),
+    ]
+    return CCode(
+        name,
+        _write_header(model, base, terms, name, stem, watching.header),
+        "\n\n".join(parts) + "\n",
     )
-    source = "\n\n".join(
-        [
-            _write_comment(
-                f"{model.name}: inverse dynamics, gravity torque, regressor and what controllers"
-                f" need; see {stem}.h for units and conventions."
-            ),
-            f'#include "{stem}.h"\n\n#include <math.h>',
-            _write_tables(base, beta, name),
-            *functions,
-            *([] if watching is None else [watching.source]),
-            _write_self_test(model, terms, values, base, name),
-        ]
-    )
-    return CCode(name, header, source + "\n")
 
 
 def write_c(
@@ -142,7 +124,7 @@ def write_c(
     *,
     drive: DriveSet | None = None,
     drive_values: ArrayLike | None = None,
-    observer: Callable[[str], ObserverCode] | None = None,
+    observer: Callable[[str], CCode] | None = None,
 ) -> tuple[Path, Path]:
     """Write `NAME.c` and `NAME.h` with the functions of `generate_c_code`; return both paths."""
     target = Path(path)
@@ -167,34 +149,30 @@ def _write_controller_functions(
     n = model.n_joints
     armature = armature_matrix(TorqueModel(model, terms, values))
     still, moving = Mechanism(model, at_rest=True), Mechanism(model, steady=True)
-    weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)
     rubbing = Mechanism(model, steady=True)
-    friction = with_drives(rubbing, [ZERO] * n, terms, values, chi)
+    weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)
+    friction = add_drives(rubbing, [ZERO] * n, terms, values, chi)
     p, gradient = moving.momentum(chi, armature)
     masses = still.mass_matrix(chi, armature)
     q, qd = f"const double q[{n}]", f"const double qd[{n}]"
     return [
         _write_function(
             f"void {name}_mass_matrix({q}, double M[{n * n}])",
-            ("q",),
             still.code,
             {f"M[{j * n + k}]": masses[j, k] for j in range(n) for k in range(n)},
         ),
         _write_function(
             f"void {name}_coriolis({q}, {qd}, double tau[{n}])",
-            ("q", "qd"),
             weightless.code,
             _assign_entries("tau", weightless.torques(chi)),
         ),
         _write_function(
             f"void {name}_friction({q}, {qd}, double tau[{n}])",
-            ("q", "qd"),
             rubbing.code,
             _assign_entries("tau", friction),
         ),
         _write_function(
             f"void {name}_momentum({q}, {qd}, double p[{n}], double gradient[{n}])",
-            ("q", "qd"),
             moving.code,
             _assign_entries("p", p) | _assign_entries("gradient", gradient),
         ),
@@ -223,9 +201,11 @@ def _derive_regressor(
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
     drives = list_drive_entries(mechanism, terms, parameters)
-    for position, column in enumerate(base.columns[len(columns) :], start=len(columns)):
-        entries |= {(j, position): entry for j, entry in drives[int(column) - inertial].items()}
-    return entries
+    return entries | {
+        (j, position): entry
+        for position, column in enumerate(base.columns[len(columns) :], start=len(columns))
+        for j, entry in drives[int(column) - inertial].items()
+    }
 
 
 def _assign_entries(array: str, values: Sequence[Term]) -> dict[str, Term]:
@@ -233,20 +213,17 @@ def _assign_entries(array: str, values: Sequence[Term]) -> dict[str, Term]:
 
 
 def _write_function(
-    head: str,
-    arguments: Sequence[str],
-    code: StraightLine,
-    answers: dict[str, Term],
-    *,
-    opening: Sequence[str] = (),
+    head: str, code: StraightLine, answers: dict[str, Term], *, opening: Sequence[str] = ()
 ) -> str:
     lines = [
         *code.used(list(answers.values())),
         *opening,
         *[f"{place} = {answer.written()};" for place, answer in answers.items()],
     ]
-    body = "\n".join(lines)
-    unused = [f"(void){name};" for name in arguments if not re.search(rf"\b{name}\[", body)]
+    read = {array for line in lines for array in re.findall(r"\b(\w+)\[", line)}
+    # Compilers warn about arguments that are not read.
+    given = re.findall(r"const double (\w+)\[", head)
+    unused = [f"(void){array};" for array in given if array not in read]
     return "\n".join([head, "{", *[f"    {line}" for line in [*unused, *lines]], "}"])
 
 
@@ -256,21 +233,20 @@ def _write_header(
     terms: DriveSet,
     name: str,
     stem: str,
-    watching: str = "",
+    watching: str,
 ) -> str:
     n, p, capital = model.n_joints, base.n_base, name.upper()
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
-    joints = [
-        f"  {k}  {joint.name} ({'rad, N m' if joint.is_revolute else 'm, N'})"
-        for k, joint in enumerate(model.joints)
-    ]
     about = "\n".join(
         [
             f"{model.name}: dynamics of {n} joints, written by asbuilt.",
             *[f"Note: {note}" for note in model.notes],
             "",
             "Joints, in the order of all arrays:",
-            *joints,
+            *(
+                f"  {k}  {joint.name} ({'rad, N m' if joint.is_revolute else 'm, N'})"
+                for k, joint in enumerate(model.joints)
+            ),
             "",
             (
                 "Units are SI: q [rad or m], qd, qdd per second, tau [N m or N]. tau is the torque"
@@ -351,14 +327,12 @@ void {name}_momentum(const double q[{n}], const double qd[{n}], double p[{n}],
 
 
 def _write_tables(base: BaseParameters, beta: Array, name: str) -> str:
-    entries = zip(base.ids, base.names, base.expressions, base.units, strict=True)
-    table = [
-        f"    {{{number}, {_write_string(called)}, {_write_string(text)}, {_write_string(unit)}}}"
-        for number, called, text, unit in entries
-    ]
-    rows = ",\n".join(table)
+    p, words = base.n_base, zip(base.names, base.expressions, base.units, strict=True)
+    rows = ",\n".join(
+        f"    {{{number}, {', '.join(map(_write_string, each))}}}"
+        for number, each in zip(base.ids, words, strict=True)
+    )
     numbers = ",\n".join(f"    {_write_number(value)}" for value in beta)
-    p = base.n_base
     return (
         f"const {name}_parameter {name}_base_parameters[{p}] = {{\n{rows}\n}};\n\nconst double"
         f" {name}_base_values[{p}] = {{\n{numbers}\n}};"

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import ROOT, Joint, RobotModel
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.drives.formula import Formula
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
 
-Matrix = tuple[Vector, Vector, Vector]
+Matrix = tuple[Vector, ...]
 NOTHING: Vector = (ZERO, ZERO, ZERO)
 
 
@@ -27,19 +28,15 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Screw:
-    """Hold angular velocity `z` and velocity `m` of the origin of a frame, in its axes."""
+class Spatial:
+    """Hold a spatial vector at the origin of a frame, in its axes (Featherstone 2008).
 
-    z: Vector
-    m: Vector
+    Of a motion, `angular` is the angular velocity z and `linear` the velocity m; of a force or a
+    momentum, `linear` is the force f and `angular` the moment n.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class Wrench:
-    """Hold force and moment about the origin of a frame, in its axes."""
-
-    force: Vector
-    moment: Vector
+    angular: Vector
+    linear: Vector
 
 
 class Mechanism:
@@ -50,63 +47,54 @@ class Mechanism:
 
     def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
         """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
-        self.model, self.code = model, StraightLine()
-        self.tree, self.coupling = model.tree, model.constant_coupling("C code")
         n = model.n_joints
-        self.q = [Term(1.0, f"q[{j}]") for j in range(n)]
-        self.qd = [ZERO if at_rest else Term(1.0, f"qd[{j}]") for j in range(n)]
-        still = at_rest or steady
-        self.qdd = [ZERO if still else Term(1.0, f"qdd[{j}]") for j in range(n)]
-        self.link_q, self.link_qd, self.link_qdd = self.q, self.qd, self.qdd
-        if self.coupling is not None:
-            self.link_q = self.of_links(self.q, self.coupling.offset)
-            self.link_qd, self.link_qdd = self.of_links(self.qd), self.of_links(self.qdd)
-        turning = [joint.is_revolute for joint in self.tree.joints]
+        self.model, self.code, self.tree = model, StraightLine(), model.tree
+        # Without couplings every joint of the tree has a coordinate of its own.
+        self.coupling = model.constant_coupling("C code") or Coupling(
+            np.arange(n), np.eye(n), np.zeros(n)
+        )
+        self.q, self.qd, self.qdd = (
+            [Term(1.0, f"{array}[{j}]") if taken else ZERO for j in range(n)]
+            for array, taken in (
+                ("q", True),
+                ("qd", not at_rest),
+                ("qdd", not (at_rest or steady)),
+            )
+        )
+        self.link_q = self.of_links(self.q, self.coupling.offset)
+        self.link_qd, self.link_qdd = self.of_links(self.qd), self.of_links(self.qdd)
         self.cosine, self.sine = (
             [
-                (self.code.given(f"{function}({angle.written()})", angle.name) if turns else still)
-                for angle, turns in zip(self.link_q, turning, strict=True)
+                self.code.given(f"{function}({q.written()})", q.name) if joint.is_revolute else none
+                for q, joint in zip(self.link_q, self.tree.joints, strict=True)
             ]
-            for function, still in (("cos", ONE), ("sin", ZERO))
+            for function, none in (("cos", ONE), ("sin", ZERO))
         )
         self.motions: list[Motion] = []
-        for j, joint in enumerate(self.tree.joints):
-            self.motions.append(self._moved(j, joint))
+        for j in range(self.tree.n_joints):
+            self.motions.append(self._move_link(j))
 
-    def of_links(self, rates: list[Term], offset: Array | None = None) -> list[Term]:
-        """Return `E rates + offset` at the joints of the tree; `rates` themselves without E."""
-        if self.coupling is None:
-            return rates
-        found = []
-        for i, row in enumerate(self.coupling.matrix):
-            products: list[tuple[Term, ...]] = [
-                (Term(float(row[k])), rates[k]) for k in np.flatnonzero(row)
-            ]
-            if offset is not None and offset[i]:
-                products.append((Term(float(offset[i])),))
-            found.append(self.code.total(*products) if products else ZERO)
-        return found
+    def of_links(self, values: list[Term], offset: float | Array = 0.0) -> list[Term]:
+        """Return `E values + offset` at the joints of the tree."""
+        E = self.coupling.matrix
+        return [
+            self.code.total(*zip(_make_vector(row), values, strict=True), (Term(float(shift)),))
+            for row, shift in zip(E, np.broadcast_to(offset, len(E)), strict=True)
+        ]
 
     def of_joints(self, torques: list[Term]) -> list[Term]:
         """Return `E^T torques` at the joints that have a drive."""
-        if self.coupling is None:
-            return torques
-        return [
-            self.code.total(*((Term(float(column[i])), torques[i]) for i in np.flatnonzero(column)))
-            for column in self.coupling.matrix.T
-        ]
+        return [*self._multiply(_make_matrix(self.coupling.matrix.T), torques)]
 
     def of_tree(self, parameters: Array) -> Array:
-        """Return inertial parameters (10 n_links,) in the order of the tree."""
-        if self.coupling is None:
-            return parameters
-        return self.coupling.parameters(parameters.reshape(-1, 10)).reshape(-1)
+        """Return inertial parameters (10 n_links,) in the order of the tree, (n_links, 10)."""
+        return self.coupling.parameters(parameters.reshape(-1, 10))
 
     def torques(self, parameters: Array) -> list[Term]:
         """Return the torque of each joint for inertial parameters of shape (10 n_links,)."""
-        chi = self.of_tree(parameters).reshape(-1, 10)
-        carried = self._carried(lambda j: self._inertial(self.motions[j], chi[j]))
-        return self.of_joints(self._along(carried))
+        chi = self.of_tree(parameters)
+        carried = self._carry_wrenches(lambda j: self._derive_wrench(self.motions[j], chi[j]))
+        return self.of_joints(self._project_on_axes(carried))
 
     def momentum(self, parameters: Array, armature: Array) -> tuple[list[Term], list[Term]]:
         """Return `p = (M + A) qd` and `C^T qd` of each joint for inertial parameters (10 n,).
@@ -114,124 +102,126 @@ class Mechanism:
         With the twist V of a joint frame, the momentum H of what the joint carries and its axis S,
         `p = S . H` and `C^T qd = dT/dq = -H . (S x V)`.
         """
-        twists, carried = self._momenta(parameters, self.qd)
-        total = self.code.total
-        rotors = [
-            [(Term(float(a)), rate) for a, rate in zip(row, self.qd, strict=True) if a]
-            for row in armature
-        ]
-        gradient = []
+        twists, carried = self._derive_momenta(parameters, self.qd)
+        total, gradient = self.code.total, []
         for joint, v, h in zip(self.tree.joints, twists, carried, strict=True):
-            turning = [(h.moment, v.z), (h.force, v.m)]
-            pairs = turning if joint.is_revolute else [(h.force, v.z)]
+            turning = [(h.angular, v.angular), (h.linear, v.linear)]
+            pairs = turning if joint.is_revolute else [(h.linear, v.angular)]
             gradient.append(
                 total(*((a[0], b[1]) for a, b in pairs), *((-a[1], b[0]) for a, b in pairs))
             )
-        momenta = self.of_joints(self._along(carried))
-        whole = [total((p,), *extra) for p, extra in zip(momenta, rotors, strict=True)]
-        return whole, self.of_joints(gradient)
+        momenta = [
+            total((p,), *zip(_make_vector(row), self.qd, strict=True))
+            for p, row in zip(self.of_joints(self._project_on_axes(carried)), armature, strict=True)
+        ]
+        return momenta, self.of_joints(gradient)
 
     def mass_matrix(self, parameters: Array, armature: Array) -> dict[tuple[int, int], Term]:
         """Return the entries (joint, joint) of `M + A`: column k is the momentum of unit rate k."""
         n = self.model.n_joints
         entries: dict[tuple[int, int], Term] = {}
         for k in range(n):
-            _, carried = self._momenta(parameters, [ONE if j == k else ZERO for j in range(n)])
-            momenta = self.of_joints(self._along(carried))
+            _, carried = self._derive_momenta(
+                parameters, [ONE if j == k else ZERO for j in range(n)]
+            )
+            momenta = self.of_joints(self._project_on_axes(carried))
             for j in range(k, n):
-                total = self.code.sum(momenta[j], Term(float(armature[j, k])))
-                entries[j, k] = entries[k, j] = total
+                entries[j, k] = entries[k, j] = self.code.sum(
+                    momenta[j], Term(float(armature[j, k]))
+                )
         return entries
 
-    def _momenta(self, parameters: Array, rates: list[Term]) -> tuple[list[Screw], list[Wrench]]:
+    def _derive_momenta(
+        self, parameters: Array, rates: list[Term]
+    ) -> tuple[list[Spatial], list[Spatial]]:
         """Return for joint rates the twist of each joint frame, and the momentum it carries."""
-        at_joint: list[Screw] = []
-        of_link: list[Screw] = []
+        at_joint: list[Spatial] = []
+        of_link: list[Spatial] = []
         for j, (joint, rate) in enumerate(zip(self.tree.joints, self.of_links(rates), strict=True)):
-            above = Screw(NOTHING, NOTHING) if joint.parent == ROOT else of_link[joint.parent]
-            own: Vector = (ZERO, ZERO, rate)
-            twist = self._over(j, self._through(joint.before, above))
+            above = Spatial(NOTHING, NOTHING) if joint.parent == ROOT else of_link[joint.parent]
+            twist = self._carry_over(j, self._shift_motion(joint.before, above))
+            z, m, own = twist.angular, twist.linear, (ZERO, ZERO, rate)
             at_joint.append(
-                Screw(self._added(twist.z, own), twist.m)
+                Spatial(self._add(z, own), m)
                 if joint.is_revolute
-                else Screw(twist.z, self._added(twist.m, own))
+                else Spatial(z, self._add(m, own))
             )
-            of_link.append(self._through(joint.after, at_joint[j]))
-        chi = self.of_tree(parameters).reshape(-1, 10)
-        return at_joint, self._carried(lambda j: self._momentum(of_link[j], chi[j]))
+            of_link.append(self._shift_motion(joint.after, at_joint[j]))
+        chi = self.of_tree(parameters)
+        return at_joint, self._carry_wrenches(lambda j: self._derive_momentum(of_link[j], chi[j]))
 
-    def _carried(self, own: Callable[[int], Wrench]) -> list[Wrench]:
+    def _carry_wrenches(self, own: Callable[[int], Spatial]) -> list[Spatial]:
         """Return the wrench that each joint carries, in its axes, from the wrenches of links."""
         n = self.tree.n_joints
-        above: list[list[Wrench]] = [[] for _ in range(n)]
-        found = [Wrench(NOTHING, NOTHING)] * n
+        above: list[list[Spatial]] = [[] for _ in range(n)]
+        found = [Spatial(NOTHING, NOTHING)] * n
         for j in reversed(range(n)):
             joint, parts = self.tree.joints[j], [own(j), *above[j]]
-            force = self._added(*(each.force for each in parts))
-            moment = self._added(*(each.moment for each in parts))
-            found[j] = self._out(joint.after, Wrench(force, moment))
+            force = self._add(*(each.linear for each in parts))
+            moment = self._add(*(each.angular for each in parts))
+            found[j] = self._leave_frame(joint.after, Spatial(moment, force))
             if joint.parent != ROOT:
-                above[joint.parent].append(self._out(joint.before, self._unturned(j, found[j])))
+                above[joint.parent].append(
+                    self._leave_frame(joint.before, self._carry_back(j, found[j]))
+                )
         return found
 
-    def _along(self, wrenches: list[Wrench]) -> list[Term]:
+    def _project_on_axes(self, wrenches: list[Spatial]) -> list[Term]:
         """Return the part of each joint's wrench along its axis."""
         return [
-            wrench.moment[2] if joint.is_revolute else wrench.force[2]
+            wrench.angular[2] if joint.is_revolute else wrench.linear[2]
             for joint, wrench in zip(self.tree.joints, wrenches, strict=True)
         ]
 
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
-        screws = self._screws()
+        screws, place = self._derive_screws(), np.argsort(self.coupling.order)
         entries = {}
         for position, column in enumerate(columns):
             link, parameter = divmod(column, 10)
-            if self.coupling is not None:
-                link = int(np.argsort(self.coupling.order)[link])
-            wrench = self._inertial(self.motions[link], np.eye(10)[parameter])
+            wrench = self._derive_wrench(self.motions[place[link]], np.eye(10)[parameter])
             found = [ZERO] * self.tree.n_joints
-            for j, screw in screws[link].items():
-                pairs = zip(screw.z + screw.m, wrench.moment + wrench.force, strict=True)
+            for j, screw in screws[place[link]].items():
+                pairs = zip(
+                    screw.angular + screw.linear, wrench.angular + wrench.linear, strict=True
+                )
                 found[j] = self.code.total(*pairs)
             for j, entry in enumerate(self.of_joints(found)):
                 if not entry.is_zero:
                     entries[j, position] = entry
         return entries
 
-    def _moved(self, j: int, joint: Joint) -> Motion:
+    def _move_link(self, j: int) -> Motion:
+        """Return the motion of link j of the tree, from its parent's."""
+        joint = self.tree.joints[j]
         above = (
             Motion(NOTHING, NOTHING, _make_vector(-self.model.gravity))
             if joint.parent == ROOT
             else self.motions[joint.parent]
         )
         total, plus = self.code.total, self.code.sum
-        at = self._into(joint.before, above)
+        at = self._enter_frame(joint.before, above)
         q, v, dv = self.link_q[j], self.link_qd[j], self.link_qdd[j]
-        c, s = self.cosine[j], self.sine[j]
         if joint.is_revolute:
-            w, dw, a = (self._turned(c, s, vector) for vector in (at.w, at.dw, at.a))
+            w, dw, a = (self._turn(j, vector) for vector in (at.w, at.dw, at.a))
             turned = Motion(
                 (w[0], w[1], plus(w[2], v)),
                 (total((dw[0],), (w[1], v)), total((dw[1],), (-w[0], v)), plus(dw[2], dv)),
                 a,
             )
         else:
-            swing = self._swing(at)
-            wx, wy, _ = at.w
-            twice = Term(2.0)
-            turned = Motion(
-                at.w,
-                at.dw,
-                (
-                    total((at.a[0],), (swing[0][2], q), (twice, wy, v)),
-                    total((at.a[1],), (swing[1][2], q), (-twice, wx, v)),
-                    total((at.a[2],), (swing[2][2], q), (dv,)),
+            swing, (wx, wy, _), twice = self._derive_swing(at), at.w, Term(2.0)
+            coriolis = ((twice, wy, v), (-twice, wx, v), (dv,))
+            turned = replace(
+                at,
+                a=tuple(
+                    total((a,), (row[2], q), more)
+                    for a, row, more in zip(at.a, swing, coriolis, strict=True)
                 ),
             )
-        return self._into(joint.after, turned)
+        return self._enter_frame(joint.after, turned)
 
-    def _swing(self, motion: Motion) -> Matrix:
+    def _derive_swing(self, motion: Motion) -> Matrix:
         """Return `[dw]x + [w]x [w]x`, the acceleration of a point per its position."""
         (x, y, z), (dx, dy, dz), total = motion.w, motion.dw, self.code.total
         return (
@@ -240,96 +230,92 @@ class Mechanism:
             (total((x, z), (-dy,)), total((y, z), (dx,)), total((-x, x), (-y, y))),
         )
 
-    def _into(self, placement: Array, motion: Motion) -> Motion:
+    def _enter_frame(self, placement: Array, motion: Motion) -> Motion:
         """Return the motion of a frame at `placement` in a moving frame."""
         R, p = placement[:3, :3], _make_vector(placement[:3, 3])
         a = motion.a
         if any(not part.is_zero for part in p):
-            a = self._added(a, self._times(self._swing(motion), p))
+            a = self._add(a, self._multiply(self._derive_swing(motion), p))
         return Motion(
-            *(self._times(_make_matrix(R.T), vector) for vector in (motion.w, motion.dw, a))
+            *(self._multiply(_make_matrix(R.T), vector) for vector in (motion.w, motion.dw, a))
         )
 
-    def _out(self, placement: Array, wrench: Wrench) -> Wrench:
+    def _leave_frame(self, placement: Array, wrench: Spatial) -> Spatial:
         """Return a wrench on a frame at `placement` as one on the frame that carries it."""
         R, p = _make_matrix(placement[:3, :3]), _make_vector(placement[:3, 3])
-        force = self._times(R, wrench.force)
-        return Wrench(force, self._added(self._times(R, wrench.moment), self._cross(p, force)))
+        force = self._multiply(R, wrench.linear)
+        return Spatial(self._add(self._multiply(R, wrench.angular), self._cross(p, force)), force)
 
-    def _unturned(self, j: int, wrench: Wrench) -> Wrench:
+    def _carry_back(self, j: int, wrench: Spatial) -> Spatial:
         """Carry a wrench on the joint frame back over the motion of the joint."""
         if self.tree.joints[j].is_revolute:
-            c, s = self.cosine[j], -self.sine[j]
-            return Wrench(self._turned(c, s, wrench.force), self._turned(c, s, wrench.moment))
-        fx, fy, _ = wrench.force
-        nx, ny, nz = wrench.moment
+            force = self._turn(j, wrench.linear, back=True)
+            return Spatial(self._turn(j, wrench.angular, back=True), force)
+        (fx, fy, _), (nx, ny, nz) = wrench.linear, wrench.angular
         q, total = self.link_q[j], self.code.total
-        return Wrench(wrench.force, (total((nx,), (-q, fy)), total((ny,), (q, fx)), nz))
+        return Spatial((total((nx,), (-q, fy)), total((ny,), (q, fx)), nz), wrench.linear)
 
-    def _inertial(self, motion: Motion, parameters: Array) -> Wrench:
+    def _derive_wrench(self, motion: Motion, parameters: Array) -> Spatial:
         """Return `F = m a + U h` and `N = I dw + w x I w + h x a`, `U = [dw]x + [w]x [w]x`."""
-        xx, xy, xz, yy, yz, zz, *h, m = map(Term, parameters.tolist())
-        inertia: Matrix = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-        moment_of_mass: Vector = (h[0], h[1], h[2])
-        force, moment = NOTHING, NOTHING
-        if any(not entry.is_zero for entry in (xx, xy, xz, yy, yz, zz)):
-            moment = self._added(
-                self._times(inertia, motion.dw),
-                self._cross(motion.w, self._times(inertia, motion.w)),
-            )
-        if any(not entry.is_zero for entry in moment_of_mass):
-            force = self._times(self._swing(motion), moment_of_mass)
-            moment = self._added(moment, self._cross(moment_of_mass, motion.a))
-        fx, fy, fz = (
-            self.code.total((part,), (m, a)) for part, a in zip(force, motion.a, strict=True)
+        inertia, h, m = _read_parameters(parameters)
+        force = NOTHING
+        moment = self._add(
+            self._multiply(inertia, motion.dw),
+            self._cross(motion.w, self._multiply(inertia, motion.w)),
         )
-        return Wrench((fx, fy, fz), moment)
+        # U takes many operations, which nothing would use without a first moment.
+        if any(not entry.is_zero for entry in h):
+            force = self._multiply(self._derive_swing(motion), h)
+            moment = self._add(moment, self._cross(h, motion.a))
+        whole = (self.code.total((f,), (m, a)) for f, a in zip(force, motion.a, strict=True))
+        return Spatial(moment, tuple(whole))
 
-    def _momentum(self, twist: Screw, parameters: Array) -> Wrench:
+    def _derive_momentum(self, twist: Spatial, parameters: Array) -> Spatial:
         """Return force `m v + w x h` and moment `I w + h x v` of a link."""
-        xx, xy, xz, yy, yz, zz, *h, m = map(Term, parameters.tolist())
-        first: Vector = (h[0], h[1], h[2])
-        turned, swung = self._cross(twist.z, first), self._cross(first, twist.m)
-        rows, total = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), self.code.total
-        fx, fy, fz = (total((m, v), (t,)) for v, t in zip(twist.m, turned, strict=True))
-        nx, ny, nz = (
-            total(*zip(row, twist.z, strict=True), (s,)) for row, s in zip(rows, swung, strict=True)
+        inertia, h, m = _read_parameters(parameters)
+        w, v, total = twist.angular, twist.linear, self.code.total
+        turned, swung = self._cross(w, h), self._cross(h, v)
+        force = tuple(total((m, a), (b,)) for a, b in zip(v, turned, strict=True))
+        moment = tuple(
+            total(*zip(row, w, strict=True), (b,)) for row, b in zip(inertia, swung, strict=True)
         )
-        return Wrench((fx, fy, fz), (nx, ny, nz))
+        return Spatial(moment, force)
 
-    def _screws(self) -> list[dict[int, Screw]]:
+    def _derive_screws(self) -> list[dict[int, Spatial]]:
         """Return for each link the screws of the joints that move it."""
-        screws: list[dict[int, Screw]] = []
+        screws: list[dict[int, Spatial]] = []
+        axis = (ZERO, ZERO, ONE)
         for j, joint in enumerate(self.tree.joints):
             above = {} if joint.parent == ROOT else screws[joint.parent]
-            axis: Vector = (ZERO, ZERO, ONE)
             moved = {
-                k: self._over(j, self._through(joint.before, screw)) for k, screw in above.items()
+                k: self._carry_over(j, self._shift_motion(joint.before, screw))
+                for k, screw in above.items()
             }
-            moved[j] = Screw(axis, NOTHING) if joint.is_revolute else Screw(NOTHING, axis)
-            screws.append({k: self._through(joint.after, screw) for k, screw in moved.items()})
+            moved[j] = Spatial(axis, NOTHING) if joint.is_revolute else Spatial(NOTHING, axis)
+            screws.append({k: self._shift_motion(joint.after, screw) for k, screw in moved.items()})
         return screws
 
-    def _through(self, placement: Array, screw: Screw) -> Screw:
+    def _shift_motion(self, placement: Array, screw: Spatial) -> Spatial:
+        """Return a motion of a frame as one of the frame at `placement` in it."""
         R, p = _make_matrix(placement[:3, :3].T), _make_vector(placement[:3, 3])
-        return Screw(
-            self._times(R, screw.z), self._times(R, self._added(screw.m, self._cross(screw.z, p)))
-        )
+        z, m = screw.angular, screw.linear
+        return Spatial(self._multiply(R, z), self._multiply(R, self._add(m, self._cross(z, p))))
 
-    def _over(self, j: int, screw: Screw) -> Screw:
+    def _carry_over(self, j: int, screw: Spatial) -> Spatial:
+        """Carry a motion over the motion of joint j."""
         if self.tree.joints[j].is_revolute:
-            c, s = self.cosine[j], self.sine[j]
-            return Screw(self._turned(c, s, screw.z), self._turned(c, s, screw.m))
-        (zx, zy, _), (mx, my, mz), q, total = screw.z, screw.m, self.link_q[j], self.code.total
-        return Screw(screw.z, (total((mx,), (zy, q)), total((my,), (-zx, q)), mz))
+            return Spatial(self._turn(j, screw.angular), self._turn(j, screw.linear))
+        (zx, zy, _), (mx, my, mz) = screw.angular, screw.linear
+        q, total = self.link_q[j], self.code.total
+        return Spatial(screw.angular, (total((mx,), (zy, q)), total((my,), (-zx, q)), mz))
 
-    def _turned(self, c: Term, s: Term, v: Vector) -> Vector:
-        """Return `Rz^T v`."""
+    def _turn(self, j: int, v: Vector, *, back: bool = False) -> Vector:
+        """Return `Rz^T v` with the angle of joint j, or `Rz v`."""
+        c, s = self.cosine[j], -self.sine[j] if back else self.sine[j]
         return self.code.total((c, v[0]), (s, v[1])), self.code.total((c, v[1]), (-s, v[0])), v[2]
 
-    def _times(self, matrix: Matrix, v: Vector) -> Vector:
-        x, y, z = (self.code.total(*zip(row, v, strict=True)) for row in matrix)
-        return x, y, z
+    def _multiply(self, matrix: Matrix, v: Sequence[Term]) -> Vector:
+        return tuple(self.code.total(*zip(row, v, strict=True)) for row in matrix)
 
     def _cross(self, u: Vector, v: Vector) -> Vector:
         total = self.code.total
@@ -339,19 +325,22 @@ class Mechanism:
             total((u[0], v[1]), (-u[1], v[0])),
         )
 
-    def _added(self, *vectors: Vector) -> Vector:
-        x, y, z = (self.code.sum(*parts) for parts in zip(*vectors, strict=True))
-        return x, y, z
+    def _add(self, *vectors: Vector) -> Vector:
+        return tuple(self.code.sum(*parts) for parts in zip(*vectors, strict=True))
 
 
 def _make_vector(values: Array) -> Vector:
-    x, y, z = map(Term, values.tolist())
-    return x, y, z
+    return tuple(map(Term, values.tolist()))
 
 
 def _make_matrix(values: Array) -> Matrix:
-    x, y, z = (_make_vector(row) for row in values)
-    return x, y, z
+    return tuple(map(_make_vector, values))
+
+
+def _read_parameters(parameters: Array) -> tuple[Matrix, Vector, Term]:
+    """Return inertia, first moment and mass of a link from its parameters (10,)."""
+    xx, xy, xz, yy, yz, zz, *h, m = map(Term, parameters.tolist())
+    return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), tuple(h), m
 
 
 FUNCTIONS = {
@@ -368,17 +357,16 @@ FUNCTIONS = {
 
 def write_formula(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Term:
     """Return a formula of a drive term as C, each name replaced by its value."""
+    sums: dict[str, Callable[..., Term]] = {
+        "add": code.sum,
+        "subtract": lambda a, b: code.sum(a, -b),
+        "negative": Term.__neg__,
+        "multiply": lambda *factors: code.total(factors),
+    }
 
     def apply(operation: str, *operands: Term) -> Term:
-        match operation:
-            case "add":
-                return code.sum(*operands)
-            case "subtract":
-                return code.sum(operands[0], -operands[1])
-            case "negative":
-                return -operands[0]
-            case "multiply":
-                return code.total(operands)
+        if operation in sums:
+            return sums[operation](*operands)
         text = FUNCTIONS[operation].format(*(operand.written() for operand in operands))
         return code.given(text, *(operand.name for operand in operands))
 
@@ -404,20 +392,12 @@ def list_drive_entries(
                 continue
             state = {"q": mechanism.q, "qd": mechanism.qd, "qdd": mechanism.qdd}
             values = {
-                array: code.sum(
-                    *[
-                        Term(float(share) * term.factor, term.name)
-                        for share, term in zip(acts_on, terms, strict=True)
-                    ]
-                )
-                for array, terms in state.items()
+                array: code.total(*zip(_make_vector(acts_on), motion, strict=True))
+                for array, motion in state.items()
             }
-            values |= {
-                name: Term(term.value(name)) for name in (each.name for each in term.nonlinear)
-            }
-            columns = [
-                write_formula(code, column, {**values, "load": load}) for column in term.columns
-            ]
+            values |= {each.name: Term(term.value(each.name)) for each in term.nonlinear}
+            values["load"] = load
+            columns = [write_formula(code, column, values) for column in term.columns]
             entries += [
                 {
                     int(j): code.total((Term(float(acts_on[j])), column))
@@ -428,7 +408,7 @@ def list_drive_entries(
     return entries
 
 
-def with_drives(
+def add_drives(
     mechanism: Mechanism, torques: list[Term], drive: DriveSet, values: Array, parameters: Array
 ) -> list[Term]:
     """Return joint torques with the torques of drive terms of these values added."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -27,7 +28,7 @@ class Term:
 
 
 ZERO, ONE = Term(0.0), Term(1.0)
-Vector = tuple[Term, Term, Term]
+Vector = tuple[Term, ...]
 
 
 @dataclass
@@ -41,7 +42,7 @@ class StraightLine:
     def given(self, text: str, *needs: str) -> Term:
         """Define a variable by any C expression in the arguments of the function."""
         if text not in self.known:
-            self.known[text] = self._defined(text, needs)
+            self.known[text] = self._define(text, needs)
         return self.known[text]
 
     def total(self, *products: Sequence[Term]) -> Term:
@@ -51,23 +52,20 @@ class StraightLine:
         """
         sums: dict[tuple[str, ...], float] = {}
         for product in products:
-            factor = 1.0
-            for term in product:
-                factor *= term.factor
+            factor = math.prod(term.factor for term in product)
             names = tuple(sorted(term.name for term in product if term.name))
             if factor != 0.0:
                 sums[names] = sums.get(names, 0.0) + factor
         entries = tuple(sorted((names, factor) for names, factor in sums.items() if factor != 0.0))
         if not entries:
             return ZERO
-        if len(entries) == 1:
-            ((names, factor),) = entries
-            if len(names) <= 1:
-                return Term(factor, names[0] if names else "")
-            return Term(factor, self._named(((names, 1.0),)).name)
-        sign = 1.0 if entries[0][1] > 0 else -1.0
-        found = self._named(tuple((names, sign * factor) for names, factor in entries))
-        return Term(sign * found.factor, found.name)
+        names, factor = entries[0]
+        if len(entries) == 1 and len(names) <= 1:
+            return Term(factor, "".join(names))
+        # A product is defined without its number, and a sum with its first sign positive.
+        scale = factor if len(entries) == 1 else math.copysign(1.0, factor)
+        entries = tuple((names, factor / scale) for names, factor in entries)
+        return Term(scale, self._name_sum(entries).name)
 
     def sum(self, *terms: Term) -> Term:
         """Return the sum of terms."""
@@ -83,18 +81,18 @@ class StraightLine:
             f"const double {name} = {text};" for name, text in self.texts.items() if name in wanted
         ]
 
-    def _named(self, entries: tuple[tuple[tuple[str, ...], float], ...]) -> Term:
+    def _name_sum(self, entries: tuple[tuple[tuple[str, ...], float], ...]) -> Term:
         if entries not in self.known:
             text = ""
             for names, factor in entries:
                 sign = (" - " if text else "-") if factor < 0 else (" + " if text else "")
                 text += sign + _write_product(abs(factor), *names)
-            self.known[entries] = self._defined(
+            self.known[entries] = self._define(
                 text, tuple(name for names, _ in entries for name in names)
             )
         return self.known[entries]
 
-    def _defined(self, text: str, needs: tuple[str, ...]) -> Term:
+    def _define(self, text: str, needs: tuple[str, ...]) -> Term:
         name = f"x{len(self.texts)}"
         self.texts[name], self.needs[name] = text, needs
         return Term(1.0, name)
@@ -104,10 +102,5 @@ def _write_product(factor: float, *names: str) -> str:
     written = "*".join(name for name in names if name)
     if not written:
         return repr(float(factor))
-    return (
-        written
-        if factor == 1.0
-        else f"-{written}"
-        if factor == -1.0
-        else f"{float(factor)!r}*{written}"
-    )
+    number = {1.0: "", -1.0: "-"}.get(factor, f"{float(factor)!r}*")
+    return number + written

@@ -14,9 +14,13 @@ from asbuilt.monitoring.thresholds import HALF, Thresholds
 
 
 @dataclass(frozen=True, slots=True)
-class ObserverCode:
-    """Hold what comes into the header and into the source of a robot's C code."""
+class CCode:
+    """Hold the header and the source of a robot, or what its observer adds to them.
 
+    All names begin with `prefix`.
+    """
+
+    prefix: str
     header: str
     source: str
 
@@ -27,7 +31,7 @@ def generate_observer_code(
     *,
     thresholds: Thresholds | None = None,
     factor: Array | None = None,
-) -> ObserverCode:
+) -> CCode:
     """Return the observer of n joints, all names beginning with `name`.
 
     Parameters
@@ -40,7 +44,6 @@ def generate_observer_code(
         Limits of the residual, and L (p, k) with `L L^T` the covariance of the base parameters.
     """
     width = BANDWIDTH if thresholds is None else thresholds.bandwidth
-    limits = thresholds is not None
     state = f"const double q[{n}], const double qd[{n}]"
     slow = f"    double slowness[{n}];     /* lagged nearness to standstill, 0 to 1 */\n"
     header = f"""
@@ -61,7 +64,7 @@ typedef struct {{
     double least[{n}];        /* friction at the ends of the velocities that a sample stands for */
     double most[{n}];
     double unknown[{n}];      /* lagged largest error of friction of unknown direction */
-{slow if limits else ""}    int started;
+{slow if thresholds else ""}    int started;
 }} {name}_observer;
 
 void {name}_observer_restart({name}_observer *observer);
@@ -69,16 +72,16 @@ void {name}_observer_restart({name}_observer *observer);
 void {name}_observer_update({name}_observer *observer, double dt, {state},
     const double tau[{n}]);
 """
-    source = _update(name, n, width, thresholds)
+    source = _write_update(name, n, width, thresholds)
     if thresholds is not None:
         header += _write_threshold_header(name, n, thresholds)
         source += _write_threshold_source(
             name, n, thresholds, np.zeros((0, 0)) if factor is None else factor
         )
-    return ObserverCode(header, source)
+    return CCode(name, header, source)
 
 
-def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> str:
+def _write_update(name: str, n: int, width: float, thresholds: Thresholds | None) -> str:
     slow_start, slow = "", ""
     if thresholds is not None:
         slow_start = "        observer->slowness[j] = 0.0;\n"

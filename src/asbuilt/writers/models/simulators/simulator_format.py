@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import ClassVar
 
 from asbuilt.description.model import Joint, RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.registry import Registry
 from asbuilt.writers.models.physical import (
@@ -34,14 +33,10 @@ class ExportedDrives:
         return convert_to_plain_friction(self.model)
 
     @property
-    def servo(self) -> PositionServo | None:
-        """The identified servo."""
-        return self.result.servo
-
-    @property
     def delay(self) -> float:
         """Delay of the servo [s], zero where it is below: no simulator has commands early."""
-        return 0.0 if self.servo is None else max(self.servo.delay or 0.0, 0.0)
+        servo = self.result.servo
+        return 0.0 if servo is None else max(servo.delay or 0.0, 0.0)
 
     @property
     def has_gains(self) -> bool:
@@ -69,20 +64,24 @@ class ExportedDrives:
         falling: bool = False,
     ) -> tuple[str, ...]:
         """Return notes on what a format cannot hold, apart from `carried` terms and the options."""
-        notes = list(note_left_out_drives(self.plain, carried, kind))
-        for key in ("asymmetric_coulomb", "smooth_coulomb"):
-            if key not in carried and any(key in joint.drive.terms for joint in self.model.joints):
-                notes.append(f"{key.replace('_', ' ')} friction is written as Coulomb friction")
+        present = {key for joint in self.model.joints for key in joint.drive.terms}
         offsets = self.by_joint(lambda joint: joint.drive.offset)
-        if not offset and any(offsets.values()):
-            listed = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
-            notes.append(f"{kind} has no place for the offsets of the drives [N m or N]: {listed}")
-        notes += note_left_out_servo(self.servo, kind, delay=delay, falling=falling)
-        if gains and not self.has_gains:
-            notes.append(
-                "no position servo was identified: gains are zero, and commands are torques"
-            )
-        return tuple(notes)
+        listed = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
+        cases = {
+            f"{key.replace('_', ' ')} friction is written as Coulomb friction": key in present
+            and key not in carried
+            for key in ("asymmetric_coulomb", "smooth_coulomb")
+        }
+        cases[f"{kind} has no place for the offsets of the drives [N m or N]: {listed}"] = (
+            bool(listed) and not offset
+        )
+        no_gains = "no position servo was identified: gains are zero, and commands are torques"
+        return (
+            *note_left_out_drives(self.plain, carried, kind),
+            *(note for note, holds in cases.items() if holds),
+            *note_left_out_servo(self.result.servo, kind, delay=delay, falling=falling),
+            *([no_gains] if gains and not self.has_gains else []),
+        )
 
 
 class SimulatorFormat(ABC):
@@ -100,8 +99,3 @@ SIMULATOR_FORMATS: Registry[SimulatorFormat] = Registry(
     "simulator format", "asbuilt.writers.models.simulators.formats", "asbuilt.simulator_formats"
 )
 """Simulator formats by key."""
-
-
-def find_simulator_format(key: str) -> SimulatorFormat:
-    """Return the format of this name; raises `UsageError` if there is none."""
-    return SIMULATOR_FORMATS.find(key)

@@ -14,13 +14,13 @@ from asbuilt.writers.programs.format import (
     ProgramRequest,
 )
 from asbuilt.writers.programs.program_text import (
-    STREAMED_DECIMALS,
     comment_lines,
     compose_preamble,
     format_numbers,
     format_sheet,
     format_streamed_motion,
     render,
+    render_motion_class,
 )
 
 CONTROL_RATE = 1000.0
@@ -70,12 +70,7 @@ class FrankaFormat(ProgramFormat):
         source = render(
             "franka.cpp.j2",
             preamble=comment_lines(compose_preamble(request, self.title, use), "//"),
-            motion_class=render(
-                "motion_table.hpp.j2",
-                n_joints=request.model.n_joints,
-                duration=f"{request.motion.duration:.9f}",
-                start=format_numbers(request.motion.start, STREAMED_DECIMALS),
-            ),
+            motion_class=render_motion_class(request),
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             tolerance=f"{request.start_tolerance.min():g}",
             approach=format_numbers(request.approach_speed),
@@ -115,10 +110,9 @@ class FrankaFormat(ProgramFormat):
 
 
 def _check_smoothness(request: ProgramRequest) -> None:
-    limit = MotionBounds.of(request.model).jerk
     # Jerk limit where the description gives none [rad/s^3]. The least of the Panda's is 3750, of
     # the FR3's 5000.
-    limit = np.where(np.isfinite(limit), limit, 5000.0)
+    limit = np.nan_to_num(MotionBounds.of(request.model).jerk, posinf=5000.0)
     t = request.motion.sample_times(CONTROL_RATE)
     acceleration = np.pad(request.motion.derivative(t, 2), ((1, 1), (0, 0)))
     jerk = np.abs(np.diff(acceleration, axis=0)) * CONTROL_RATE

@@ -15,7 +15,6 @@ from asbuilt.writers.programs.format import (
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
 from asbuilt.writers.programs.naming import make_class_name
 from asbuilt.writers.programs.program_text import (
-    STREAMED_DECIMALS,
     comment_lines,
     compose_preamble,
     format_numbers,
@@ -23,18 +22,8 @@ from asbuilt.writers.programs.program_text import (
     format_sheet,
     format_streamed_motion,
     render,
+    render_motion_class,
 )
-
-SPEED_ALLOWANCE = 1.05
-"""A command may be faster than the motion by this factor ..."""
-
-FADE_SPEED = 0.02
-"""... and by this much for the offset from the start pose that fades meanwhile [rad/s]."""
-
-APPROACH_PART = 0.1
-"""Speed to the start pose as a part of the axes' maximum where the description gives no velocity
-limit.
-"""
 
 
 class FriFormat(ProgramFormat):
@@ -76,29 +65,19 @@ class FriFormat(ProgramFormat):
         head = compose_preamble(request, self.title, use)
         limit = MotionBounds.of(request.model).velocity
         known = np.isfinite(limit)
-        approach = (
-            min(APPROACH_PART, float((request.approach_speed[known] / limit[known]).min()))
-            if np.any(known)
-            else APPROACH_PART
-        )
-        values = {
-            "start": format_numbers(request.motion.start, STREAMED_DECIMALS),
-            "tolerance": f"{request.start_tolerance.min():g}",
-        }
-        table_class = render(
-            "motion_table.hpp.j2",
-            n_joints=request.model.n_joints,
-            duration=f"{request.motion.duration:.9f}",
-            start=values["start"],
-        )
+        # Speeds to the start pose as parts of the axes' maximum, 0.1 without a velocity limit.
+        parts = request.approach_speed[known] / limit[known]
+        tolerance = f"{request.start_tolerance.min():g}"
         source = render(
             "fri_client.cpp.j2",
             preamble=comment_lines(head, "//"),
-            motion_class=table_class,
+            motion_class=render_motion_class(request),
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
-            tolerance=values["tolerance"],
-            top_speed=format_numbers(SPEED_ALLOWANCE * request.motion.peaks(1) + 1e-6),
-            fade_speed=f"{FADE_SPEED:g}",
+            tolerance=tolerance,
+            # A command may be faster than the motion by this factor, and by `fade_speed` [rad/s]
+            # for the offset from the start pose that fades meanwhile.
+            top_speed=format_numbers(1.05 * request.motion.peaks(1) + 1e-6),
+            fade_speed="0.02",
             table=table,
             java_class=java,
             log=f"{stem}_log.csv",
@@ -110,8 +89,8 @@ class FriFormat(ProgramFormat):
             package=PACKAGE,
             class_name=java,
             interval=request.period_ms,
-            approach=format_rounded_down(approach),
-            tolerance=values["tolerance"],
+            approach=format_rounded_down(float(parts.min(initial=0.1))),
+            tolerance=tolerance,
             start=format_numbers(request.motion.start),
         )
         sheet = format_sheet(

@@ -105,8 +105,7 @@ def format_trajectory_yaml(motion: Motion, joint_names: tuple[str, ...], rate: f
     The end of the motion is the last point whatever the rate.
     """
     t = times_to_end(motion, rate)
-    names = ", ".join(map(quote_yaml, joint_names))
-    lines = [f"joint_names: [{names}]", "points:"]
+    lines = [f"joint_names: [{', '.join(map(quote_yaml, joint_names))}]", "points:"]
     for time, q, qd, qdd in zip(t, *motion.at(t), strict=True):
         nanoseconds = round(float(time) * 1e9)
         lines += [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -33,22 +32,11 @@ PACKAGE = "application"
 """Java package of the application."""
 
 
-@dataclass(frozen=True, slots=True)
-class SunriseRules:
-    """Hold what the controller is asked for, and what a class of Java takes."""
+MOST_POINTS = 1000
+"""Most points of one Java class, whose constants one method of 64 KiB sets."""
 
-    spline_tolerance: float = 0.01
-    """How far a spline through the points may leave the designed path [rad]."""
-    most_points: int = 1000
-    """Most points of one Java class, whose constants one method of 64 KiB sets."""
-    acceleration: float = 0.5
-    """Acceleration and jerk given to the controller, as parts of what its axes can do."""
-    least_speed: float = 0.01
-    """Least speed that is asked for, as a part of the axes' maximum; the controller
-    refuses zero."""
-
-
-SUNRISE = SunriseRules()
+ACCELERATION = 0.5
+"""Acceleration and jerk given to the controller, as parts of what its axes can do."""
 
 SIGN_NOTE = (
     "KUKA reports measured joint torques with the opposite sign, as what the link exerts on the"
@@ -72,10 +60,7 @@ class SunriseFormat(ProgramFormat):
     def check_joints(self, model: RobotModel) -> None:
         """Raise `MotionError` unless the robot has 7 revolute joints with velocity limits."""
         super().check_joints(model)
-        limit = MotionBounds.of(model).velocity
-        unknown = [
-            name for name, v in zip(model.joint_names, limit, strict=True) if not np.isfinite(v)
-        ]
+        unknown = [joint.name for joint in model.joints if not np.isfinite(joint.limits.velocity)]
         if unknown:
             raise MotionError(
                 "the format sunrise gives speeds as parts of the axes' maximum, but the"
@@ -87,27 +72,25 @@ class SunriseFormat(ProgramFormat):
         """Return the Java class and the sheet of its DataRecorder log."""
         segments = divide_point_to_point(request.motion)
         spline = segments is None
-        segments = segments if segments is not None else _list_spline_segments(request)
-        if len(segments) > SUNRISE.most_points:
+        segments = segments or _list_spline_segments(request)
+        if len(segments) > MOST_POINTS:
             raise MotionError(
-                f"the motion needs {len(segments)} points, more than the {SUNRISE.most_points} that"
+                f"the motion needs {len(segments)} points, more than the {MOST_POINTS} that"
                 " fit into one application; split it, or give the format fri, which streams"
             )
         limit = MotionBounds.of(request.model).velocity
         speeds = [
-            float(np.clip((segment.speed / limit).max(), SUNRISE.least_speed, 1.0))
+            # The controller refuses a speed of zero.
+            float(np.clip((segment.speed / limit).max(), 0.01, 1.0))
             for segment in segments
         ]
         approach = min(0.1, float((request.approach_speed / limit).min()))
         name = make_class_name(request.name, suffix="Excitation")
-        planner = (
-            f"The path is a joint spline (SplineJP) through {len(segments)} points of the motion"
-            " and stays near it; "
+        path = (
+            f"a joint spline (SplineJP) through {len(segments)} points of the motion and stays near"
+            " it"
             if spline
-            else (
-                f"The path is the {len(segments)} point-to-point motions (PTP) that the motion is"
-                " made of; "
-            )
+            else f"the {len(segments)} point-to-point motions (PTP) that the motion is made of"
         )
         use = (
             (
@@ -127,9 +110,9 @@ class SunriseFormat(ProgramFormat):
                 f" keep {request.stem}_log.toml next to it: asbuilt identify ROBOT"
                 f" {request.stem}_log.txt"
             ),
-            planner
-            + "its timing between the points is the controller's own, so the margins of velocity"
-            " hold; the margins of acceleration and torque are for the designed timing.",
+            f"The path is {path}; its timing between the points is the controller's own, so the"
+            " margins of velocity hold; the margins of acceleration and torque are for the designed"
+            " timing.",
         )
         text = render(
             "Sunrise.java.j2",
@@ -140,8 +123,8 @@ class SunriseFormat(ProgramFormat):
             dry_run=f"{1 / DRY_RUN_SLOWDOWN:g}",
             dry_run_percent=DRY_RUN_PART,
             approach=format_rounded_down(approach),
-            acceleration=f"{SUNRISE.acceleration:g}",
-            jerk=f"{SUNRISE.acceleration:g}",
+            acceleration=f"{ACCELERATION:g}",
+            jerk=f"{ACCELERATION:g}",
             tolerance=f"{request.start_tolerance.min():g}",
             interval=request.period_ms,
             start=format_numbers(request.motion.start),
@@ -182,12 +165,12 @@ class SunriseFormat(ProgramFormat):
 
 
 def _list_spline_segments(request: ProgramRequest) -> tuple[Segment, ...]:
-    times = choose_spline_times(request.motion, SUNRISE.spline_tolerance)
-    segments = []
-    for begin, end in pairwise(times):
-        within = np.linspace(begin, end, 21)
-        speed = np.abs(request.motion.derivative(within, 1)).max(axis=0)
-        segments.append(Segment(request.motion.derivative(end), speed, 0.0))
+    """Return a segment from point to point of a spline, with the top speeds in between."""
+    motion, segments = request.motion, []
+    # How far the spline may leave the designed path [rad].
+    for begin, end in pairwise(choose_spline_times(motion, 0.01)):
+        speed = np.abs(motion.derivative(np.linspace(begin, end, 21), 1)).max(axis=0)
+        segments.append(Segment(motion.derivative(end), speed, 0.0))
     return tuple(segments)
 
 

@@ -22,12 +22,6 @@ from asbuilt.writers.programs.program_text import (
 )
 from asbuilt.writers.programs.via_points import choose_hermite_knots
 
-LOOK_AHEAD, GAIN = 0.05, 600
-"""servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000)."""
-
-APPROACH_ACCELERATION = 0.3
-"""Acceleration on the approach to the start pose [rad/s^2]."""
-
 RATES = (125.0, 500.0)
 """Rates of the RTDE: CB3 and e-Series [Hz]."""
 
@@ -90,17 +84,17 @@ class UrScriptFormat(ProgramFormat):
                 f" asbuilt identify ROBOT {stem}_log.csv"
             ),
         )
-        head = comment_lines(compose_preamble(request, self.title, use), "#")
         # How far the cubics between the points may leave the motion [rad].
         knots = choose_hermite_knots(request.motion, 1e-4)
         q, v = request.motion.derivative(knots[1:]), request.motion.derivative(knots[1:], 1)
         values = {
-            "preamble": head,
+            "preamble": comment_lines(compose_preamble(request, self.title, use), "#"),
             "approach_speed": f"{request.approach_speed.min():.4f}",
-            "approach_acceleration": f"{APPROACH_ACCELERATION:g}",
+            "approach_acceleration": "0.3",  # rad/s^2
             "tolerance": f"{request.start_tolerance.min():g}",
-            "look_ahead": f"{LOOK_AHEAD:g}",
-            "gain": f"{GAIN}",
+            # servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000).
+            "look_ahead": "0.05",
+            "gain": "600",
             "spacing": f"{knots[-1] / (knots.size - 1):.9f}",
             "start": format_numbers(request.motion.start, 7),
             "title": make_plain_text(request.name)[:40],
@@ -149,14 +143,6 @@ def _write_recipe(request: ProgramRequest) -> str:
 
 
 def _write_sheet(request: ProgramRequest) -> str:
-    columns = {
-        quantity: f"{field}_0-{field}_5"
-        for quantity, field in (
-            ("position", "actual_q"),
-            ("velocity", "actual_qd"),
-            ("torque", "actual_current"),
-        )
-    }
     return format_sheet(
         request,
         (
@@ -177,7 +163,12 @@ def _write_sheet(request: ProgramRequest) -> str:
             "joints": list(request.model.joint_names),
             "torque_source": "current",
             "sign": 1,
-            "columns": {"time": "timestamp", **columns},
+            "columns": {
+                "time": "timestamp",
+                "position": "actual_q_0-actual_q_5",
+                "velocity": "actual_qd_0-actual_qd_5",
+                "torque": "actual_current_0-actual_current_5",
+            },
             "units": {"time": "s", "position": "rad", "velocity": "rad/s", "torque": "A"},
         },
         gains=f"Gains: {GAINS_TO_FILL_IN}. Or give --gain g1,g2,...:",

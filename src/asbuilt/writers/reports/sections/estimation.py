@@ -9,7 +9,7 @@ from asbuilt.identification import FoundEffect, IdentificationResult, method_tit
 from asbuilt.identification.screen import format_effect
 from asbuilt.tables import format_share, round_significant
 from asbuilt.validation.comparison.parameter_text import describe_drive
-from asbuilt.writers.reports.cards import MOODS, study_cards
+from asbuilt.writers.reports.cards import MOODS, make_study_cards
 from asbuilt.writers.reports.section import Report, Section, sections
 
 ESTIMATION = """\
@@ -156,8 +156,6 @@ VERDICT = """\
 </ul>
 {% endif %}
 """
-MOST_FINDINGS = 5
-"""Findings next to the verdict, the first of the study; all are in a section of their own."""
 EFFECTS = """\
 <p class="quiet">Torque error on held-out groups of different motion without an effect (grey) and\
  with it (colour). An effect that is not in the model is named only.</p>
@@ -181,8 +179,9 @@ def _collect_verdict(report: Report) -> dict[str, Any]:
     return {
         "text": study.verdict.text,
         "mood": MOODS[study.verdict.use],
-        "cards": study_cards(study),
-        "findings": findings[:MOST_FINDINGS],
+        "cards": make_study_cards(study),
+        # The first ones; all are in a section of their own.
+        "findings": findings[:5],
     }
 
 

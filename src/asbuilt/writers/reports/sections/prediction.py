@@ -41,9 +41,6 @@ ERROR = """\
 {% endfor %}
 """
 
-WHITE = 0.05
-"""Smallest p value of a residual that counts as white (usual level)."""
-
 
 def _collect_torque(report: Report) -> dict[str, Any] | None:
     labels = [label for label, _ in report.predictions]
@@ -61,30 +58,33 @@ def _collect_errors(report: Report) -> dict[str, Any] | None:
 def _build_residual_table(label: str, validation: Validation) -> Table:
     built, cad = validation.metrics_as_built, validation.metrics_cad
     analysis = validation.residuals()
-    columns = (
-        Column("joint", of=lambda k: validation.joint_names[k]),
-        Column("unit", of=lambda k: validation.units[k]),
-        Column("RMS, CAD", "", "right", 3, of=lambda k: cad.rms[k]),
-        Column("RMS, as built", "", "right", 3, of=lambda k: built.rms[k]),
-        Column("largest", "", "right", 3, of=lambda k: built.max_abs[k]),
-        Column(
-            "of its torque",
-            "%",
-            "right",
-            ".1f",
-            of=lambda k: 100.0 * built.relative_error_per_joint[k],
+    return Table.of(
+        range(len(validation.joint_names)),
+        (
+            Column("joint", of=lambda k: validation.joint_names[k]),
+            Column("unit", of=lambda k: validation.units[k]),
+            Column("RMS, CAD", "", "right", 3, of=lambda k: cad.rms[k]),
+            Column("RMS, as built", "", "right", 3, of=lambda k: built.rms[k]),
+            Column("largest", "", "right", 3, of=lambda k: built.max_abs[k]),
+            Column(
+                "of its torque",
+                "%",
+                "right",
+                ".1f",
+                of=lambda k: 100.0 * built.relative_error_per_joint[k],
+            ),
+            Column("R²", "", "right", ".4f", of=lambda k: built.r_squared[k]),
+            Column("mean", "", "right", 2, of=lambda k: analysis.mean[k]),
+            Column("Durbin-Watson", "", "right", ".2f", of=lambda k: analysis.durbin_watson[k]),
+            Column("white", of=lambda k: "yes" if analysis.probability_white[k] > 0.05 else "no"),
+            Column(
+                "independent samples",
+                align="right",
+                of=lambda k: round_significant(analysis.effective_samples[k]),
+            ),
         ),
-        Column("R²", "", "right", ".4f", of=lambda k: built.r_squared[k]),
-        Column("mean", "", "right", 2, of=lambda k: analysis.mean[k]),
-        Column("Durbin-Watson", "", "right", ".2f", of=lambda k: analysis.durbin_watson[k]),
-        Column("white", of=lambda k: "yes" if analysis.probability_white[k] > WHITE else "no"),
-        Column(
-            "independent samples",
-            align="right",
-            of=lambda k: round_significant(analysis.effective_samples[k]),
-        ),
+        label,
     )
-    return Table.of(range(len(validation.joint_names)), columns, label)
 
 
 sections.register("torque", Section("Torque", 20, TORQUE, _collect_torque))
@@ -110,11 +110,6 @@ ROLLOUT = """\
 COLOURS = {"measured": "#a4a9b1", "CAD": "#d98324", "as built": "#1f6feb"}
 CUT = 10.0
 """Times the largest error as built at which errors by CAD are cut off."""
-_BY = {"as built": "as built", "CAD": "by CAD"}
-POINTS = 600
-"""Points of a line."""
-LONGEST = 12.0
-"""Longest part of a recording that is drawn [s]."""
 
 
 def _collect_rollouts(report: Report) -> dict[str, Any] | None:
@@ -148,15 +143,16 @@ def fill_rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[
 def _count_windows(rollout: Rollout) -> int:
     """Return how many windows of the first recording are drawn."""
     windows = rollout.motions[0].windows
-    return max(1, min(windows.n_windows, int(LONGEST / windows.horizon)))
+    # Longest part of a recording that is drawn [s].
+    return max(1, min(windows.n_windows, int(12.0 / windows.horizon)))
 
 
 def _draw_joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str]:
     """Return name, lines, range and largest errors of a joint in the first recording."""
     motion, count = rollout.motions[0], _count_windows(rollout)
     paths = {"measured": motion.windows.q, "CAD": motion.cad, "as built": motion.as_built}
-    measured = motion.windows.q[:count, :, k]
     there = {what: path[:count, :, k] for what, path in paths.items() if path is not None}
+    measured = there["measured"]
     errors = {what: path - measured for what, path in there.items() if what != "measured"}
     largest = {what: float(np.nanmax(np.abs(x), initial=0.0)) for what, x in errors.items()}
     bound = min(CUT * largest.get("as built", np.inf), max(largest.values(), default=0.0)) or 1e-9
@@ -174,7 +170,8 @@ def _draw_joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, li
         for what, error in errors.items()
     ]
     texts = [
-        f"{_format_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())
+        _format_length(each, unit) + (" by CAD" if what == "CAD" else f" {what}")
+        for what, each in reversed(largest.items())
     ]
     extent = f"{measured.min():.3g} to {measured.max():.3g} {unit}"
     return name, lines, extent, ", ".join(texts)
@@ -192,15 +189,15 @@ def _format_length(value: float, unit: str) -> str:
 def _draw_windows(path: Array, lower: float, upper: float, top: float, bottom: float) -> list[str]:
     """Return the points of each window (W, L) between two heights, as far as they are finite."""
     count, length = path.shape
-    at = np.unique(np.linspace(0, length - 1, min(length, max(2, POINTS // count))).astype(int))
+    # 600: points of a line.
+    at = np.unique(np.linspace(0, length - 1, min(length, max(2, 600 // count))).astype(int))
     pieces = []
     for w, values in enumerate(path):
         x = 600.0 * (w + at / (length - 1)) / count
         share = np.clip((values[at] - lower) / (upper - lower), 0.0, 1.0)
-        y = bottom - share * (bottom - top)
-        there = np.isfinite(y)
-        points = zip(x[there].tolist(), y[there].tolist(), strict=True)
-        pieces.append(" ".join(f"{a:.1f},{b:.1f}" for a, b in points))
+        points = np.column_stack([x, bottom - share * (bottom - top)])
+        there = points[np.isfinite(points[:, 1])].tolist()
+        pieces.append(" ".join(f"{a:.1f},{b:.1f}" for a, b in there))
     return pieces
 
 

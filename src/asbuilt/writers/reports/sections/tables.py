@@ -8,9 +8,8 @@ import numpy as np
 
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.tables import Column, Table, format_plus_minus, round_significant
-from asbuilt.writers.figures.comparison_figures import draw_attribution
-from asbuilt.writers.figures.figure_style import encode_figure
-from asbuilt.writers.reports.page import image_markup, list_markup, paragraph_markup, table_markup
+from asbuilt.writers.reports.compare_files import draw_shares
+from asbuilt.writers.reports.page import list_markup, paragraph_markup, table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
 from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
 from asbuilt.writers.tables.payload_tables import tabulate_payload, tabulate_payload_torques
@@ -38,25 +37,20 @@ def _collect_payload(report: Report) -> dict[str, Any] | None:
     found = report.payload
     if found is None:
         return None
-    tables = {
-        "payload-values": tabulate_payload(found),
-        "payload-torque": tabulate_payload_torques(found),
-    }
-    return _collect_parts(tables)
+    return _collect_parts(
+        {
+            "payload-values": tabulate_payload(found),
+            "payload-torque": tabulate_payload_torques(found),
+        }
+    )
 
 
 def _collect_causes(report: Report) -> dict[str, Any] | None:
     found = report.study.attribution
     if found is None:
         return None
-    words = (
-        "Shares of the squared CAD error by cause, joint by joint; the numbers are in the table"
-        " below"
-    )
-    drawn = image_markup(encode_figure(draw_attribution(found)), words)
-    return _collect_parts(
-        {"shares": found.share_table()}, list_markup((*found.sentences, *found.findings)), drawn
-    )
+    sentences = list_markup((*found.sentences, *found.findings))
+    return _collect_parts({"shares": found.share_table()}, sentences, draw_shares(found))
 
 
 sections.register("masses", Section("Masses", 22, PARTS, _collect_masses))
@@ -78,16 +72,20 @@ def _collect_encoders(report: Report) -> dict[str, Any] | None:
     pairs = report.study.result.encoders
     if not pairs:
         return None
-    columns = (
-        Column("joint"),
-        Column("lag", "ms", "right"),
-        Column("stiffness", "N m/rad, N/m", "right"),
-        Column("damping", "N m s/rad, N s/m", "right"),
-        Column("rotor", "kg m^2, kg", "right"),
-        Column("hysteresis", "mdeg, um", "right"),
-        Column("rest", "mdeg, um", "right"),
-    )
-    return {"table": Table(columns, tuple(map(_build_row, pairs))).as_html("encoders")}
+    return {
+        "table": Table(
+            (
+                Column("joint"),
+                Column("lag", "ms", "right"),
+                Column("stiffness", "N m/rad, N/m", "right"),
+                Column("damping", "N m s/rad, N s/m", "right"),
+                Column("rotor", "kg m^2, kg", "right"),
+                Column("hysteresis", "mdeg, um", "right"),
+                Column("rest", "mdeg, um", "right"),
+            ),
+            tuple(map(_build_row, pairs)),
+        ).as_html("encoders")
+    }
 
 
 def _build_row(pair: EncoderPair) -> tuple[str, ...]:
@@ -98,9 +96,8 @@ def _build_row(pair: EncoderPair) -> tuple[str, ...]:
         format_plus_minus(1e3 * pair.lag, 1e3 * pair.lag_error),
         *(
             "-" if each is None else format_plus_minus(*each)
-            for each in (pair.stiffness, pair.damping)
+            for each in (pair.stiffness, pair.damping, rotor)
         ),
-        "-" if rotor is None else format_plus_minus(*rotor),
         format_plus_minus(scale * pair.hysteresis, scale * pair.hysteresis_error),
         round_significant(scale * pair.rest, 2),
     )

@@ -59,18 +59,21 @@ class Bam(SimulatorFormat):
             "BAM has one Stribeck velocity and power for all terms: the first term's is"
             f" written for {', '.join(uneven)}": bool(uneven),
         }
-        left_out = drives.left_out("BAM", carried=CARRIED, delay=True, gains=False)
         text = json.dumps({name: each | late for name, each in sets.items()}, indent=2) + "\n"
-        return text, (*left_out, *(note for note, holds in own.items() if holds))
+        return text, (
+            *drives.left_out("BAM", carried=CARRIED, delay=True, gains=False),
+            *(note for note, holds in own.items() if holds),
+        )
 
 
 def choose_bam_parameters(joint: Joint) -> dict[str, Any]:
     """Return the BAM parameters of one joint: the smallest model that has its drive terms."""
     drive, terms = joint.drive, joint.drive.terms
-    fading = [terms[key] for key in FADING if key in terms]
-    loaded = any(key in terms for key in LOADED)
-    directional = any(key in terms for key in (*DIRECTIONAL, QUADRATIC))
-    number = 6 if QUADRATIC in terms else 5 if directional else 1 + bool(fading) + 2 * loaded
+    fading, loaded, directional = (
+        [terms[key] for key in keys if key in terms]
+        for keys in (FADING, LOADED, (*DIRECTIONAL, QUADRATIC))
+    )
+    number = 6 if QUADRATIC in terms else 5 if directional else 1 + bool(fading) + 2 * bool(loaded)
     found: dict[str, Any] = {
         "model": f"m{number}",
         "armature": drive.armature or 0.0,
@@ -107,14 +110,17 @@ def derive_directional_coefficients(driving: float, driven: float) -> tuple[floa
 
 
 def _split_by_direction(terms: Any) -> dict[str, float]:
-    moving = [terms.get(DIRECTIONAL[0], {}).get(each, 0.0) for each in ("Flm", "Fle")]
-    slow = [terms.get(DIRECTIONAL[1], {}).get(each, 0.0) for each in ("Flsm", "Flse")]
-    both = [terms.get("load_friction", {}).get("Fl", 0.0)] * 2
-    motor, external = derive_directional_coefficients(
-        *(x + y for x, y in zip(moving, both, strict=True))
+    moving, slow, (both,) = (
+        [terms.get(key, {}).get(each, 0.0) for each in symbols]
+        for key, symbols in (
+            (DIRECTIONAL[0], ("Flm", "Fle")),
+            (DIRECTIONAL[1], ("Flsm", "Flse")),
+            ("load_friction", ("Fl",)),
+        )
     )
+    motor, external = derive_directional_coefficients(*(x + both for x in moving))
     at_rest = derive_directional_coefficients(
-        *(x + y + z for x, y, z in zip(moving, both, slow, strict=True))
+        *(x + both + z for x, z in zip(moving, slow, strict=True))
     )
     found = {
         "load_friction_motor": motor,

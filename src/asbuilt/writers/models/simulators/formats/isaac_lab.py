@@ -86,12 +86,11 @@ class IsaacLab(SimulatorFormat):
             more=more,
         )
         delayed = kind == "DelayedPDActuatorCfg"
-        notes = drives.left_out(
-            "an Isaac Lab actuator", delay=delayed, falling=kind == "DCMotorCfg"
+        return text, (
+            *drives.left_out("an Isaac Lab actuator", delay=delayed, falling=kind == "DCMotorCfg"),
+            *(["the delay is rounded to whole physics steps"] if delayed else []),
+            "masses and inertias of links are in a URDF or a USD overlay",
         )
-        if delayed:
-            notes = (*notes, "the delay is rounded to whole physics steps")
-        return text, (*notes, "masses and inertias of links are in a URDF or a USD overlay")
 
 
 def _choose_actuator(drives: ExportedDrives) -> tuple[str, str]:
@@ -100,10 +99,10 @@ def _choose_actuator(drives: ExportedDrives) -> tuple[str, str]:
     `DCMotorCfg` has one torque for all joints, which falls to zero at the velocity limit, and no
     delay.
     """
-    servo = drives.servo
+    servo = drives.result.servo
     if servo is not None and np.all(servo.falling) and len(set(servo.torque_limit)) == 1:
-        speeds = dict(zip(drives.model.joint_names, servo.no_load_speed, strict=True))
-        listed = ", ".join(f"{re.escape(name)!r}: {each!r}" for name, each in speeds.items())
+        speeds = zip(drives.model.joint_names, servo.no_load_speed, strict=True)
+        listed = ", ".join(f"{re.escape(name)!r}: {each!r}" for name, each in speeds)
         return "DCMotorCfg", MOTOR.format(effort=servo.torque_limit[0], speeds=f"{{{listed}}}")
     if drives.delay:
         return "DelayedPDActuatorCfg", DELAYED

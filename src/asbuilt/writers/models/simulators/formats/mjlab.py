@@ -14,7 +14,6 @@ from asbuilt.writers.models.simulators.simulator_format import (
     SimulatorFormat,
 )
 
-DRAWS, SEED = 200, 0
 FIELDS = {"dof_armature": "Ia", "dof_damping": "Fv", "dof_frictionloss": "Fc"}
 """Field of MuJoCo and the symbol of the parameter that it holds."""
 TEXT = '''"""Actuators and ranges of {origin}.
@@ -101,15 +100,16 @@ class Mjlab(SimulatorFormat):
             delay=drives.delay,
             ranges=_write_ranges(drives),
         )
-        notes = drives.left_out("mjlab", delay=True)
-        if drives.delay:
-            notes = (*notes, "the delay is rounded to whole physics steps")
-        return text, (*notes, "ranges of links are in an ensemble, which keeps links possible")
+        return text, (
+            *drives.left_out("mjlab", delay=True),
+            *(["the delay is rounded to whole physics steps"] if drives.delay else []),
+            "ranges of links are in an ensemble, which keeps links possible",
+        )
 
 
 def _write_ranges(drives: ExportedDrives) -> str:
     """Return the ranges of every field, from draws of the uncertainty, as Python text."""
-    ensemble = draw_ensemble(drives.result, DRAWS, rng=SEED)
+    ensemble = draw_ensemble(drives.result, 200, rng=0)
     low, _, high = ensemble.quantiles
     place = {name: k for k, name in enumerate(ensemble.names)}
     text = ""

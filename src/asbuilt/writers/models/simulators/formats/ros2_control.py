@@ -15,8 +15,6 @@ from asbuilt.writers.models.simulators.simulator_format import (
 )
 from asbuilt.writers.programs.naming import quote_yaml
 
-YAML = (".yaml", ".yml")
-
 
 class Ros2Control(SimulatorFormat):
     """URDF tags with interfaces, limits and drive parameters; `.yaml`: a PID controller's gains."""
@@ -26,14 +24,15 @@ class Ros2Control(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the tags or the parameters, and notes."""
-        if path.suffix.lower() in YAML:
-            notes = drives.left_out("pid_controller")
+        if path.suffix.lower() in (".yaml", ".yml"):
             friction = any(
                 joint.drive.viscous or joint.drive.coulomb or joint.drive.armature
                 for joint in drives.plain.joints
             )
-            more = ("pid_controller has no place for armature and friction",) if friction else ()
-            return _write_gains(drives), (*notes, *more)
+            return _write_gains(drives), (
+                *drives.left_out("pid_controller"),
+                *(["pid_controller has no place for armature and friction"] if friction else []),
+            )
         return _write_tags(drives), (
             *drives.left_out("ros2_control", offset=True, delay=True, gains=False),
             "ros2_control hands the parameters to the hardware component, which decides what to do"
@@ -44,8 +43,8 @@ class Ros2Control(SimulatorFormat):
 def _write_tags(drives: ExportedDrives) -> str:
     root = Element("ros2_control", {"name": f"{drives.model.name}_as_built", "type": "system"})
     root.append(Comment(f" {drives.origin.replace('--', '- -')} "))
-    plugin = SubElement(SubElement(root, "hardware"), "plugin")
-    plugin.text = "mock_components/GenericSystem"
+    hardware = SubElement(root, "hardware")
+    SubElement(hardware, "plugin").text = "mock_components/GenericSystem"
     for joint in drives.plain.joints:
         _add_joint(SubElement(root, "joint", name=joint.name), joint, drives.delay)
     indent(root)
@@ -81,12 +80,11 @@ def _add_joint(element: Element, joint: Joint, delay: float) -> None:
 
 def _write_gains(drives: ExportedDrives) -> str:
     """Return the parameters of a PID controller from positions to efforts."""
-    names = f"[{', '.join(map(quote_yaml, drives.model.joint_names))}]"
     lines = [
         f"# {drives.origin}",
         "pid_controller:",
         "  ros__parameters:",
-        f"    dof_names: {names}",
+        f"    dof_names: [{', '.join(map(quote_yaml, drives.model.joint_names))}]",
         "    command_interface: effort",
         "    reference_and_state_interfaces: [position, velocity]",
         "    gains:",

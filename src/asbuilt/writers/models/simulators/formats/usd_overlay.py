@@ -15,8 +15,6 @@ from asbuilt.writers.models.simulators.simulator_format import (
     SimulatorFormat,
 )
 
-PER_DEGREE = np.pi / 180.0
-"""A coefficient per radian is this many per degree."""
 SCHEMAS = ("PhysicsDriveAPI:{axis}", "PhysxJointAPI", "PhysxJointAxisAPI:{axis}")
 
 
@@ -28,8 +26,7 @@ class UsdOverlay(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the layer and its notes."""
-        model = drives.plain
-        root = make_prim_name(model.name)
+        model, root = drives.plain, make_prim_name(drives.plain.name)
         lines = [
             "#usda 1.0",
             "(",
@@ -45,27 +42,24 @@ class UsdOverlay(SimulatorFormat):
             "{",
         ]
         for link in model.links:
-            lines += _indent_lines(
-                _write_over(link.name, ("PhysicsMassAPI",), _write_mass(link.inertia)), 1
-            )
+            lines += _write_over(link.name, ("PhysicsMassAPI",), _write_mass(link.inertia), 1)
         lines += ['    over "joints"', "    {"]
         for joint in model.joints:
             axis = "angular" if joint.is_revolute else "linear"
             schemas = tuple(each.format(axis=axis) for each in SCHEMAS)
-            lines += _indent_lines(_write_over(joint.name, schemas, _write_drive(joint, axis)), 2)
+            lines += _write_over(joint.name, schemas, _write_drive(joint, axis), 2)
         lines += ["    }", "}", ""]
-        notes = (
+        return "\n".join(lines), (
             *drives.left_out("a USD joint"),
             f"prims are /{root}/LINK and /{root}/joints/JOINT, as the URDF importer of Isaac Sim"
             " makes them (fixed joints merged); move them if yours are elsewhere",
             "Coulomb friction is static and dynamic friction effort, which Isaac Sim 5 knows",
         )
-        return "\n".join(lines), notes
 
 
 def _write_drive(joint: Joint, axis: str) -> Iterator[str]:
     """Yield the attributes of a joint, coefficients of angular ones per degree."""
-    per = PER_DEGREE if axis == "angular" else 1.0
+    per = np.pi / 180.0 if axis == "angular" else 1.0
     drive, limit = joint.drive, joint.limits.torque
     coulomb, armature = drive.coulomb or 0.0, drive.armature or 0.0
     yield f"float drive:{axis}:physics:stiffness = {(drive.kp or 0.0) * per!r}"
@@ -76,8 +70,9 @@ def _write_drive(joint: Joint, axis: str) -> Iterator[str]:
     yield f"float physxJointAxis:{axis}:armature = {armature!r}"
     yield f"float physxJointAxis:{axis}:staticFrictionEffort = {coulomb!r}"
     yield f"float physxJointAxis:{axis}:dynamicFrictionEffort = {coulomb!r}"
-    viscous = (drive.viscous or 0.0) * per
-    yield f"float physxJointAxis:{axis}:viscousFrictionCoefficient = {viscous!r}"
+    yield (
+        f"float physxJointAxis:{axis}:viscousFrictionCoefficient = {(drive.viscous or 0.0) * per!r}"
+    )
 
 
 def _write_mass(inertia: LinkInertia) -> Iterator[str]:
@@ -93,14 +88,14 @@ def _write_mass(inertia: LinkInertia) -> Iterator[str]:
     yield f"quatf physics:principalAxes = {_write_tuple(quaternion_from_rotation(axes))}"
 
 
-def _write_over(name: str, schemas: tuple[str, ...], attributes: Iterator[str]) -> list[str]:
+def _write_over(
+    name: str, schemas: tuple[str, ...], attributes: Iterator[str], depth: int
+) -> list[str]:
+    """Return the lines of an opinion on a prim, so many levels below the root."""
     listed = ", ".join(f'"{each}"' for each in schemas)
     head = [f'over "{make_prim_name(name)}" (', f"    prepend apiSchemas = [{listed}]", ")", "{"]
-    return [*head, *(f"    {each}" for each in attributes), "}"]
-
-
-def _indent_lines(lines: list[str], depth: int) -> list[str]:
-    return [f"{'    ' * depth}{line}" for line in lines]
+    lines = [*head, *(f"    {each}" for each in attributes), "}"]
+    return ["    " * depth + line for line in lines]
 
 
 def _write_tuple(values: object) -> str:
@@ -108,7 +103,7 @@ def _write_tuple(values: object) -> str:
 
 
 def make_prim_name(name: str) -> str:
-    """Return a valid name of a prim: letters, digits and underscores, no digit first."""
+    """Return a valid name of a prim: a-z, A-Z, digits and underscores, no digit first."""
     valid = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return f"_{valid}" if not valid or valid[0].isdigit() else valid
 
