@@ -148,7 +148,7 @@ class _Pace:
         if not self.tasks:
             return 1
         late = LATE_TOGETHER * self.seconds / self.workers
-        together = min(max(TOGETHER, late), LONGEST_TOGETHER)
+        together = min(max(TOGETHER, late), LONGEST_TOGETHER)  # seconds
         return max(1, min(MOST_TOGETHER, int(together * self.tasks / max(self.seconds, 1e-9))))
 
     def add(self, tasks: int, seconds: float) -> None:
@@ -195,13 +195,11 @@ def run_in_order(
         return [function(task) for task in tasks]
     numbered = list(enumerate(tasks))
     found = {each.task[0]: each for each in workers.run(partial(_run_numbered, function), numbered)}
-    for number, _ in numbered:
-        problem = found[number].problem
-        if problem is not None:
-            raise found[number].error or AsbuiltError(
-                f"a worker did not finish its part: {problem}"
-            )
-    return [found[number].result for number, _ in numbered]  # type: ignore[misc]
+    outcomes = [found[number] for number, _ in numbered]
+    for each in outcomes:
+        if each.problem is not None:
+            raise each.error or AsbuiltError(f"a worker did not finish its part: {each.problem}")
+    return [each.result for each in outcomes]  # type: ignore[misc]
 
 
 def _run_numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:
@@ -271,8 +269,7 @@ def _open_cluster(address: str) -> Iterator[Workers]:
                 f"the Dask scheduler at {address} has no workers",
                 cure=Cure(f"start some with `dask worker {address}`"),
             )
-        executor = client.get_executor(pure=False)
-        yield Workers(threads, executor, lambda: None, client.dashboard_link)
+        yield Workers(threads, client.get_executor(pure=False), lambda: None, client.dashboard_link)
     finally:
         client.close()
 

@@ -128,6 +128,7 @@ def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = T
     """
     check_regular(path, what, kind, limit)
     try:
+        # A pipe that took the place of the file since would block an ordinary opening.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         with os.fdopen(descriptor, "rb") as stream:
             return stream.read(int(limit))
@@ -184,8 +185,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except RecursionError:
-        raise ValueError(f"it is nested deeper than {DEEPEST} levels") from None
-    if measure_depth(content) > DEEPEST:
+        content = None
+    if content is None or measure_depth(content) > DEEPEST:
         raise ValueError(f"it is nested deeper than {DEEPEST} levels")
     return content
 

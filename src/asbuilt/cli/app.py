@@ -155,8 +155,7 @@ def _import_command(name: str, entry: Entry) -> Any:
     alone = typer.Typer(add_completion=False, rich_markup_mode=None)
     more = inspect.cleandoc(function.__doc__ or "").partition("\n\n")[2]
     help_text = f"{entry.summary}\n\n{more}".strip()
-    register = alone.command(name, cls=Command, help=help_text, context_settings=HELP)
-    register(spread(function, run))
+    alone.command(name, cls=Command, help=help_text, context_settings=HELP)(spread(function, run))
     return typer.main.get_command(alone)
 
 
@@ -193,8 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    given = [*(sys.argv[1:] if arguments is None else arguments)]
-    sys.exit(_flush_output(_run_for_status(given)))
+    sys.exit(_flush_output(_run_for_status([*(sys.argv[1:] if arguments is None else arguments)])))
 
 
 def _return_freed_memory() -> None:
@@ -303,8 +301,7 @@ def _fail(
         error = {"kind": kind, "message": message, "hint": hint or None, **values}
         print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
-        text = f"asbuilt: {message}" + (f"; {hint}" if hint else "")
-        _say(fold_text(text))
+        _say(fold_text(f"asbuilt: {message}" + (f"; {hint}" if hint else "")))
     return status
 
 

@@ -124,8 +124,7 @@ def schema(
     """
     content = writers.json_schema(kind)
     files = {} if out is None else {"schema": writers.write_schema(kind, out)}
-    text = list_files(files) if files else format_json(content)
-    answer(as_json, lambda: content, lambda: text)
+    answer(as_json, lambda: content, lambda: list_files(files) if files else format_json(content))
 
 
 def base(

@@ -112,15 +112,13 @@ def _record(folder: Path, k: int, day: int) -> Path:
     values = np.array(robot.drive_values)
     names = [name for j in range(model.n_joints) for name in robot.drive.names(j + 1)]
     # Standard deviation of viscous friction from day to day.
-    warm = 1.0 + 0.02 * rng.standard_normal()
-    values[[name.startswith("Fv") for name in names]] *= warm
+    values[[name.startswith("Fv") for name in names]] *= 1.0 + 0.02 * rng.standard_normal()
     robot = robot.with_drive(robot.drive, values)
     if k == CHANGED and day >= SINCE:
         robot = robot.with_tool(TOOL)
     motion = random_fourier(model, rng=1000 * k + day, duration=SECONDS)
     recording = robot.record(motion, rate=RATE, rng=100 * k + day).recording
-    date = BEGIN + timedelta(days=day - 1)
-    path = folder / _name_arm(k) / f"{date:%Y-%m-%d}.csv"
+    path = folder / _name_arm(k) / f"{BEGIN + timedelta(days=day - 1):%Y-%m-%d}.csv"
     write_recording(path, replace(recording, source=path.name))
     return path
 

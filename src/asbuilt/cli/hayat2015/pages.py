@@ -98,11 +98,10 @@ def render_reproduction(redone: Reproduction) -> str:
         Block(heading.lower(), heading, [shown[name] for name in names])
         for heading, names in zip(("CAD", "Robot"), ORDER, strict=True)
     )
-    verdict = Block("verdict", "Verdict", (list_markup(describe_outcome(redone)),))
     return render_page(
         "The 2015 paper",
         "reproduced",
-        [verdict, *blocks],
+        [Block("verdict", "Verdict", (list_markup(describe_outcome(redone)),)), *blocks],
         title="The 2015 paper, reproduced",
         subtitle=SOURCE,
     )

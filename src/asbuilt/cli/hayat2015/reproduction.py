@@ -328,5 +328,4 @@ def _count_printed_alpha_mismatches(model: RobotModel, base: BaseParameters, pap
     if other.n_base != base.n_base:
         return base.n_base
     difference = np.abs(other.values(printed.parameters) - paper.cad)
-    same_id = other.ids == base.ids
-    return int(np.sum(~same_id | (difference > 1e-4)))
+    return int(np.sum(~(other.ids == base.ids) | (difference > 1e-4)))

@@ -6,7 +6,6 @@ own name are, and none that another page sends; the page asks nothing of any oth
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import secrets
@@ -15,14 +14,14 @@ from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 from urllib.parse import unquote
 
 import typer
 
 from asbuilt.cli.answers import answer, describe_cure
 from asbuilt.cli.arguments.options import AsJson, Browser, Out, PagePort, complete_robot
-from asbuilt.cli.page.session import Session
+from asbuilt.cli.page.session import Choices, Session
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.writing import atomic_write
 
@@ -80,7 +79,7 @@ class PageServer(ThreadingHTTPServer):
         self.session = session
         self.token = secrets.token_urlsafe(24)
         for tried in range(port, port + LAST_PORT_OFFSET + 1):
-            with contextlib.suppress(OSError, OverflowError):
+            with suppress(OSError, OverflowError):
                 super().__init__((HOST, tried), Handler)
                 return
         raise UsageError(f"no port from {port} to {port + LAST_PORT_OFFSET} is free", value=port)
@@ -99,22 +98,20 @@ class PageServer(ThreadingHTTPServer):
 class Handler(BaseHTTPRequestHandler):
     """Answer one request."""
 
+    server: PageServer
     server_version, sys_version = "asbuilt", ""
     protocol_version = "HTTP/1.1"
     timeout = 60.0
-
-    @property
-    def session(self) -> Session:
-        """What the page shows."""
-        return cast(PageServer, self.server).session
 
     def do_GET(self) -> None:
         """Answer with the page, its state, an answer of a step, or a file that was written."""
         place = self._place()
         if place == "state":
-            self._json(self.session.as_document())
+            self._json(self.server.session.as_document())
         elif place is not None and place.startswith("answer/"):
-            self._json(self.session.answers.get(place.removeprefix("answer/"), ((), None))[1])
+            self._json(
+                self.server.session.answers.get(place.removeprefix("answer/"), ((), None))[1]
+            )
         elif place is not None and place.startswith("files/"):
             self._file(self._written(place.removeprefix("files/")), FRAMED)
         elif place is not None:
@@ -128,13 +125,13 @@ class Handler(BaseHTTPRequestHandler):
         try:
             given = self._body()
             if place == "state":
-                self.session.choose(given)
+                self.server.session.choose(given)
             elif place == "sheet":
-                self.session.assign(given.get("columns", []))
+                self.server.session.assign(given.get("columns", []))
             elif place == "cancel":
-                self.session.cancel()
+                self.server.session.cancel()
             elif place.startswith("run/"):
-                self.session.run(place.removeprefix("run/"))
+                self.server.session.run(place.removeprefix("run/"))
             else:
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
@@ -143,18 +140,18 @@ class Handler(BaseHTTPRequestHandler):
             text = problem.message + (f"; {hint}" if hint else "")
             self._json({"error": text}, HTTPStatus.CONFLICT)
             return
-        self._json(self.session.as_document())
+        self._json(self.server.session.as_document())
 
     def do_PUT(self) -> None:
         """Write an uploaded file, piece by piece, into the folder of the page."""
         place = self._place()
         if place is None:
             return
-        size = self._size(LARGEST_UPLOAD)
-        if size is None:
+        left = self._size(LARGEST_UPLOAD)
+        if left is None:
             return
-        path = self.session.folder / UPLOADS / Path(*map(_clean_file_name, place.split("/")[1:]))
-        left = size
+        names = map(_clean_file_name, place.split("/")[1:])
+        path = self.server.session.folder.joinpath(UPLOADS, *names)
 
         def pieces() -> Any:
             nonlocal left
@@ -175,13 +172,12 @@ class Handler(BaseHTTPRequestHandler):
 
     def _place(self) -> str | None:
         """Return what is asked for; None, and an error to the browser, if that is not allowed."""
-        server = cast(PageServer, self.server)
         token, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
-        own = self.headers.get("Host", "") in server.hosts
-        origin = self.headers.get("Origin")
-        asked_here = origin in {f"http://{host}" for host in server.hosts}
+        hosts, origin = self.server.hosts, self.headers.get("Origin")
+        own = self.headers.get("Host", "") in hosts
+        asked_here = origin in {f"http://{host}" for host in hosts}
         allowed = own and (asked_here if origin or self.command != "GET" else True)
-        if not allowed or not secrets.compare_digest(token.encode(), server.token.encode()):
+        if not allowed or not secrets.compare_digest(token.encode(), self.server.token.encode()):
             self.close_connection = True
             self.send_error(HTTPStatus.FORBIDDEN)
             return None
@@ -210,7 +206,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def _written(self, place: str) -> Path | None:
         """Return a file of the folder, None if it is none or lies elsewhere."""
-        folder = self.session.folder.resolve()
+        folder = self.server.session.folder.resolve()
         path = (folder / place).resolve()
         return path if path.is_relative_to(folder) and path.is_file() else None
 
@@ -235,20 +231,23 @@ class Handler(BaseHTTPRequestHandler):
 
     def _head(self, size: int, kind: str, policy: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(size))
-        self.send_header("Content-Security-Policy", policy)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
-        self.send_header("Cache-Control", "no-store")
+        for name, value in (
+            ("Content-Type", kind),
+            ("Content-Length", str(size)),
+            ("Content-Security-Policy", policy),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "no-referrer"),
+            ("Cross-Origin-Resource-Policy", "same-origin"),
+            ("Cache-Control", "no-store"),
+        ):
+            self.send_header(name, value)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Keep quiet: the terminal shows the address alone."""
 
     def handle_one_request(self) -> None:
         """Answer a request; a browser that goes away is no error."""
-        with contextlib.suppress(ConnectionError, socket.timeout):
+        with suppress(ConnectionError, socket.timeout):
             super().handle_one_request()
             return
         self.close_connection = True
@@ -259,13 +258,9 @@ def _find_resource(name: str) -> Path | None:
     from asbuilt.writers.reports import page as reports
 
     own, shared = Path(__file__).parent / "templates", Path(reports.__file__).parent / "templates"
-    for folder, names in (
-        (own, ("page.html", "page.js", "page.css")),
-        (shared, ("report.css", "plot.js")),
-    ):
-        if name in names:
-            return folder / name
-    return None
+    folders = dict.fromkeys(("page.html", "page.js", "page.css"), own)
+    folders |= dict.fromkeys(("report.css", "plot.js"), shared)
+    return folders[name] / name if name in folders else None
 
 
 def _clean_file_name(name: str) -> str:
@@ -303,8 +298,6 @@ def open(
     switch effects, export. Every step is a command of this program, which the page shows. It runs
     on this machine, for whoever has its address; Ctrl-C ends it.
     """
-    from asbuilt.cli.page.session import Choices, Session
-
     logs = tuple(str(path) for path in log or ())
     missing = next((path for path in logs if not Path(path).exists()), None)
     if missing is not None:

@@ -16,8 +16,8 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
-from asbuilt.experiment.free_base.force_checks import check_forces
-from asbuilt.experiment.free_base.rolling_feet import estimate_rolling_radii
+from asbuilt.experiment.free_base.feet import estimate_rolling_radii
+from asbuilt.experiment.free_base.measured_forces import check_forces
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -103,28 +103,11 @@ def _report_wrong_axes(columns: str) -> Finding:
 
 def _list_other_readings(R: Array) -> Iterator[tuple[str, Array]]:
     """Yield other readings of quaternions that were read as x y z w, and their angles."""
-    x, y, z, w = _extract_quaternions(R)
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - light start
+
+    x, y, z, w = Rotation.from_matrix(R).as_quat().T
     yield "w x y z", yaw_pitch_roll(np.stack([y, z, w, x], axis=1))
     yield "the inverse (world axes to base axes)", yaw_pitch_roll(np.stack([-x, -y, -z, w], axis=1))
-
-
-def _extract_quaternions(R: Array) -> tuple[Array, Array, Array, Array]:
-    """Return x, y, z, w of rotations (N, 3, 3), as eigenvectors, so that none is singular."""
-    (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
-    K = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    largest = np.linalg.eigh(np.moveaxis(K, 2, 0))[1][:, :, -1]
-    sign = np.cumprod(
-        np.concatenate([[1.0], np.where(np.sum(largest[1:] * largest[:-1], axis=1) < 0, -1, 1)])
-    )
-    x, y, z, w = (largest * sign[:, None]).T
-    return x, y, z, w
 
 
 def _turn_into_base_axes(q: Array, rates: Array) -> Array:
@@ -242,8 +225,7 @@ def _falls(model: RobotModel, recording: Recording) -> bool:
     t = recording.t - recording.t[0]
     up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)
     height = recording.q[:, : len(up)][:, :3] @ up[: min(3, model.n_floating)]
-    fall = -2.0 * np.polyfit(t, height, 2)[0]
-    return bool(fall > 0.5 * np.linalg.norm(model.gravity))
+    return bool((-2.0 * np.polyfit(t, height, 2)[0]) > 0.5 * np.linalg.norm(model.gravity))
 
 
 def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:

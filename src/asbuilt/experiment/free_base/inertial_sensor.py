@@ -20,6 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.free_base.feet import (
+    RULES,
+    Feet,
+    integral,
+    slow_part,
+    velocity_of_base,
+)
 from asbuilt.experiment.free_base.sensor_checks import (
     refuse_force,
     refuse_heading,
@@ -28,13 +35,6 @@ from asbuilt.experiment.free_base.sensor_checks import (
     refuse_units,
     unit_quaternions,
     wrong_sensor,
-)
-from asbuilt.experiment.free_base.standing_feet import (
-    RULES,
-    Feet,
-    integral,
-    slow_part,
-    velocity_of_base,
 )
 from asbuilt.experiment.recording import Recording
 
@@ -74,8 +74,7 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
             " it cannot be integrated",
             "log every sample, or give the parts without gaps as separate recordings",
         )
-    g = float(np.linalg.norm(model.gravity))
-    refuse_units(recording, f, g)
+    refuse_units(recording, f, float(np.linalg.norm(model.gravity)))
     placement, where = _placement(recording, model, (sensor,) if sensor else PLACES)
     w, f = w @ placement[:3, :3].T, f @ placement[:3, :3].T
     feet = Feet.of(recording, model)

@@ -14,7 +14,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.rotation import rotation_z
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.standing_feet import (
+from asbuilt.experiment.free_base.feet import (
     RULES,
     Feet,
     slow_part,

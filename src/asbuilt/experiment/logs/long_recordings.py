@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
+from asbuilt.experiment.logs.columns.layout import QUANTITIES
 from asbuilt.experiment.logs.formats.log_format import choose_log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
@@ -31,8 +32,6 @@ from asbuilt.findings import Cure
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
     from asbuilt.experiment.signal.signal_chain import SignalChain
-
-_STREAMED = ("position", "velocity", "acceleration", "torque", "command")
 
 
 def stream_recording(
@@ -86,7 +85,7 @@ def stream_recording(
         )
         table = replace(header, columns=first_rows or header.columns)
         layout = find_table_layout(table, sheet, model, chosen)
-    quantities = {name: layout.quantities[name] for name in _STREAMED if name in layout.quantities}
+    quantities = {name: layout.quantities[name] for name in QUANTITIES if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     origin: float | None = None

@@ -9,7 +9,7 @@ from typing import Any
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, refuse
-from asbuilt.experiment.free_base.columns import add_base_coordinates
+from asbuilt.experiment.free_base.columns import add_base_coordinates, with_base_columns
 from asbuilt.experiment.logs.assembly import (
     apply_sheet,
     build_recording,
@@ -26,8 +26,12 @@ from asbuilt.experiment.logs.columns.roles import (
     recognise,
 )
 from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
-from asbuilt.experiment.logs.formats.frames import is_columns, tabulate_columns
-from asbuilt.experiment.logs.formats.log_format import LogTable, choose_log_format
+from asbuilt.experiment.logs.formats.log_format import (
+    LogTable,
+    choose_log_format,
+    is_columns,
+    tabulate_columns,
+)
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 from asbuilt.experiment.recording import Recording
@@ -94,10 +98,6 @@ def read_recording(
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
-    from asbuilt.experiment.logs.columns.base_columns import (  # noqa: PLC0415 - light start
-        with_base_columns,
-    )
-
     recording, sensor = with_base_columns(recording, table, sheet, model)
     recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
     return add_base_coordinates(recording, model, sensor)

@@ -11,8 +11,8 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.free_base.rolling_feet import set_rolling_radii
-from asbuilt.experiment.logs.formats.frames import is_columns
+from asbuilt.experiment.free_base.feet import set_rolling_radii
+from asbuilt.experiment.logs.formats.log_format import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (

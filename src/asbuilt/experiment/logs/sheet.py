@@ -106,8 +106,7 @@ class _Part(BaseModel):
     def _no_truth_as_number(cls, given: Any) -> Any:
         """Refuse `rate = true`, which would be 1."""
         for name, value in given.items() if isinstance(given, Mapping) else ():
-            found = any(isinstance(each, bool) for each in _list_numbers(value))
-            if found and name != "header":
+            if any(isinstance(each, bool) for each in _list_numbers(value)) and name != "header":
                 raise ValueError(f"{name} = {str(value).lower()} is given; a number is expected")
         return given
 

@@ -417,7 +417,7 @@ class VirtualRobot:
             timestep=1.0 / ticks / substeps,
             springs=True,
         )
-        moved = track(
+        return track(
             physics,
             train,
             target,
@@ -426,8 +426,7 @@ class VirtualRobot:
             np.array([joint.limits.torque for joint in model.joints]),
             substeps=substeps,
             progress=progress,
-        )
-        return moved, command
+        ), command
 
     @property
     def settings(self) -> Mapping[str, Any]:

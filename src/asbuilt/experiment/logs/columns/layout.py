@@ -27,7 +27,8 @@ from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import ENCODERS, TorqueSource
 from asbuilt.findings import Cure
 
-_QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
+QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
+"""Quantities of every joint; others are kept as extras."""
 _SYMBOLS = {
     "q": "position",
     "qd": "velocity",
@@ -141,8 +142,7 @@ def find_layout(
         _refuse_unscaled(source, torque, sheet)
     chosen = {"position": position} | ({} if torque is None else {"torque": torque})
     for (quantity, kind), group in groups.items():
-        used = group is position or group is torque
-        if not used and quantity != "time" and kind != "unscaled":
+        if not (group is position or group is torque) and quantity != "time" and kind != "unscaled":
             name = quantity if kind in ("", "sheet") else f"{quantity}_{kind}"
             chosen[_EXTRAS.get((quantity, kind), name)] = group
     notes = [] if torque is not None else _without_command(chosen, groups["command", ""])
@@ -152,7 +152,7 @@ def find_layout(
         try:
             ordered[quantity] = _align_columns(source, quantity, chosen, labels, sheet)
         except RecordingError:
-            if quantity in _QUANTITIES and (quantity != "command" or torque is None):
+            if quantity in QUANTITIES and (quantity != "command" or torque is None):
                 raise
             notes.append(
                 f"the {len(chosen[quantity])} columns of {quantity} do not match the {len(labels)}"
@@ -368,7 +368,7 @@ def _group_listed_columns(
             {"file": source, "value": len(found), "expected": len(labels)},
         ),
     )
-    quantity = what if what in _QUANTITIES else "torque"
+    quantity = what if what in QUANTITIES else "torque"
     return [
         Role(quantity, label, k, column=name)  # type: ignore[arg-type]
         for k, (label, name) in enumerate(zip(labels, found, strict=True), start=1)
@@ -567,8 +567,7 @@ def _find_time_column(
 ) -> Role | None:
     """Return the column of the time, if there is one."""
     if sheet.columns.time is not None:
-        name = find_column(source, names, order, "time", sheet.columns.time)
-        return Role("time", column=name)
+        return Role("time", column=find_column(source, names, order, "time", sheet.columns.time))
     picks = [role for role in groups.get(("time", ""), ()) if not role.joint]
     whole = [role for role in picks if find_nanoseconds(role.column, names)]
     return next(iter([*whole, *picks]), None)

@@ -22,8 +22,8 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogStream,
     LogTable,
 )
-from asbuilt.experiment.logs.formats.ros.topic_echo import is_topic_echo, read_topic_echo
-from asbuilt.experiment.logs.formats.series import columns_of, seconds_of_text
+from asbuilt.experiment.logs.formats.parquet import columns_of, seconds_of_text
+from asbuilt.experiment.logs.formats.ros.joint_table import is_topic_echo, read_topic_echo
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
