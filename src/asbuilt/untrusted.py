@@ -9,14 +9,15 @@ import re
 import stat
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure
 
+T = TypeVar("T")
 TEXT_LIMIT = 2_000_000
 """Bytes of a file that people write; the longest bundled robot has 10 kB."""
 TABLE_LIMIT = 200_000_000
@@ -30,23 +31,23 @@ _TRUSTED: ContextVar[bool] = ContextVar("whether xacro files may run any Python"
 
 
 @contextmanager
-def allow_xacro_python(trusted: bool = True) -> Iterator[None]:
+def hold_value(variable: ContextVar[T], value: T) -> Iterator[None]:
+    """Give a variable of the context a value for the time of a `with` statement."""
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
+
+
+def allow_xacro_python(trusted: bool = True) -> AbstractContextManager[None]:
     """Let xacro files run any Python that their expressions hold, if `trusted`."""
-    token = _TRUSTED.set(trusted or _TRUSTED.get())
-    try:
-        yield
-    finally:
-        _TRUSTED.reset(token)
+    return hold_value(_TRUSTED, trusted or _TRUSTED.get())
 
 
-@contextmanager
-def protect_inputs() -> Iterator[None]:
+def protect_inputs() -> AbstractContextManager[None]:
     """Remember every file that is read, so that none of them is replaced."""
-    token = _INPUTS.set(set())
-    try:
-        yield
-    finally:
-        _INPUTS.reset(token)
+    return hold_value(_INPUTS, set())
 
 
 def note_input(path: Path) -> None:

@@ -7,7 +7,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from asbuilt import writers
 from asbuilt.cli.arguments.spread import name_option
 from asbuilt.cli.commands import EVERY_COMMAND
 from asbuilt.findings import Cure
+from asbuilt.untrusted import hold_value
 
 if TYPE_CHECKING:
     from asbuilt.cli.arguments.spread import Common
@@ -106,33 +107,23 @@ _listener: ContextVar[Callable[[str, float], None]] = ContextVar(
 )
 
 
-@contextmanager
-def tell_progress(listener: Callable[[str, float], None]) -> Iterator[None]:
+def tell_progress(listener: Callable[[str, float], None]) -> AbstractContextManager[None]:
     """Report the progress of commands to `listener(what, fraction)` as to the screen."""
-    token = _listener.set(listener)
-    try:
-        yield
-    finally:
-        _listener.reset(token)
+    return hold_value(_listener, listener)
 
 
 @contextmanager
 def open_screen(common: Common, *, compiles: bool) -> Iterator[None]:
     """Open the screen of a command, which also announces compilation."""
     screen = Screen(quiet=common.quiet, verbose=common.verbose)
-    token = _screen.set(screen)
-    if compiles:
-        from asbuilt.compilation import announce_kernels
+    with ExitStack() as stack:
+        stack.callback(screen.close)
+        stack.enter_context(hold_value(_screen, screen))
+        if compiles:
+            from asbuilt.compilation import announce_kernels
 
-        announcing: AbstractContextManager[None] = announce_kernels(screen.announce_compilation)
-    else:
-        announcing = nullcontext()
-    try:
-        with announcing:
-            yield
-    finally:
-        screen.close()
-        _screen.reset(token)
+            stack.enter_context(announce_kernels(screen.announce_compilation))
+        yield
 
 
 @contextmanager

@@ -72,7 +72,6 @@ class Common:
 
 ANY_NUMBER = Range(-1e18, 1e18)
 """Numbers that any option may have; fields of option classes have narrower ranges."""
-_COMMON = {field.name for field in fields(Common)}
 
 
 def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[..., None]:
@@ -104,8 +103,8 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        common = _collect_options(Common, {"trust_xacro": False} | given)
-        given = {name: value for name, value in given.items() if name not in _COMMON}
+        given.setdefault("trust_xacro", False)
+        common = _collect_options(Common, given)
         for name, value in given.items():
             if type(value) in (int, float) and not ANY_NUMBER.holds(value):
                 raise make_range_error(name_option(name), value, ANY_NUMBER)
@@ -122,23 +121,22 @@ def find_given_options(group: Any) -> dict[str, bool]:
     """Return for each option of an instance of an option class whether it is off its default."""
     return {
         name_option(field.name): getattr(group, field.name) != field.default
-        for field in _list_shown_fields(type(group))
+        for field, _ in _list_shown_fields(type(group))
     }
 
 
-def _list_shown_fields(group: type[Any]) -> Iterator[Field[Any]]:
+def _list_shown_fields(group: type[Any]) -> Iterator[tuple[Field[Any], Any]]:
+    """Yield the fields that are options, and their types."""
     hints = get_type_hints(group, include_extras=True)
     for field in fields(group):
         if "help" in field.metadata or get_origin(hints[field.name]) is Annotated:
-            yield field
+            yield field, hints[field.name]
 
 
 def _list_parameters(group: type[Any]) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
     panel = PANELS.get(group.__name__)
     made = []
-    for field in _list_shown_fields(group):
-        hint = hints[field.name]
+    for field, hint in _list_shown_fields(group):
         if get_origin(hint) is Annotated:
             get_args(hint)[1].rich_help_panel = panel
             made.append(_make_keyword(field.name, hint, field.default))
@@ -180,13 +178,12 @@ def _make_completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
 
 def _collect_options(group: type[Any], given: dict[str, Any]) -> Any:
     """Build an option class from the values given, which are taken out of `given`."""
-    hints = get_type_hints(group, include_extras=True)
     values: dict[str, Any] = {}
-    for field in _list_shown_fields(group):
+    for field, hint in _list_shown_fields(group):
         value = given.pop(field.name)
-        if get_origin(hints[field.name]) is Annotated:
+        if get_origin(hint) is Annotated:
             values[field.name] = value
-        elif _without_none(hints[field.name]) is bool:
+        elif _without_none(hint) is bool:
             values |= {field.name: not field.default} if value else {}
         elif value is not None:
             values[field.name] = _parse_value(name_option(field.name), value, field.metadata)
