@@ -52,8 +52,6 @@ Drive = Annotated[
         help="drive terms of the type, or auto: chosen from its first log, then fixed",
     ),
 ]
-FAILED = 1
-"""Exit status if a log could not be added."""
 
 
 def add(
@@ -122,7 +120,7 @@ def _answer_addition(done: workflow.Addition, full: bool, as_json: bool) -> None
         lambda: writers.addition_text(done, format_finding, describe_cure, full=full),
     )
     if done.failed:
-        raise typer.Exit(FAILED)
+        raise typer.Exit(1)
 
 
 def rebuild(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any
@@ -205,13 +205,8 @@ def _draft_layout(
 
 def _read_columns(log: Path, sheet: RecordingSheet) -> LogTable:
     """Return the columns of a log, the first rows of a long one."""
-    stream = choose_log_format(log).stream if is_long(log) else None
-    header = None if stream is None else stream.header(log, sheet)
-    if stream is None or header is None:
-        return read_table([log], sheet)
-    for _, columns in stream.chunks(log, sheet, tuple(header.columns), FIRST_ROWS):
-        return replace(header, columns=columns)
-    return header
+    stream = choose_log_format(log).stream(log, sheet) if is_long(log) else None
+    return read_table([log], sheet) if stream is None else stream.read_first(FIRST_ROWS)
 
 
 def _find_layout(

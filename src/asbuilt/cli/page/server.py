@@ -34,7 +34,6 @@ LARGEST_UPLOAD = 4e9
 LARGEST_REQUEST = 4_000_000
 """Bytes of a request that is no file: the choices of ten thousand columns take 1 MB."""
 CHUNK = 1 << 20
-UPLOADS = "uploads"
 KINDS = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -151,7 +150,7 @@ class Handler(BaseHTTPRequestHandler):
         if left is None:
             return
         names = map(_clean_file_name, place.split("/")[1:])
-        path = self.server.session.folder.joinpath(UPLOADS, *names)
+        path = self.server.session.folder.joinpath("uploads", *names)
 
         def pieces() -> Any:
             nonlocal left

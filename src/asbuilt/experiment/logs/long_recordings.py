@@ -69,29 +69,26 @@ def stream_recording(
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
     whole_first = sheet.files.position is not None or sheet.sign == "command"
-    stream = None if whole_first or path.suffix == ".toml" else choose_log_format(path).stream
-    header = None if stream is None else stream.header(path, sheet)
-    if stream is None or header is None:
+    stream = None
+    if not whole_first and path.suffix != ".toml":
+        stream = choose_log_format(path).stream(path, sheet)
+    if stream is None:
         whole = read_recording(path, model=model, options=replace(chosen, sheet=sheet))
         for begin in range(0, whole.n_samples, chunk_samples):
             yield whole.taken(slice(begin, begin + chunk_samples))
         return
     try:
-        layout = find_table_layout(header, sheet, model, chosen)
+        layout = find_table_layout(stream.header, sheet, model, chosen)
     except RecordingError:
         # By the first rows of all numeric columns an error drafts a sheet.
-        first_rows = next(
-            (each for _, each in stream.chunks(path, sheet, [*header.columns], 2000)), {}
-        )
-        table = replace(header, columns=first_rows or header.columns)
-        layout = find_table_layout(table, sheet, model, chosen)
+        layout = find_table_layout(stream.read_first(2000), sheet, model, chosen)
     quantities = {name: layout.quantities[name] for name in QUANTITIES if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     origin: float | None = None
     start: float | None = None
-    for first, columns in stream.chunks(path, sheet, layout.columns, chunk_samples):
-        table = replace(header, columns=columns)
+    for first, columns in stream.chunks(layout.columns, chunk_samples):
+        table = replace(stream.header, columns=columns)
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), sheet, chosen)
         origin = chunk.started
@@ -251,5 +248,5 @@ def is_long(path: Path, size: float | None = None) -> bool:
     """
     if not path.is_file() or path.suffix == ".toml":
         return False
-    stream = choose_log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > (LONG if size is None else size)
+    n_bytes = choose_log_format(path).n_bytes
+    return n_bytes is not None and n_bytes(path) > (LONG if size is None else size)

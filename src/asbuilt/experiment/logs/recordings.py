@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.free_base.feet import set_rolling_radii
 from asbuilt.experiment.logs.formats.log_format import is_columns
-from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
@@ -203,7 +203,7 @@ def _name_joints_to_lock(
 
 def _list_joints(item: Recorded, model: RobotModel) -> tuple[str, ...]:
     """Return the joints that a recording has; the robot's, where its names match none."""
-    names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
+    names = (item if isinstance(item, Samples) else head_of(item)).joint_names
     return names if set(names) & set(model.joint_names) else model.joint_names
 
 

@@ -19,7 +19,6 @@ from asbuilt.experiment.gravity_load import (
 )
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 
-DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS, DEGREES_ARE_MORE = DEGREE**0.5, DEGREE**-0.5
 """Ratios of velocities to the slope of positions in degrees, and in radians, above which they are
 degrees."""
@@ -176,7 +175,7 @@ def _estimate_rate(q: Array, qd: Array, degrees: bool) -> float | None:
     steps = np.gradient(q, axis=0)
     ok = np.isfinite(steps) & np.isfinite(qd)
     per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
-    rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
+    rates = [per_step] if degrees else [per_step, per_step / (180 / np.pi)]
     # Velocities beyond are rather degrees per second [rad/s].
     if _find_largest(qd) > 10.0:
         rates.reverse()

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 else:
     pl = lazy_loader.load("polars")
 
-_SEPARATORS = (",", ";", "\t", "|")
 _COMMENTS = ("#", "%")
 _PACKED = {
     b"\xff\xfe": ("UTF-16 text", "save it as UTF-8"),
@@ -404,7 +403,7 @@ def _find_separator(lines: list[str]) -> str:
         counts = {line.count(separator) for line in lines}
         if len(counts) == 1 and counts != {0}:
             return separator
-    for separator in _SEPARATORS:
+    for separator in (",", ";", "\t", "|"):
         if sum(separator in line for line in lines) > len(lines) // 2:
             return separator
     return "" if all(len(line.split()) > 1 for line in lines) else ","
@@ -423,17 +422,17 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
     return True
 
 
-def _read_header(path: Path, sheet: RecordingSheet) -> LogTable | None:
-    """Return the table of a file that can be read lazily, without its rows."""
+def _open_stream(path: Path, sheet: RecordingSheet) -> LogStream | None:
+    """Open a file that can be read lazily; None for blanks between the cells and echoed topics."""
     dialect = _detect_dialect(path, sheet)
-    return None if dialect is None or dialect.separator == "" else _make_header(path, dialect)
+    if dialect is None or dialect.separator == "":
+        return None
+    return LogStream(_make_header(path, dialect), partial(_chunks, path, dialect))
 
 
 def _chunks(
-    path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
+    path: Path, dialect: Dialect, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
-    dialect = _detect_dialect(path, sheet)
-    assert dialect is not None  # `_read_header` returns None for an echoed topic
     # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
     parts = [None] if _holds(path, b'"') else _read_parts(path, dialect)
     done, held = 0, pl.DataFrame()
@@ -461,8 +460,7 @@ FORMATS.register(
     LogFormat(
         suffixes=(".csv", ".dat", ".tsv", ".txt"),
         read=_read,
-        stream=LogStream(
-            header=_read_header, chunks=_chunks, n_bytes=lambda path: path.stat().st_size
-        ),
+        stream=_open_stream,
+        n_bytes=lambda path: path.stat().st_size,
     ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,25 +73,26 @@ class LogTable:
         return next(iter(self.columns.values())).size if self.columns else 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class LogStream:
-    """Say how files of a format are read in chunks.
+    """Hold a file that is read in chunks.
 
     Parameters
     ----------
     header
-        Return the table of a file without its rows; None if it must be read whole.
+        The table of the file without its rows.
     chunks
         Yield the index of the first row and the given columns, for each chunk of so many rows.
-    n_bytes
-        Return about how much memory a file takes.
     """
 
-    header: Callable[[Path, RecordingSheet], LogTable | None]
-    chunks: Callable[
-        [Path, RecordingSheet, Sequence[str], int], Iterator[tuple[int, dict[str, Array]]]
-    ]
-    n_bytes: Callable[[Path], float]
+    header: LogTable
+    chunks: Callable[[Sequence[str], int], Iterator[tuple[int, dict[str, Array]]]]
+
+    def read_first(self, n_samples: int) -> LogTable:
+        """Return the table with its first rows, at most so many."""
+        for _, columns in self.chunks(tuple(self.header.columns), n_samples):
+            return replace(self.header, columns=columns)
+        return self.header
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +106,10 @@ class LogFormat:
     read
         Function that reads a file, given its recording sheet.
     stream
-        How long files are read in chunks; None if they are read whole.
+        Function that opens a file, given its sheet, to be read in chunks; None is returned for one
+        that must be read whole, as all are by default.
+    n_bytes
+        Return about how much memory a file takes; None for formats whose files are read whole.
     folders
         Whether a folder may be a log of this format.
     recognises
@@ -114,7 +118,8 @@ class LogFormat:
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, RecordingSheet], LogTable]
-    stream: LogStream | None = None
+    stream: Callable[[Path, RecordingSheet], LogStream | None] = lambda path, sheet: None
+    n_bytes: Callable[[Path], float] | None = None
     folders: bool = False
     recognises: Callable[[Path], bool] | None = None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -179,10 +179,7 @@ FORMATS.register(
     LogFormat(
         suffixes=(".parquet",),
         read=isolate(read_parquet, PARQUET),
-        stream=LogStream(
-            header=lambda path, sheet: _read_declared(path)[1],
-            chunks=lambda path, sheet, columns, size: _chunks(path, columns, size),
-            n_bytes=_estimate_memory,
-        ),
+        stream=lambda path, sheet: LogStream(_read_declared(path)[1], partial(_chunks, path)),
+        n_bytes=_estimate_memory,
     ),
 )
