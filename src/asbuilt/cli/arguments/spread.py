@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import inspect
 import types
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -54,20 +54,23 @@ def print_version(wanted: bool) -> None:
 class Common:
     """The options of every command; `trust_xacro` of those that read a robot."""
 
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print errors and JSON only")] = False
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="print each step and its time on stderr")
-    ] = False
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", is_eager=True, callback=print_version, help="print the version and exit"
-        ),
-    ] = False
-    trust_xacro: Annotated[
-        bool,
-        typer.Option("--trust-xacro", help="let a .xacro file run any Python that it holds"),
-    ] = False
+    quiet: bool = field(
+        default=False, metadata={"help": "print errors and JSON only", "also": ("-q",)}
+    )
+    verbose: bool = field(
+        default=False,
+        metadata={"help": "print each step and its time on stderr", "also": ("-v",)},
+    )
+    version: bool = field(
+        default=False,
+        metadata={
+            "help": "print the version and exit",
+            "typer": {"is_eager": True, "callback": print_version},
+        },
+    )
+    trust_xacro: bool = field(
+        default=False, metadata={"help": "let a .xacro file run any Python that it holds"}
+    )
 
 
 ANY_NUMBER = Range(-1e18, 1e18)
@@ -79,9 +82,10 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
 
     A parameter of an option class becomes one option for each field that has `help` in its
     metadata; `metavar`, `choices` (names, or names and what they stand for), `names` (a function
-    that returns names to complete), `parse` (from text) and `also` (other spellings) may be
-    given too. The command gets the class built from the
-    options given, so that the class alone owns its defaults. `run(common, call)` calls the command.
+    that returns names to complete), `parse` (from text), `also` (other spellings) and `typer`
+    (further arguments of `typer.Option`) may be given too. The command gets the class built from
+    the options given, so that the class alone owns its defaults. `run(common, call)` calls the
+    command.
     """
     hints = get_type_hints(command, include_extras=True)
     groups = {
@@ -121,28 +125,19 @@ def find_given_options(group: Any) -> dict[str, bool]:
     """Return for each option of an instance of an option class whether it is off its default."""
     return {
         name_option(field.name): getattr(group, field.name) != field.default
-        for field, _ in _list_shown_fields(type(group))
+        for field in _list_shown_fields(type(group))
     }
 
 
-def _list_shown_fields(group: type[Any]) -> Iterator[tuple[Field[Any], Any]]:
-    """Yield the fields that are options, and their types."""
-    hints = get_type_hints(group, include_extras=True)
-    for field in fields(group):
-        if "help" in field.metadata or get_origin(hints[field.name]) is Annotated:
-            yield field, hints[field.name]
+def _list_shown_fields(group: type[Any]) -> list[Field[Any]]:
+    return [field for field in fields(group) if "help" in field.metadata]
 
 
 def _list_parameters(group: type[Any]) -> list[inspect.Parameter]:
-    panel = PANELS.get(group.__name__)
-    made = []
-    for field, hint in _list_shown_fields(group):
-        if get_origin(hint) is Annotated:
-            get_args(hint)[1].rich_help_panel = panel
-            made.append(_make_keyword(field.name, hint, field.default))
-        else:
-            made.append(_generate_parameter(field, hint, panel))
-    return made
+    hints, panel = get_type_hints(group), PANELS.get(group.__name__)
+    return [
+        _generate_parameter(field, hints[field.name], panel) for field in _list_shown_fields(group)
+    ]
 
 
 def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
@@ -158,7 +153,8 @@ def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> insp
         help=text,
         show_default=False,
         rich_help_panel=panel,
-        autocompletion=None if flag else _make_completion(metadata),
+        **{"autocompletion": None if flag else _make_completion(metadata)}
+        | metadata.get("typer", {}),
     )
     kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
     return _make_keyword(
@@ -179,14 +175,12 @@ def _make_completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
 def _collect_options(group: type[Any], given: dict[str, Any]) -> Any:
     """Build an option class from the values given, which are taken out of `given`."""
     values: dict[str, Any] = {}
-    for field, hint in _list_shown_fields(group):
-        value = given.pop(field.name)
-        if get_origin(hint) is Annotated:
-            values[field.name] = value
-        elif _without_none(hint) is bool:
-            values |= {field.name: not field.default} if value else {}
+    for entry in _list_shown_fields(group):
+        value = given.pop(entry.name)
+        if isinstance(entry.default, bool):
+            values |= {entry.name: not entry.default} if value else {}
         elif value is not None:
-            values[field.name] = _parse_value(name_option(field.name), value, field.metadata)
+            values[entry.name] = _parse_value(name_option(entry.name), value, entry.metadata)
     try:
         return group(**values)
     except UsageError as problem:
