@@ -31,7 +31,6 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.tables import wrap_text
-from asbuilt.writers.files import with_files
 
 
 def channels(
@@ -228,7 +227,7 @@ def payload(
         )
         answer(
             as_json,
-            lambda: with_files(document, written),
+            lambda: writers.with_files(document, written),
             lambda: writers.moments_table(weight).as_text(full) + list_files(written),
         )
         return

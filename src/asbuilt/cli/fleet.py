@@ -11,6 +11,7 @@ import typer
 
 import asbuilt
 from asbuilt import (
+    FleetDriftOptions,
     FleetIdentification,
     FleetOptions,
     ReadingOptions,
@@ -30,7 +31,6 @@ from asbuilt.cli.arguments.options import (
     Unchecked,
     require_writable_folder,
 )
-from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 LedgerPlace = Annotated[
     str,

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import asbuilt
-from asbuilt import writers
+from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.errors import UsageError
 from asbuilt.ranges import Range, make_range_error
 from asbuilt.writing import check_replaceable, check_writable
 

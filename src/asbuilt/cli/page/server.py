@@ -10,6 +10,7 @@ import json
 import re
 import secrets
 import socket
+from collections.abc import Iterator
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -146,14 +147,13 @@ class Handler(BaseHTTPRequestHandler):
         place = self._place()
         if place is None:
             return
-        left = self._size(LARGEST_UPLOAD)
-        if left is None:
+        size = self._size(LARGEST_UPLOAD)
+        if size is None:
             return
         names = map(_clean_file_name, place.split("/")[1:])
         path = self.server.session.folder.joinpath("uploads", *names)
 
-        def pieces() -> Any:
-            nonlocal left
+        def pieces(left: int) -> Iterator[bytes]:
             while left:
                 piece = self.rfile.read(min(CHUNK, left))
                 if not piece:
@@ -162,7 +162,7 @@ class Handler(BaseHTTPRequestHandler):
                 yield piece
 
         try:
-            atomic_write(path, pieces())
+            atomic_write(path, pieces(size))
         except AsbuiltError as problem:
             self.close_connection = True
             self._json({"error": problem.message}, HTTPStatus.CONFLICT)

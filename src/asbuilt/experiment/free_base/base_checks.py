@@ -30,7 +30,7 @@ class FreeBaseLimits:
     shifted by up to `longest_shift` [s], and named from `shift` [s]. A contact that is closed
     slips above `slip` [m/s]; one that is open touches where it stands within `height` [m] of where
     it stands when closed. `gravity` [m/s^2] is the least mean by which accelerations that hold
-    gravity differ from those of the velocity. Stated radii are off by more than a part `radius`
+    gravity differ from the rates of the velocity. Stated radii are off by more than a part `radius`
     from those on which feet roll. At most `samples` of a log are looked at.
     """
 
@@ -120,7 +120,7 @@ def _turn_into_base_axes(q: Array, rates: Array) -> Array:
 
 
 def _check_accelerations(model: RobotModel, recording: Recording) -> Iterator[Finding]:
-    """Find accelerations that hold gravity, as those of an inertial sensor do."""
+    """Find accelerations that hold gravity, as an inertial sensor measures them."""
     if recording.qdd is None or recording.qd is None or model.n_floating != 6:
         return
     derived = np.gradient(recording.qd[:, :3], recording.t, axis=0)

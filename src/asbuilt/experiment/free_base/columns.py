@@ -1,8 +1,8 @@
 """Columns of a free base: pose, velocity, contacts and forces, in addition to the joints of a log.
 
 The pose is `base_x base_y base_z` [m] and the quaternion `base_qx base_qy base_qz base_qw` that
-turns base axes into those of the world. Velocities `base_vx .. base_wz`, if there are any, are in
-base axes, as are those of Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
+turns base axes into world axes. Velocities `base_vx .. base_wz`, if there are any, are in
+base axes, as in Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
 Measured forces are `contact_NAME_fx .. fz` and `mx .. mz`, and `base_fx .. base_mz`. Where no pose
 is logged, columns `imu_..` take its place (`inertial_sensor`).
 """
@@ -310,7 +310,8 @@ def coordinate_accelerations(
     """Return the second rates (N, 6) of the base's coordinates.
 
     `a` and `alpha` are the rates of change of v and w in base axes, so that the base accelerates by
-    `R (a + w x v)`; those of the angles are the derivatives of the sums in `coordinate_rates`.
+    `R (a + w x v)`; the second rates of the angles are the derivatives of the sums in
+    `coordinate_rates`.
     """
     (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
     yaw, pitch, roll = rates[:, 3:].T
@@ -323,7 +324,7 @@ def coordinate_accelerations(
 
 
 def base_rotations(q: Array) -> Array:
-    """Return what turns base axes into those of the world, (N, 3, 3)."""
+    """Return the rotations from base axes to world axes, (N, 3, 3)."""
     (cy, cp, cr), (sy, sp, sr) = np.cos(q[:, 3:6]).T, np.sin(q[:, 3:6]).T
     R = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

@@ -57,7 +57,7 @@ class InertialRules:
     turn: float = 1.0
     """Frequency [Hz] below which gravity turns against the base as its rates say."""
     gravity: float = 0.25
-    """Part by which the mean specific force may differ from that of gravity."""
+    """Part by which the mean specific force may differ from gravity."""
     upright: float = np.deg2rad(60.0)
     """Largest mean angle between gravity and where it is expected."""
     share: float = 0.5
@@ -98,7 +98,7 @@ class Feet:
             stands[k] = 0.0 if closed is None else np.nan_to_num(closed) > 0.5
         return cls(place, velocity, stands)
 
-    def standing(self) -> Mask:
+    def find_stance(self) -> Mask:
         """Return where any foot stands (N,); everywhere if none ever does."""
         any_foot = np.asarray(self.stands.any(axis=0), dtype=np.bool_)
         return any_foot if any_foot.any() else ~any_foot

@@ -106,7 +106,7 @@ def generalised_forces(model: RobotModel, q: Array, wrenches: Mapping[Contact, A
 
 
 def turn_into_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: Array) -> Array:
-    """Return a wrench (N, 3 or 6) turned from axes of its frame into those of the world."""
+    """Return a wrench (N, 3 or 6) turned from axes of its frame into axes of the world."""
     link, placement = model.placed(contact.frame)
     R = link_poses(model, q)[:, link, :3, :3] @ placement[:3, :3]
     parts = wrench.reshape(len(q), -1, 3)

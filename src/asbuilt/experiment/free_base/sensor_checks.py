@@ -71,7 +71,7 @@ def refuse_units(recording: Recording, f: Array, g: float) -> None:
 
 def refuse_force(recording: Recording, feet: Feet, f: Array) -> None:
     """Refuse a specific force that does not carry the robot while it stands upright."""
-    mean = f[feet.standing()].mean(axis=0)
+    mean = f[feet.find_stance()].mean(axis=0)
     mean /= np.linalg.norm(mean)
     if mean[2] >= np.cos(RULES.upright):
         return
@@ -94,7 +94,7 @@ def refuse_turn(
     recording: Recording, feet: Feet, R: Array, inverse: Array, w: Array, f: Array
 ) -> None:
     """Refuse orientations in which gravity is not vertical, and inverse ones."""
-    up = np.einsum("sij,sj->si", R, f)[feet.standing()].mean(axis=0)
+    up = np.einsum("sij,sj->si", R, f)[feet.find_stance()].mean(axis=0)
     angle = float(np.arccos(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0)))
     if angle > RULES.upright / 3.0:
         raise wrong_sensor(
@@ -115,13 +115,13 @@ def refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array 
     """
     off: Callable[[Array], float]
     if R is not None:
-        what, off = "the quaternion", partial(_apart, spin_of(R, recording.t))
+        what, off = "the quaternion", partial(_measure_distance, spin_of(R, recording.t))
     elif (feet.stands.sum(axis=0) > 1).sum() > recording.rate:
         what, off = "the feet that stand", feet.slip
     else:
-        what, off = "gravity", partial(_turn_of_gravity, feet, f, recording.rate)
+        what, off = "gravity", partial(_measure_turn_of_gravity, feet, f, recording.rate)
     best, reading = RULES.share * off(w), ""
-    for M, name in _readings():
+    for M, name in _list_readings():
         left = off(w @ M.T)
         if left < best:
             best, reading = left, name
@@ -133,11 +133,11 @@ def refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array 
         )
 
 
-def _apart(wanted: Array, w: Array) -> float:
+def _measure_distance(wanted: Array, w: Array) -> float:
     return float(np.mean((w - wanted) ** 2))
 
 
-def _turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> float:
+def _measure_turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> float:
     """Return the mean square of `du/dt + w x u`, of the vertical u in axes of the base."""
     v, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
@@ -178,7 +178,7 @@ def spin_of(R: Array, t: Array) -> Array:
     return np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
 
 
-def _readings() -> list[tuple[Array, str]]:
+def _list_readings() -> list[tuple[Array, str]]:
     """Return other readings of a vector (3, 3), with what they are called."""
     found = [(np.deg2rad(1.0) * np.eye(3), "in deg/s")]
     for order in permutations(range(3)):

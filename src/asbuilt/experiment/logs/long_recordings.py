@@ -151,13 +151,11 @@ class RecordingStream:
         return self._read(self.chunk_samples)
 
     def _read(self, chunk_samples: int) -> Iterator[Recording]:
-        chunks = stream_recording(
+        for chunk in stream_recording(
             self.path, model=self.model, options=self.options, chunk_samples=chunk_samples
-        )
-        joints = self.joints
-        kept = chunks if joints is None else (chunk.reordered(joints) for chunk in chunks)
-        servo = self.servo
-        return kept if servo is None else (drive_by_command(chunk, servo) for chunk in kept)
+        ):
+            kept = chunk if self.joints is None else chunk.reordered(self.joints)
+            yield kept if self.servo is None else drive_by_command(kept, self.servo)
 
     @cached_property
     def head(self) -> Recording:
