@@ -103,7 +103,12 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
         entries = {name: each for group in self._sections.values() for name, each in group.items()}
-        entry = _find_entry(entries, cmd_name, "" if ctx is None else ctx.command_path)
+        if cmd_name not in entries:
+            near = difflib.get_close_matches(cmd_name, entries, n=1)
+            place = "" if ctx is None else ctx.command_path
+            guess = f"did you mean {near[0]}?" if near else f"{place} -h lists the commands"
+            raise UsageError(f"there is no command {cmd_name!r}", cure=Cure(guess))
+        entry = entries[cmd_name]
         if cmd_name in SUBCOMMANDS and self.name not in SUBCOMMANDS:
             return typer.main.get_command(
                 _make_group(cmd_name, help=entry.summary, add_completion=False)
@@ -130,14 +135,6 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
         with formatter.section("Examples"):
             for arguments in EVERY_COMMAND[place].examples:
                 formatter.write(f"  asbuilt {place} {arguments}".rstrip() + "\n")
-
-
-def _find_entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
-    if name not in entries:
-        near = difflib.get_close_matches(name, entries, n=1)
-        guess = f"did you mean {near[0]}?" if near else f"{place} -h lists the commands"
-        raise UsageError(f"there is no command {name!r}", cure=Cure(guess))
-    return entries[name]
 
 
 def _import_command(name: str, entry: Entry) -> Any:
@@ -238,7 +235,11 @@ def _run_for_status(given: list[str]) -> int:
     except typer.TyperException as problem:
         place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
         message = " ".join(problem.format_message().split()).rstrip(".")
-        return _fail(given, "UsageError", message, _word_usage_hint(place, message), {}, 2)
+        entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
+        hint = f"{place} -h lists the options"
+        if entry is not None and entry.surplus and "unexpected extra argument" in message:
+            hint = entry.surplus
+        return _fail(given, "UsageError", message, hint, {}, 2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -280,14 +281,6 @@ def _describe_memory() -> str:
             soft = resource.getrlimit(limit)[0]
             most = min(most, soft if soft != resource.RLIM_INFINITY else math.inf)
     return f"this process may have {most / 1e9:.3g} GB"
-
-
-def _word_usage_hint(place: str, message: str) -> str:
-    """Return what to do about wrong usage of a command."""
-    entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
-    if entry is not None and entry.surplus and "unexpected extra argument" in message:
-        return entry.surplus
-    return f"{place} -h lists the options"
 
 
 def _fail(

@@ -222,13 +222,12 @@ def find_table_layout(
         text = ", ".join(table.text_columns)
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
-        draft = DRAFT
         if "absent" in problem.fields and table.n_samples:
             draft = propose_sheet(table, model, options.rate)
-        if DRAFT not in draft:
-            problem.cure = Cure(
-                f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
-            )
+            if DRAFT not in draft:
+                problem.cure = Cure(
+                    f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
+                )
         raise
     if not (sheet.joint_units or table.open_units):
         return layout

@@ -333,6 +333,12 @@ class RecordingSheet(_Part):
     command_joints: list[str] | None = None
     date: datetime | None = None
 
+    @property
+    def names_commands(self) -> bool:
+        """Whether the log is read for its commands: where they cannot be used, that is an error."""
+        stated = (self.kp, self.kd, self.command_topic, self.command_joints, self.columns.command)
+        return self.torque_source == "command" or any(each is not None for each in stated)
+
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
         """Return which times (N,) [s] of a recording that began at `start` lie in a window.
 

@@ -289,8 +289,7 @@ def _build_servo(model: RobotModel, rng: np.random.Generator) -> Parts:
     }
 
 
-Preset = Callable[[RobotModel, np.random.Generator], Parts]
-PRESETS: Mapping[str, Mapping[str, Preset]] = {
+PRESETS: Mapping[str, Mapping[str, Callable[[RobotModel, np.random.Generator], Parts]]] = {
     "mujoco": {
         "ideal": _build_ideal,
         "lab": _build_lab,

@@ -48,7 +48,6 @@ MeasuredTorque = Literal["sensor", "motor", "current"]
 Seed = np.random.Generator | int | None
 
 _FOLLOW = Cure("choose the preset of another engine")
-LINK_DRIVE = "viscous,coulomb,offset"
 LONGEST_STEP = 1e-3
 """Longest step of the integrator [s]."""
 
@@ -288,7 +287,8 @@ class VirtualRobot:
         """
         if isinstance(self.train, TermDrives):
             return self.train.drive
-        measured = DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
+        sensed = self.torque == "sensor"  # behind the gear, where the rotor is not
+        measured = DriveSet.parse("viscous,coulomb,offset" if sensed else FULL_DRIVE)
         if self.name != "ideal":
             return measured
         n, described = self.model.n_joints, described_drive(self._described)[0].keys

@@ -170,11 +170,9 @@ def find_layout(
         }
         ordered = {name: tuple(columns[k] for k in places) for name, columns in ordered.items()}
         joint_names, ordered = model.joint_names, ordered | followed
-    scales = _choose_scales(chosen, sheet, notes)
     time = _find_time_column(source, names, order, groups, sheet)
-    if time is not None:
-        unit = sheet.units.time
-        scales[time.column] = time.scale if unit is None else parse_unit_scale(unit) or 1.0
+    timed = {} if time is None else {"time": [time]}
+    scales = _choose_scales(chosen | timed, sheet, notes)
     own_time = time is not None and sheet.columns.time is None
     return Layout(
         time.column if time else None,
@@ -553,7 +551,7 @@ def _choose_scales(
         for role in group:
             scales[role.column] = role.scale if unit is None else parse_unit_scale(unit) or 1.0
         units = {role.unit for role in group if role.scale != 1.0}
-        if unit is None and units:
+        if unit is None and units and quantity != "time":
             notes.append(f"{quantity} columns were converted from {', '.join(sorted(units))}")
     return scales
 
@@ -569,5 +567,5 @@ def _find_time_column(
     if sheet.columns.time is not None:
         return Role("time", column=find_column(source, names, order, "time", sheet.columns.time))
     picks = [role for role in groups.get(("time", ""), ()) if not role.joint]
-    whole = [role for role in picks if find_nanoseconds(role.column, names)]
-    return next(iter([*whole, *picks]), None)
+    picks.sort(key=lambda role: find_nanoseconds(role.column, names) is None)
+    return picks[0] if picks else None

@@ -206,32 +206,29 @@ def recognise(name: str) -> Role | None:
     """
     bare, index, unit, _ = _with_unit(_spell(name))
     spans = list(WORD.finditer(bare))
-    words = [each.group().lower() for each in spans]
+    words = [each[0].lower() for each in spans]
     quantity, used = _find_quantity(words)
     others = set(words) - {words[k] for k in used}
-    no_clock = quantity == "time" and set(words) & _NO_CLOCK
-    if quantity is None or others & (_DESIRED | _OTHER) or no_clock:
-        return None
     unscaled = "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
-    unit = unscaled or ("ms" if "ipoc" in words else unit)
-    rest = [k for k in range(len(words)) if k not in used and words[k] != unscaled]
-    left = {words[k] for k in rest}
-    if unscaled and left & _EXTERNAL:
+    no_clock = quantity == "time" and set(words) & _NO_CLOCK
+    unwanted = others & (_DESIRED | _OTHER) or (unscaled and others & _EXTERNAL)
+    if quantity is None or unwanted or no_clock:
         return None
+    unit = unscaled or ("ms" if "ipoc" in words else unit)
     kinds = {
         "unscaled": bool(unscaled),
-        "external": left & _EXTERNAL,
-        "motor": left & _MOTOR and quantity in ("torque", "position"),
-        "sensor": left & _SENSOR,
+        "external": others & _EXTERNAL,
+        "motor": others & _MOTOR and quantity in ("torque", "position"),
+        "sensor": others & _SENSOR,
     }
     kind = next((kind for kind, found in kinds.items() if found), "")
-    if quantity == "torque" and rest and used and rest[0] == used[-1] + 1 and words[rest[0]] == "j":
+    of_kind = {unscaled} | _EXTERNAL | _MOTOR | _SENSOR
+    rest = [k for k in range(len(words)) if k not in used and words[k] not in of_kind]
+    if quantity == "torque" and rest and rest[0] == used[-1] + 1 and words[rest[0]] == "j":
         rest = rest[1:]
-    rest = [k for k in rest if words[k] not in _EXTERNAL | _MOTOR | _SENSOR]
-    numbers = [k for k in rest if words[k].isdigit()]
-    if index is None and numbers:
-        index = int(words[numbers[-1]])
-    counts = "joint" in left and not unit
+    numbers = [int(words[k]) for k in rest if words[k].isdigit()]
+    index = numbers[-1] if index is None and numbers else index
+    counts = "joint" in others and not unit
     joint = "" if quantity == "time" else _find_joint(bare, spans, rest, counts)
     return Role(quantity, joint, index, kind, (unit and parse_unit_scale(unit)) or 1.0, unit)
 

@@ -87,15 +87,15 @@ class FileKind:
 
 
 def isolate(
-    read: Callable[..., LogTable],
-    kind: FileKind,
-    settings: Callable[[RecordingSheet], Mapping[str, Any]] = lambda sheet: {},
+    read: Callable[..., LogTable], kind: FileKind, *, by_sheet: bool = False
 ) -> Callable[[Path, RecordingSheet], LogTable]:
     """Return the reader of a format that calls `read` in another process (`read_isolated`).
 
-    `settings` takes further arguments of `read` from the recording sheet.
+    It gets the path of a file, and the recording sheet too if the format is read `by_sheet`.
     """
-    return lambda path, sheet: read_isolated(read, path, kind, **settings(sheet))
+    return lambda path, sheet: read_isolated(
+        read, path, kind, **({"sheet": sheet} if by_sheet else {})
+    )
 
 
 def read_guarded(

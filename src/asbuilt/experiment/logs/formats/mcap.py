@@ -33,10 +33,9 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     JOINT_STATE,
     KINDS,
     TRAJECTORY,
-    TopicChoices,
     choose_topics,
-    read_topic_choices,
 )
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
 MOST = 1 << 30
@@ -61,7 +60,7 @@ SHAPES = MappingProxyType(
 """Fields by which messages in JSON are recognised."""
 
 
-def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
+def read_mcap(path: Path, sheet: RecordingSheet) -> LogTable:
     """Read joints as `read_ros_bag` does, or messages in JSON, from an MCAP file.
 
     JSON messages are joint states (`name`, `position`, `velocity`, `effort`), lists of joints
@@ -72,7 +71,7 @@ def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
     Raises
     ------
     RecordingError
-        If the file has no such message, or has several topics of them and `choices` do not say
+        If the file has no such message, or has several topics of them and the sheet does not say
         which.
     """
     from mcap.exceptions import EndOfFile  # noqa: PLC0415
@@ -102,8 +101,8 @@ def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
             if file.read(1) or not channels:
                 raise
             complete = False
-    if of_ros and choices.topic in (None, *of_ros):
-        return read_ros_bag(path, choices)
+    if of_ros and sheet.topic in (None, *of_ros):
+        return read_ros_bag(path, sheet)
     if not found:
         others = sorted({f"{c.topic} ({c.message_encoding})" for c in channels.values()})
         raise RecordingError(
@@ -112,7 +111,7 @@ def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
             cure=Cure("record the joint states' topic"),
             file=str(path),
         )
-    table = _tabulate_objects(path, found, choices)
+    table = _tabulate_objects(path, found, sheet)
     note = f"the file is cut off after {table.n_samples} messages"
     return table if complete else replace(table, notes=(*table.notes, note))
 
@@ -159,7 +158,7 @@ def _make_object(fields: dict[str, Any]) -> SimpleNamespace:
 
 
 def _tabulate_objects(
-    path: Path, topics: Mapping[str, list[tuple[int, Any]]], choices: TopicChoices
+    path: Path, topics: Mapping[str, list[tuple[int, Any]]], sheet: RecordingSheet
 ) -> LogTable:
     """Return the joints of messages as ROS has them, or else the numbers of a topic."""
     types: dict[str, str] = {}
@@ -170,15 +169,15 @@ def _tabulate_objects(
             if kind and types.setdefault(name, kind) == kind:
                 messages.setdefault(name, []).append((stamp, message))
     states = [name for name, kind in types.items() if KINDS[kind].states]
-    if states and choices.topic in (None, *states):
-        return tabulate_joint_messages(choose_topics(path, types, choices), messages, choices)
-    topic = choices.topic or next(iter(topics))
+    if states and sheet.topic in (None, *states):
+        return tabulate_joint_messages(choose_topics(path, types, sheet), messages, sheet)
+    topic = sheet.topic or next(iter(topics))
     listed = ", ".join(sorted(topics))
     choice = Cure('choose one in a recording sheet: topic = "..."')
     refuse(
         RecordingError,
         (
-            choices.topic is None and len(topics) > 1,
+            sheet.topic is None and len(topics) > 1,
             f"{path} has messages in JSON on {len(topics)} topics ({listed})",
             {"cure": choice, "file": str(path), "available": sorted(topics)},
         ),
@@ -250,6 +249,6 @@ FORMATS.register(
     "mcap",
     LogFormat(
         suffixes=(".mcap",),
-        read=isolate(read_mcap, FileKind("MCAP", extra="bags"), read_topic_choices),
+        read=isolate(read_mcap, FileKind("MCAP", extra="bags"), by_sheet=True),
     ),
 )

@@ -26,32 +26,32 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     KINDS,
     SPARSE,
     JointMessage,
-    TopicChoices,
     Topics,
     is_stamped,
     read_times,
 )
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
 Messages = Mapping[str, Sequence[tuple[int, Any]]]
 """Messages of each topic with the times [ns] at which they were logged."""
 
 
-def tabulate_joint_messages(topics: Topics, messages: Messages, choices: TopicChoices) -> LogTable:
+def tabulate_joint_messages(topics: Topics, messages: Messages, sheet: RecordingSheet) -> LogTable:
     """Return the messages of the chosen topics as `tabulate_joint_states` does."""
     states, commands = (
         _read_topic(topics, messages, getattr(topics, role), role)
         for role in ("states", "commands")
     )
     base = {each: _read_topic(topics, messages, each, "base") for each in topics.base}
-    return tabulate_joint_states(topics, states, commands, choices, base)
+    return tabulate_joint_states(topics, states, commands, sheet, base)
 
 
 def tabulate_joint_states(
     topics: Topics,
     states: Sequence[JointMessage],
     commands: list[JointMessage],
-    choices: TopicChoices,
+    sheet: RecordingSheet,
     base: Mapping[str, list[JointMessage]] = MappingProxyType({}),
 ) -> LogTable:
     """Return states and commands as a table with one row for each joint state.
@@ -79,13 +79,13 @@ def tabulate_joint_states(
     stamped, notes = is_stamped(kept), list[str]()
     stamps = read_times(kept, stamped)
     try:
-        commands = _select_commands(topics, commands, names, choices)
+        commands = _select_commands(topics, commands, names, sheet)
         both = stamped and (not commands or is_stamped(commands))
         own = read_times(kept, both)
         sent, commands = order_commands(topics, commands, read_times(commands, both), own)
         stamps = own
     except RecordingError as problem:
-        if choices.required or not any(each.effort.size for each in kept):
+        if sheet.names_commands or not any(each.effort.size for each in kept):
             raise
         notes.append(f"commands were left out: {problem.message}")
         commands = []
@@ -129,14 +129,14 @@ def _read_topic(
 
 
 def _select_commands(
-    topics: Topics, commands: list[JointMessage], names: Sequence[str], choices: TopicChoices
+    topics: Topics, commands: list[JointMessage], names: Sequence[str], sheet: RecordingSheet
 ) -> list[JointMessage]:
     """Return the commands that name all joints which are mostly commanded.
 
-    Numbers alone get the names of `choices.command_joints`. Raises `RecordingError` if these do not
+    Numbers alone get the names of `sheet.command_joints`. Raises `RecordingError` if these do not
     fit, or the states have none of the joints.
     """
-    listed, path = choices.command_joints, topics.path
+    listed, path = sheet.command_joints, topics.path
     sizes = {each.position.size for each in commands if not each.names}
     count = ", ".join(map(str, sorted(sizes)))
     distinct = set(listed or ())
@@ -313,7 +313,7 @@ def read_topic_echo(path: Path) -> LogTable:
                     file=str(path),
                     line=number,
                 )
-    return tabulate_joint_states(Topics(path, {}, "the file", None), states, [], TopicChoices())
+    return tabulate_joint_states(Topics(path, {}, "the file", None), states, [], RecordingSheet())
 
 
 def _parse_line(line: str) -> JointMessage | None:

@@ -195,41 +195,6 @@ _NOT_POSITIONS = {
 """Words in the name of a topic whose numbers are no positions."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicChoices:
-    """Choose topics of a bag.
-
-    Parameters
-    ----------
-    topic, command_topic, base_topic, imu_topic
-        Topics of states, of commands, of the pose of a floating base and of its inertial sensor;
-        None: found by their types and names.
-    command_joints
-        Joints of commands that are numbers alone, in their order.
-    required
-        Whether commands that cannot be used are an error even if there are efforts.
-    """
-
-    topic: str | None = None
-    command_topic: str | None = None
-    base_topic: str | None = None
-    imu_topic: str | None = None
-    command_joints: Sequence[str] | None = None
-    required: bool = False
-
-
-def read_topic_choices(sheet: RecordingSheet) -> dict[str, TopicChoices]:
-    """Return what a sheet says of the topics, as an argument of the readers of bags."""
-    stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
-    names = ("topic", "command_topic", "base_topic", "imu_topic", "command_joints")
-    return {
-        "choices": TopicChoices(
-            **{name: getattr(sheet, name) for name in names},
-            required=sheet.torque_source == "command" or any(each is not None for each in stated),
-        )
-    }
-
-
 @dataclass(frozen=True, slots=True)
 class Topics:
     """Hold the topics of states and of commands of a file, None where there is none.
@@ -247,8 +212,8 @@ class Topics:
     unread: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
-def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -> Topics:
-    """Choose among topics, given the type of the messages of each.
+def choose_topics(path: Path, types: Mapping[str, str], sheet: RecordingSheet) -> Topics:
+    """Choose among topics, given the type of the messages of each, as far as a sheet does not.
 
     States are `topic`; else `/joint_states`, the only topic of joint states whose name does not say
     command, desired, target or the like, or the only one of a controller's states. Commands are
@@ -269,10 +234,10 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
         for group, kinds in _BASES.items()
     }
     for topic, known, what in (
-        (choices.topic, of_states, "joint states"),
-        (choices.command_topic, of_commands, "joint states or commands of joints"),
-        (choices.base_topic, of_base["base"], "pose of a base"),
-        (choices.imu_topic, of_base["imu"], "inertial sensor"),
+        (sheet.topic, of_states, "joint states"),
+        (sheet.command_topic, of_commands, "joint states or commands of joints"),
+        (sheet.base_topic, of_base["base"], "pose of a base"),
+        (sheet.imu_topic, of_base["imu"], "inertial sensor"),
     ):
         if topic is not None and topic not in known:
             raise RecordingError(
@@ -282,13 +247,13 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
                 value=topic,
                 available=sorted(known),
             )
-    states = choices.topic or _find_state_topic(path, types, of_states, choices.command_topic)
+    states = sheet.topic or _find_state_topic(path, types, of_states, sheet.command_topic)
     candidates = tuple(
         sorted(each for each in of_commands if _holds_commands(each, types[each], states))
     )
     controllers = _list_best(candidates, types, [CONTROLLER_STATE])
     best = controllers if len(controllers) == 1 else candidates
-    commands = choices.command_topic or (best[0] if len(best) == 1 else None)
+    commands = sheet.command_topic or (best[0] if len(best) == 1 else None)
     base = [
         each
         for each, kind in types.items()
@@ -297,7 +262,7 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     unread: dict[str, tuple[str, str]] = {}
     for group, kinds in _BASES.items():
         measured = {each for each in of_base[group] if not names_command(each)}
-        stated = getattr(choices, f"{group}_topic")
+        stated = getattr(sheet, f"{group}_topic")
         found = [stated] if stated else _list_best(measured, types, kinds)
         if len(found) > 1:
             unread[group] = (
