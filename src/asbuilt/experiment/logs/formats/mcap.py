@@ -88,13 +88,13 @@ def read_mcap(path: Path, sheet: RecordingSheet) -> LogTable:
                     channels[record.id] = record
                 elif isinstance(record, Message) and record.channel_id in channels:
                     channel = channels[record.channel_id]
-                    kind = KINDS.get(schemas.get(channel.schema_id, ""))
+                    kind = KINDS.get(schemas.get(channel.schema_id, ""), {})
                     if channel.message_encoding == "json":
                         topic = found.setdefault(channel.topic, [])
                         topic.append(
                             (record.log_time, _parse(record.data, len(topic), path, channel))
                         )
-                    elif channel.message_encoding == "cdr" and kind and kind.states:
+                    elif channel.message_encoding == "cdr" and "states" in kind:
                         of_ros.add(channel.topic)
         except (EndOfFile, struct.error):
             # A record ends early where the file does: a recorder that was switched off.
@@ -168,7 +168,7 @@ def _tabulate_objects(
             kind, message = _read_as_ros(stamp, each)
             if kind and types.setdefault(name, kind) == kind:
                 messages.setdefault(name, []).append((stamp, message))
-    states = [name for name, kind in types.items() if KINDS[kind].states]
+    states = [name for name, kind in types.items() if "states" in KINDS[kind]]
     if states and sheet.topic in (None, *states):
         return tabulate_joint_messages(choose_topics(path, types, sheet), messages, sheet)
     topic = sheet.topic or next(iter(topics))
@@ -204,7 +204,8 @@ def _read_as_ros(logged: int, message: Any) -> tuple[str, Any]:
     names = next((fields[key] for key in NAMES if key in fields), None)
     fields |= {"name": names, "effort": fields.get("effort", fields.get("torque", ()))}
     kind = next((kind for kind, known in SHAPES.items() if known <= fields.keys()), "")
-    read = kind and (KINDS[kind].commands or KINDS[kind].states or KINDS[kind].base)
+    readers = KINDS.get(kind, {})
+    read = readers.get("commands", readers.get("states", readers.get("base")))
     with suppress(AttributeError, TypeError, ValueError, KeyError, OverflowError):
         for each in read(logged, SimpleNamespace(**fields)) if read else ():
             named = kind == ARRAY or each.position.size == len(each.names) > 0

@@ -124,7 +124,7 @@ def _read_topic(
     """Return the joints of a topic of states or of commands, or the states of the base."""
     if topic is None:
         return []
-    read = getattr(KINDS[topics.types[topic]], role)
+    read = KINDS[topics.types[topic]][role]
     return [each for at, message in messages[topic] for each in read(at, message)]
 
 

@@ -81,15 +81,6 @@ Reader = Callable[[int, Any], list[JointMessage]]
 """Reads a message, given when it was logged [ns]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MessageKind:
-    """Say how messages of a type are read: as measured joints, commanded ones, or the base."""
-
-    states: Reader | None = None
-    commands: Reader | None = None
-    base: Reader | None = None
-
-
 def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
     q, qd, tau = (_make_array(getattr(message, field, ())) for field, _ in FIELDS)
     return [JointMessage(logged, _read_stamp(message), tuple(message.name), q, qd, tau)]
@@ -146,25 +137,27 @@ def _read_numbers_alone(logged: int, message: Any) -> list[JointMessage]:
     return [JointMessage(logged, 0, (), _make_array(message.data))]
 
 
-KINDS: Mapping[str, MessageKind] = MappingProxyType(
+KINDS: Mapping[str, dict[str, Reader]] = MappingProxyType(
     {
-        JOINT_STATE: MessageKind(states=_read_joint_state, commands=_read_joint_state),
-        DYNAMIC_STATE: MessageKind(states=_read_dynamic_state),
-        CONTROLLER_STATE: MessageKind(
-            states=partial(_read_controller_state, fields=("feedback", "actual")),
-            commands=partial(_read_controller_state, fields=("reference", "desired")),
-        ),
-        TRAJECTORY: MessageKind(commands=_read_points),
-        ARRAY: MessageKind(commands=_read_numbers_alone),
-        ODOMETRY: MessageKind(base=partial(_read_base, read=read_odometry)),
-        ESTIMATED_POSE: MessageKind(base=partial(_read_base, read=read_pose)),
-        POSE: MessageKind(base=partial(_read_base, read=read_pose)),
-        IMU: MessageKind(base=partial(_read_base, read=read_imu)),
-        WRENCH: MessageKind(base=partial(_read_base, read=read_wrench)),
-        FLAG: MessageKind(base=partial(_read_base, read=read_flag)),
+        JOINT_STATE: {"states": _read_joint_state, "commands": _read_joint_state},
+        DYNAMIC_STATE: {"states": _read_dynamic_state},
+        CONTROLLER_STATE: {
+            "states": partial(_read_controller_state, fields=("feedback", "actual")),
+            "commands": partial(_read_controller_state, fields=("reference", "desired")),
+        },
+        TRAJECTORY: {"commands": _read_points},
+        ARRAY: {"commands": _read_numbers_alone},
+        ODOMETRY: {"base": partial(_read_base, read=read_odometry)},
+        ESTIMATED_POSE: {"base": partial(_read_base, read=read_pose)},
+        POSE: {"base": partial(_read_base, read=read_pose)},
+        IMU: {"base": partial(_read_base, read=read_imu)},
+        WRENCH: {"base": partial(_read_base, read=read_wrench)},
+        FLAG: {"base": partial(_read_base, read=read_flag)},
     }
 )
-"""Types of messages that hold joints, or a floating base; of its poses the best first."""
+"""How messages of a type are read: as measured joints, commanded ones, or a floating base.
+
+The best types come first."""
 _BASES = {"base": (ODOMETRY, ESTIMATED_POSE, POSE), "imu": (IMU,)}
 SPARSE = 5.0
 """Periods of the states between other messages, or points of a trajectory, beyond which the way
@@ -227,8 +220,8 @@ def choose_topics(path: Path, types: Mapping[str, str], sheet: RecordingSheet) -
     RecordingError
         If it is not clear which topic holds the states, or one does not exist.
     """
-    of_states = {each for each, kind in types.items() if KINDS[kind].states}
-    of_commands = {each for each, kind in types.items() if KINDS[kind].commands}
+    of_states = {each for each, kind in types.items() if "states" in KINDS[kind]}
+    of_commands = {each for each, kind in types.items() if "commands" in KINDS[kind]}
     of_base = {
         group: {each for each, kind in types.items() if kind in kinds}
         for group, kinds in _BASES.items()
