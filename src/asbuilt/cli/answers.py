@@ -7,7 +7,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
@@ -147,6 +147,16 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
     elif not screen.quiet:
         sys.stdout.write(text().strip("\n") + "\n")
     sys.stdout.flush()
+
+
+def serve_page(url: str, serve: Callable[[], None], *, browser: bool) -> None:
+    """Serve a page until Ctrl-C, and open it in the browser if that is wanted."""
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)
+    with suppress(KeyboardInterrupt):
+        serve()
 
 
 def describe_cure(cure: Cure | str | None) -> str:

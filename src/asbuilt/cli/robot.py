@@ -19,7 +19,7 @@ from asbuilt import (
     experiment,
     writers,
 )
-from asbuilt.cli.answers import answer, format_finding, list_files, show_progress
+from asbuilt.cli.answers import answer, format_finding, list_files, serve_page, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -204,12 +204,7 @@ def view(
             lambda: {**about, "url": shown.url},
             lambda: f"{model.name} at {shown.url}; Ctrl-C ends it",
         )
-        if browser:
-            import webbrowser
-
-            webbrowser.open(shown.url)
-        with suppress(KeyboardInterrupt):
-            shown.serve()
+        serve_page(shown.url, shown.serve, browser=browser)
     finally:
         shown.close()
 

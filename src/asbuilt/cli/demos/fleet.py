@@ -55,7 +55,7 @@ class FleetDemo:
     seconds: float
 
 
-def run_fleet_demo(
+def run_demo(
     folder: Path,
     *,
     progress: Progress | None = None,
@@ -127,7 +127,7 @@ def _name_arm(k: int) -> str:
     return f"arm-{k:02d}"
 
 
-def describe_fleet_demo(demo: FleetDemo) -> str:
+def describe_demo(demo: FleetDemo) -> str:
     """Return the screen with which the demonstration ends."""
     results = demo.results
     columns = (
@@ -176,7 +176,7 @@ def _measure_change(drift: Drift) -> float:
     return float(drift.chi_square.statistic / max(drift.chi_square.degrees, 1))
 
 
-def fleet_demo_document(demo: FleetDemo) -> dict[str, Any]:
+def demo_document(demo: FleetDemo) -> dict[str, Any]:
     """Return what `asbuilt demo fleet --json` prints."""
     return {
         "add": addition_document(demo.addition),

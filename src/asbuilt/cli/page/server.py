@@ -20,7 +20,7 @@ from urllib.parse import unquote
 
 import typer
 
-from asbuilt.cli.answers import answer, describe_cure
+from asbuilt.cli.answers import answer, describe_cure, serve_page
 from asbuilt.cli.arguments.options import AsJson, Browser, Out, PagePort, complete_robot
 from asbuilt.cli.page.session import Choices, Session
 from asbuilt.errors import AsbuiltError, UsageError
@@ -309,11 +309,7 @@ def open(
             lambda: {"url": server.url, "folder": str(session.folder)},
             lambda: f"{server.url}\nResults are written to {session.folder}; Ctrl-C ends it.",
         )
-        if browser:
-            import webbrowser
-
-            webbrowser.open(server.url)
-        with suppress(KeyboardInterrupt), server:
-            server.serve_forever()
+        with server:
+            serve_page(server.url, server.serve_forever, browser=browser)
     finally:
         session.close()

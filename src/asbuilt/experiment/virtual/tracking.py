@@ -15,19 +15,15 @@ from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.findings import Cure
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackedMotion:
-    """Hold the true motion at the controller's ticks: `t` (N,), states and torques (N, n).
+@dataclass(frozen=True, eq=False)
+class TrackedMotion(Trajectory):
+    """Hold the true motion at the controller's ticks, with torques (N, n).
 
     `motor` is the drive's torque, `friction` and `armature` the parts of it for friction and for
     the rotor; the rest moves the links. At a tick, where the torque steps, `motor` and `qdd` are
     the means of before and after.
     """
 
-    t: Array
-    q: Array
-    qd: Array
-    qdd: Array
     motor: Array
     friction: Array
     armature: Array
