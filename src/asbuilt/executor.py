@@ -110,9 +110,9 @@ class Workers:
                     continue
                 done, spent = done + len(batch), spent + seconds
                 yield from (Outcome(task, *each) for task, each in zip(batch, found, strict=True))
-        yield from (self._alone(function, task) for task in suspects)
+        yield from (self._run_alone(function, task) for task in suspects)
 
-    def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
+    def _run_alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
         """Return the outcome of a task that is the only one under way."""
         for _ in range(ATTEMPTS):
             try:

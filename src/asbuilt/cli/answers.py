@@ -48,11 +48,11 @@ class Screen:
         first = stage not in self._tasks
         _listener.get()(what, fraction)
         if self.verbose and first:
-            self._line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
+            self._print_line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
         if self.quiet or not self._terminal:
             self._tasks.setdefault(stage, None)
             return
-        bar = self._opened()
+        bar = self._open_bar()
         if first:
             for task in self._tasks.values():
                 bar.update(task, total=1.0, completed=1.0)
@@ -74,7 +74,7 @@ class Screen:
         if self._terminal:
             self.report(stage, 0.0)
         elif not self.quiet:
-            self._line(f"asbuilt: {message}")
+            self._print_line(f"asbuilt: {message}")
         if kernel.is_kept:
             compile_kernels(partial(self.report, stage) if self._terminal else lambda _: None)
 
@@ -84,7 +84,7 @@ class Screen:
             self._bar.stop()
         self._bar, self._tasks = None, {}
 
-    def _opened(self) -> Any:
+    def _open_bar(self) -> Any:
         if self._bar is None:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -94,7 +94,7 @@ class Screen:
             self._bar.start()
         return self._bar
 
-    def _line(self, text: str) -> None:
+    def _print_line(self, text: str) -> None:
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False)
         else:

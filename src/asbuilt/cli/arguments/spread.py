@@ -141,7 +141,7 @@ def _list_parameters(group: type[Any]) -> list[inspect.Parameter]:
 
 
 def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
-    metadata, plain = field.metadata, _without_none(hint)
+    metadata, plain = field.metadata, _remove_none(hint)
     text = str(metadata["help"])
     flag = plain is bool
     if not flag and field.default not in (None, MISSING, ()):
@@ -229,7 +229,7 @@ def _name_default(default: Any, choices: Any) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _without_none(hint: Any) -> Any:
+def _remove_none(hint: Any) -> Any:
     if get_origin(hint) in (Union, types.UnionType):
         kinds = [kind for kind in get_args(hint) if kind is not type(None)]
         return kinds[0] if len(kinds) == 1 else str

@@ -57,7 +57,7 @@ def record_virtual_robot(model: RobotModel) -> tuple[Recording, Recording, Motio
     Returns the spline and point-to-point motion of section 3.2.1, the point-to-point motion of
     section 4, and the latter as it was commanded.
     """
-    robot = _with_lighter_wrist(model)
+    robot = _lighten_wrist(model)
     rng = np.random.default_rng(SEED)
     bounds = MotionBounds.assumed(model, SPEED)
     bounds = replace(
@@ -96,7 +96,7 @@ def make_simulation_motion(model: RobotModel) -> Motion:
     return _make_quintic(bounds, _draw_random_poses(bounds, np.random.default_rng(SEED), 12))
 
 
-def _with_lighter_wrist(model: RobotModel) -> RobotModel:
+def _lighten_wrist(model: RobotModel) -> RobotModel:
     links = list(model.links)
     for k in WRIST:
         links[k] = replace(

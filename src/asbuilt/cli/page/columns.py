@@ -92,10 +92,10 @@ class MatchedColumns:
             "torque_source": None if self.layout is None else self.layout.torque_source,
             "named": self.table.named,
             "n_samples": self.table.n_samples,
-            "columns": [self._column(name) for name in self.table.columns],
+            "columns": [self._describe_column(name) for name in self.table.columns],
         }
 
-    def _column(self, name: str) -> dict[str, Any]:
+    def _describe_column(self, name: str) -> dict[str, Any]:
         from asbuilt.writers.figures.thinning import thin_curves
 
         values = self.table.columns[name]
@@ -123,7 +123,7 @@ class MatchedColumns:
             Column("smallest", align="decimal"),
             Column("largest", align="decimal"),
         )
-        rows = [self._column(name) for name in self.table.columns]
+        rows = [self._describe_column(name) for name in self.table.columns]
         shown = [row for row in rows if full or row["quantity"] or self.layout is None]
         title = f"{len(shown)} of {len(rows)} columns of {self.table.source} are used"
         if self.problem:

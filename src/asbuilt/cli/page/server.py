@@ -105,25 +105,25 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with the page, its state, an answer of a step, or a file that was written."""
-        place = self._place()
+        place = self._read_place()
         if place == "state":
-            self._json(self.server.session.as_document())
+            self._send_json(self.server.session.as_document())
         elif place is not None and place.startswith("answer/"):
-            self._json(
+            self._send_json(
                 self.server.session.answers.get(place.removeprefix("answer/"), ((), None))[1]
             )
         elif place is not None and place.startswith("files/"):
-            self._file(self._written(place.removeprefix("files/")), FRAMED)
+            self._send_file(self._find_written(place.removeprefix("files/")), FRAMED)
         elif place is not None:
-            self._file(_find_resource(place or "page.html"), OWN)
+            self._send_file(_find_resource(place or "page.html"), OWN)
 
     def do_POST(self) -> None:
         """Change what is chosen, write a sheet, start a step, or end it."""
-        place = self._place()
+        place = self._read_place()
         if place is None:
             return
         try:
-            given = self._body()
+            given = self._read_body()
             if place == "state":
                 self.server.session.choose(given)
             elif place == "sheet":
@@ -138,16 +138,16 @@ class Handler(BaseHTTPRequestHandler):
         except AsbuiltError as problem:
             hint = describe_cure(problem.cure)
             text = problem.message + (f"; {hint}" if hint else "")
-            self._json({"error": text}, HTTPStatus.CONFLICT)
+            self._send_json({"error": text}, HTTPStatus.CONFLICT)
             return
-        self._json(self.server.session.as_document())
+        self._send_json(self.server.session.as_document())
 
     def do_PUT(self) -> None:
         """Write an uploaded file, piece by piece, into the folder of the page."""
-        place = self._place()
+        place = self._read_place()
         if place is None:
             return
-        size = self._size(LARGEST_UPLOAD)
+        size = self._read_size(LARGEST_UPLOAD)
         if size is None:
             return
         names = map(_clean_file_name, place.split("/")[1:])
@@ -165,11 +165,11 @@ class Handler(BaseHTTPRequestHandler):
             atomic_write(path, pieces(size))
         except AsbuiltError as problem:
             self.close_connection = True
-            self._json({"error": problem.message}, HTTPStatus.CONFLICT)
+            self._send_json({"error": problem.message}, HTTPStatus.CONFLICT)
             return
-        self._json({"path": str(path)})
+        self._send_json({"path": str(path)})
 
-    def _place(self) -> str | None:
+    def _read_place(self) -> str | None:
         """Return what is asked for; None, and an error to the browser, if that is not allowed."""
         token, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
         hosts, origin = self.server.hosts, self.headers.get("Origin")
@@ -182,7 +182,7 @@ class Handler(BaseHTTPRequestHandler):
             return None
         return unquote(place)
 
-    def _size(self, most: float) -> int | None:
+    def _read_size(self, most: float) -> int | None:
         """Return the length of what is sent; None, and an error, if it is unknown or too large."""
         text = self.headers.get("Content-Length", "")
         if not text.isdecimal() or int(text) > most:
@@ -193,8 +193,8 @@ class Handler(BaseHTTPRequestHandler):
             return None
         return int(text)
 
-    def _body(self) -> dict[str, Any]:
-        size = self._size(LARGEST_REQUEST) or 0
+    def _read_body(self) -> dict[str, Any]:
+        size = self._read_size(LARGEST_REQUEST) or 0
         try:
             given = json.loads(self.rfile.read(size) or b"{}")
         except (ValueError, RecursionError):
@@ -203,32 +203,34 @@ class Handler(BaseHTTPRequestHandler):
             raise UsageError("the request is not a JSON object")
         return given
 
-    def _written(self, place: str) -> Path | None:
+    def _find_written(self, place: str) -> Path | None:
         """Return a file of the folder, None if it is none or lies elsewhere."""
         folder = self.server.session.folder.resolve()
         path = (folder / place).resolve()
         return path if path.is_relative_to(folder) and path.is_file() else None
 
-    def _file(self, path: Path | None, policy: str) -> None:
+    def _send_file(self, path: Path | None, policy: str) -> None:
         if path is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         kind = KINDS.get(path.suffix)
         with path.open("rb") as stream:
-            self._head(path.stat().st_size, kind or "application/octet-stream", policy)
+            self._send_head(path.stat().st_size, kind or "application/octet-stream", policy)
             if kind is None:
                 self.send_header("Content-Disposition", f'attachment; filename="{path.name}"')
             self.end_headers()
             while piece := stream.read(CHUNK):
                 self.wfile.write(piece)
 
-    def _json(self, document: Any, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send_json(self, document: Any, status: HTTPStatus = HTTPStatus.OK) -> None:
         content = json.dumps(document).encode()
-        self._head(len(content), KINDS[".json"], OWN, status)
+        self._send_head(len(content), KINDS[".json"], OWN, status)
         self.end_headers()
         self.wfile.write(content)
 
-    def _head(self, size: int, kind: str, policy: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send_head(
+        self, size: int, kind: str, policy: str, status: HTTPStatus = HTTPStatus.OK
+    ) -> None:
         self.send_response(status)
         for name, value in (
             ("Content-Type", kind),

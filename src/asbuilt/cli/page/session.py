@@ -151,12 +151,12 @@ class Session:
         if step == "identify":
             if not chosen.logs:
                 return "choose a log to identify with; all are for validation"
-            return self._unsound()
+            return self._find_fault()
         if step in ("view", "export") and self.answer("identify") is None:
             return "identify the robot first"
         return None
 
-    def _unsound(self) -> str | None:
+    def _find_fault(self) -> str | None:
         """Return what the check found wrong, or that the logs have not been checked."""
         checked = self.answer("check")
         if checked is None:

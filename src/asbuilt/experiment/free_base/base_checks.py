@@ -146,7 +146,7 @@ def _check_contacts(model: RobotModel, recording: Recording, rates: Array) -> It
         for name, own in zip(names, closed.T, strict=True)
         if not own.any() and f"contact_{name}_fx" not in recording.extra
     ]
-    if never and not _falls(model, recording):
+    if never and not _is_falling(model, recording):
         all_open = len(never) == len(names)
         yield Finding(
             "contact_never_closes",
@@ -220,7 +220,7 @@ def _report_radii(model: RobotModel, recording: Recording) -> Iterator[Finding]:
         )
 
 
-def _falls(model: RobotModel, recording: Recording) -> bool:
+def _is_falling(model: RobotModel, recording: Recording) -> bool:
     """Return whether the base falls freely on average, as it does where nothing touches it."""
     t = recording.t - recording.t[0]
     up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)

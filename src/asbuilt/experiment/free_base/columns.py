@@ -19,7 +19,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, RecordingError
 from asbuilt.experiment.free_base.feet import find_closed
 from asbuilt.experiment.free_base.measured_forces import select_force_columns, with_measured_forces
-from asbuilt.experiment.free_base.sensor_checks import unit_quaternions
+from asbuilt.experiment.free_base.sensor_checks import normalise_quaternions
 from asbuilt.experiment.logs.columns.layout import find_column
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -236,7 +236,7 @@ def _read_pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str
         recording, POSITION[: 2 if model.n_floating == 3 else 3], "where the base is"
     )
     logged = _stack_columns(recording, QUATERNION, "how the base is turned")
-    quaternion, notes = unit_quaternions(recording, logged, QUATERNION)
+    quaternion, notes = normalise_quaternions(recording, logged, QUATERNION)
     angles = yaw_pitch_roll(quaternion)
     if model.n_floating == 3:
         return np.column_stack([position, np.unwrap(angles[:, 0])]), notes

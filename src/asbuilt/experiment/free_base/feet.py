@@ -118,7 +118,7 @@ class Feet:
         return float(np.sum(several * capped) / max(several.sum(), 1.0))
 
 
-def velocity_of_base(
+def estimate_base_velocity(
     R: Array, f: Array, feet: Feet, w: Array, rate: float, gravity: Array
 ) -> tuple[Array, Array]:
     """Return the velocity of the base (N, 3) in world axes, and the offset of the sensor (3,).
@@ -126,23 +126,23 @@ def velocity_of_base(
     The velocity is the integral of the accelerometer, but for what it drifts by, which feet that
     stand say: `v = integral (R (f - b) + g) + v0`, and slow deviations from that.
     """
-    fallen = integral(np.einsum("sij,sj->si", R, f) + gravity, 1.0 / rate)
+    fallen = integrate(np.einsum("sij,sj->si", R, f) + gravity, 1.0 / rate)
     own, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
     if known.size < rate:  # it hardly touches: the drift is not known, and no velocity enters
         return fallen, np.zeros(3)
     off = (fallen - np.einsum("sij,sj->si", R, own))[known]
-    turned = integral(R.reshape(-1, 9), 1.0 / rate).reshape(-1, 3, 3)
+    turned = integrate(R.reshape(-1, 9), 1.0 / rate).reshape(-1, 3, 3)
     start = np.broadcast_to(np.eye(3), (known.size, 3, 3))
     columns = np.concatenate([turned[known], start], axis=2)
     fit = np.linalg.lstsq(columns.reshape(-1, 6), off.ravel(), rcond=None)[0]
     left = off - columns @ fit
     left = np.stack([np.interp(np.arange(len(f)), known, x) for x in left.T], axis=1)
     steady = turned @ fit[:3] + fit[3:]
-    return np.asarray(fallen - steady - slow_part(left, RULES.drift, rate)), fit[:3]
+    return np.asarray(fallen - steady - select_slow_part(left, RULES.drift, rate)), fit[:3]
 
 
-def slow_part(x: Array, frequency: float, rate: float) -> Array:
+def select_slow_part(x: Array, frequency: float, rate: float) -> Array:
     """Return x (N, m) below a frequency, by a Gaussian window that mirrors the ends.
 
     A recursive filter extends them so that it passes through the first and last sample, which are
@@ -154,7 +154,7 @@ def slow_part(x: Array, frequency: float, rate: float) -> Array:
     return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
 
 
-def integral(x: Array, dt: float) -> Array:
+def integrate(x: Array, dt: float) -> Array:
     """Return the integral (N, m) from the first sample on, by trapezoids."""
     return np.vstack([np.zeros(x.shape[1]), np.cumsum(0.5 * dt * (x[1:] + x[:-1]), axis=0)])
 

@@ -23,18 +23,18 @@ from asbuilt.description.model import RobotModel
 from asbuilt.experiment.free_base.feet import (
     RULES,
     Feet,
-    integral,
-    slow_part,
-    velocity_of_base,
+    estimate_base_velocity,
+    integrate,
+    select_slow_part,
 )
 from asbuilt.experiment.free_base.sensor_checks import (
+    make_sensor_error,
+    normalise_quaternions,
     refuse_force,
     refuse_heading,
     refuse_rates,
     refuse_turn,
     refuse_units,
-    unit_quaternions,
-    wrong_sensor,
 )
 from asbuilt.experiment.recording import Recording
 
@@ -61,14 +61,14 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
         return recording
     missing = [name for name in (*ANGULAR, *FORCE) if name not in known]
     if missing:
-        raise wrong_sensor(
+        raise make_sensor_error(
             recording,
             f"has an inertial sensor, but no column {missing[0]!r}",
             f"log {' '.join((*ANGULAR, *FORCE))}, or the pose of the base",
         )
     w, f = (np.stack([known[name] for name in names], axis=1) for names in (ANGULAR, FORCE))
     if not (np.isfinite(w).all() and np.isfinite(f).all() and np.all(np.diff(recording.t) > 0.0)):
-        raise wrong_sensor(
+        raise make_sensor_error(
             recording,
             "has an inertial sensor with missing values, or a clock that does not advance, so that"
             " it cannot be integrated",
@@ -90,7 +90,7 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
     f = f - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
     if R is None:
         R = _level(_integrate_turn(w, f, dt), f, feet, w, recording.rate)
-    v, offset = velocity_of_base(R, f, feet, w, recording.rate, model.gravity)
+    v, offset = estimate_base_velocity(R, f, feet, w, recording.rate, model.gravity)
     refuse_heading(recording, feet, R, f, w, v, model.gravity)
     columns = _make_base_columns(R, v, w, alpha, f - offset, model.gravity, dt)
     note = f"the base is that of the inertial sensor at {where} and of the feet that stand"
@@ -104,7 +104,7 @@ def _level(R: Array, f: Array, feet: Feet, w: Array, rate: float) -> Array:
         moved = np.einsum("sij,sj->si", R, own)
         moved[count == 0] = 0.0
         force = np.einsum("sij,sj->si", R, f) - np.gradient(moved, 1.0 / rate, axis=0)
-        up = slow_part(force, RULES.tilt, rate)
+        up = select_slow_part(force, RULES.tilt, rate)
         up /= np.linalg.norm(up, axis=1)[:, None]
         R = Rotation.from_rotvec(np.cross(up, [0.0, 0.0, 1.0])).as_matrix() @ R
     return R
@@ -128,7 +128,7 @@ def _make_base_columns(
 
     `base_a` is the rate of change of the velocity in base axes, which is `R^T a - w x R^T v`.
     """
-    place, own = integral(v, dt), np.einsum("sji,sj->si", R, v)
+    place, own = integrate(v, dt), np.einsum("sji,sj->si", R, v)
     a = f + np.einsum("sji,j->si", R, gravity) - np.cross(w, own)
     turn = Rotation.from_matrix(R).as_quat()
     signs = np.cumprod(np.r_[1.0, np.where(np.sum(turn[1:] * turn[:-1], axis=1) < 0.0, -1.0, 1.0)])
@@ -145,7 +145,7 @@ def _read_rotations(recording: Recording) -> Array:
     """Return the rotations (N, 3, 3) of the logged quaternion; refuses one of another length."""
     quaternion = np.stack([recording.extra[name] for name in QUATERNION], axis=1)
     return np.asarray(
-        Rotation.from_quat(unit_quaternions(recording, quaternion, QUATERNION)[0]).as_matrix()
+        Rotation.from_quat(normalise_quaternions(recording, quaternion, QUATERNION)[0]).as_matrix()
     )
 
 
@@ -158,7 +158,7 @@ def _place_sensor(
         if name in model.link_names or name in {frame.name for frame in model.frames}:
             link, placement = model.placed(name)
             if link != base:
-                raise wrong_sensor(
+                raise make_sensor_error(
                     recording,
                     f"has an inertial sensor, and {name} of {model.name} is not fixed to its base",
                     "log the sensor of the base, or its pose",

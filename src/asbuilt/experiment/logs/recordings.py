@@ -154,7 +154,7 @@ def read_fitted_recordings(
         values[name] = None
     whole, model = model, model.locked({**asked, **values})
     if model is not whole or any(each != model.joint_names for group in logged for each in group):
-        read = [[_with_joints(item, model.joint_names) for item in items] for items in read]
+        read = [[_select_joints(item, model.joint_names) for item in items] for items in read]
     whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
     return set_rolling_radii(model, whole_ones), read
 
@@ -217,7 +217,7 @@ def _find_held_position(item: Recorded | None, joint: str, value: float | None) 
     return float(np.nanmedian(head.q[:, head.joint_names.index(joint)]))
 
 
-def _with_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
+def _select_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
     if isinstance(item, RecordingStream):
         return replace(item, joints=joints)
     if isinstance(item, Recording) and set(joints) <= set(item.joint_names):

@@ -217,10 +217,10 @@ class DataLogger:
             columns |= {"qd": seen.qd, "qdd": seen.qdd}
         elif qd is not None:
             columns["qd"] = qd
-        kept = self._kept(t.size, rng) if self.dropped else slice(None)
+        kept = self._draw_kept(t.size, rng) if self.dropped else slice(None)
         return {name: values[kept] for name, values in columns.items()}
 
-    def _kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    def _draw_kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Return which samples are kept; bursts start at random and have geometric lengths."""
         keep = np.ones(n, dtype=np.bool_)
         starts = np.flatnonzero(rng.random(n) < self.dropped / self.burst)

@@ -366,7 +366,7 @@ class VirtualRobot:
             )
         generator = np.random.default_rng(rng)
         exact = self.controller is None
-        move = self._exact if exact else self._controlled
+        move = self._follow_exactly if exact else self._follow_command
         seen, torque, command, note = move(motion, rng, progress)
         logged = self.logger.logged(model, self.sensors, seen, torque, command, generator)
         engine = "" if exact else f", {self.name}"
@@ -453,7 +453,7 @@ class VirtualRobot:
     def _described(self) -> RobotModel:
         return self.described or self.model
 
-    def _exact(
+    def _follow_exactly(
         self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None
     ) -> tuple[Trajectory, Array, Array, str]:
         """Return motion, torque, command and a note of a robot that follows exactly."""
@@ -466,7 +466,7 @@ class VirtualRobot:
         )
         return sampled, self.exact_torque(sampled.q, sampled.qd, sampled.qdd), sampled.q, note
 
-    def _controlled(
+    def _follow_command(
         self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None
     ) -> tuple[Trajectory, Array, Array, str]:
         """Return motion at the motor, torque, command and a note of a robot in MuJoCo."""

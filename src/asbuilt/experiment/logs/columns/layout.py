@@ -145,7 +145,7 @@ def find_layout(
         if not (group is position or group is torque) and quantity != "time" and kind != "unscaled":
             name = quantity if kind in ("", "sheet") else f"{quantity}_{kind}"
             chosen[_EXTRAS.get((quantity, kind), name)] = group
-    notes = [] if torque is not None else _without_command(chosen, groups["command", ""])
+    notes = [] if torque is not None else _leave_out_uncommanded(chosen, groups["command", ""])
     labels = _sort_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
     for quantity in [each for each in chosen if each != "position"]:
@@ -185,7 +185,7 @@ def find_layout(
     )
 
 
-def _without_command(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
+def _leave_out_uncommanded(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
     """Leave out joints that no command is logged for, such as a gripper's, and say so."""
     commanded = {role.joint for role in command}
     joints = [role.joint for role in chosen["position"]]

@@ -204,7 +204,7 @@ def recognise(name: str) -> Role | None:
     ('torque', 'elbow_joint')
     >>> recognise("target_q_1")
     """
-    bare, index, unit, _ = _with_unit(_spell(name))
+    bare, index, unit, _ = _split_unit(_spell(name))
     spans = list(WORD.finditer(bare))
     words = [each[0].lower() for each in spans]
     quantity, used = _find_quantity(words)
@@ -339,7 +339,7 @@ def recognise_by_unit(name: str) -> Role | None:
     >>> recognise_by_unit("step [ms]"), recognise_by_unit("heading_deg")
     (None, None)
     """
-    bare, _, unit, order = _with_unit(name)
+    bare, _, unit, order = _split_unit(name)
     words = split_words(bare)
     if not unit or recognise(name) is not None or set(words) & (_DESIRED | _OTHER | _EXTERNAL):
         return None
@@ -370,7 +370,7 @@ def parse_file_quantity(stem: str) -> tuple[Quantity | None, str]:
     return None, "_".join(words)
 
 
-def _with_unit(name: str) -> tuple[str, int | None, str, int]:
+def _split_unit(name: str) -> tuple[str, int | None, str, int]:
     """Split "speed[3] (deg/s)" into the bare name, the index, the unit and its order in time."""
     index: int | None = None
     unit = ""

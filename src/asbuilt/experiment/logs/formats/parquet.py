@@ -33,49 +33,49 @@ LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
 
 
-def columns_of(frame: pl.DataFrame) -> dict[str, Array]:
+def list_columns(frame: pl.DataFrame) -> dict[str, Array]:
     """Return all columns as floats."""
-    return {name: numbers(frame[name]) for name in frame.columns}
+    return {name: convert_to_numbers(frame[name]) for name in frame.columns}
 
 
-def numbers(series: pl.Series) -> Array:
+def convert_to_numbers(series: pl.Series) -> Array:
     """Return a column as floats; nulls become NaN and time stamps seconds."""
     if series.dtype in (pl.Datetime, pl.Duration):
-        return seconds(series)
+        return convert_to_seconds(series)
     if series.dtype != pl.Float64:
         series = series.cast(pl.Float64)
     return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()
 
 
-def seconds(series: pl.Series) -> Array:
+def convert_to_seconds(series: pl.Series) -> Array:
     """Turn time stamps or durations into seconds, time stamps since 1970."""
     kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
-    return _from_nanoseconds(series.cast(kind))
+    return _count_seconds(series.cast(kind))
 
 
-def _from_nanoseconds(times: pl.Series) -> Array:
+def _count_seconds(times: pl.Series) -> Array:
     """Return seconds (N,) of times that count nanoseconds, NaN where there are none."""
     counted = times.cast(pl.Int64).cast(pl.Float64).fill_null(float("nan"))
     return np.asarray(counted.to_numpy() / 1e9)
 
 
-def seconds_of_text(series: pl.Series) -> Array | None:
+def parse_times(series: pl.Series) -> Array | None:
     """Turn cells of dates and times, or of times of day, into seconds; None if they are neither.
 
     Seconds since 1970 or since midnight; empty cells become NaN.
 
-    >>> seconds_of_text(pl.Series(["00:01:00.5", None])).tolist()
+    >>> parse_times(pl.Series(["00:01:00.5", None])).tolist()
     [60.5, nan]
     """
     try:
-        return seconds(series.str.to_datetime(strict=True, time_unit="ns"))
+        return convert_to_seconds(series.str.to_datetime(strict=True, time_unit="ns"))
     except pl.exceptions.PolarsError:
         pass
     try:
         of_day = series.str.to_time("%H:%M:%S%.f", strict=True)
     except pl.exceptions.PolarsError:
         return None
-    return _from_nanoseconds(of_day)
+    return _count_seconds(of_day)
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
@@ -104,10 +104,10 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
 def read_parquet(path: Path) -> LogTable:
     """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds."""
     frame, header = scan_parquet(path)
-    return replace(header, columns=columns_of(frame.select([*header.columns]).collect()))
+    return replace(header, columns=list_columns(frame.select([*header.columns]).collect()))
 
 
-def _chunks(
+def _read_chunks(
     path: Path, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
     """Read chunks in this process, whose damage ends in an error too."""
@@ -131,7 +131,7 @@ def _chunks(
                 file=str(path),
             ) from None
         for first in range(0, frame.height, chunk_samples):
-            yield begin + first, columns_of(frame.slice(first, chunk_samples))
+            yield begin + first, list_columns(frame.slice(first, chunk_samples))
 
 
 def read_parquet_header(path: Path) -> LogTable:
@@ -179,7 +179,7 @@ FORMATS.register(
     LogFormat(
         suffixes=(".parquet",),
         read=isolate(read_parquet, PARQUET),
-        stream=lambda path, sheet: LogStream(_read_declared(path)[1], partial(_chunks, path)),
+        stream=lambda path, sheet: LogStream(_read_declared(path)[1], partial(_read_chunks, path)),
         n_bytes=_estimate_memory,
     ),
 )
