@@ -15,7 +15,7 @@ from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 from urllib.parse import unquote
 
 import typer
@@ -95,6 +95,10 @@ class PageServer(ThreadingHTTPServer):
         return f"http://{self.hosts[0]}/{self.token}/"
 
 
+class Refused(Exception):  # noqa: N818 - what happened, not a fault of the program
+    """End a request that was answered by an error."""
+
+
 class Handler(BaseHTTPRequestHandler):
     """Answer one request."""
 
@@ -108,20 +112,18 @@ class Handler(BaseHTTPRequestHandler):
         place = self._read_place()
         if place == "state":
             self._send_json(self.server.session.as_document())
-        elif place is not None and place.startswith("answer/"):
+        elif place.startswith("answer/"):
             self._send_json(
                 self.server.session.answers.get(place.removeprefix("answer/"), ((), None))[1]
             )
-        elif place is not None and place.startswith("files/"):
+        elif place.startswith("files/"):
             self._send_file(self._find_written(place.removeprefix("files/")), FRAMED)
-        elif place is not None:
+        else:
             self._send_file(_find_resource(place or "page.html"), OWN)
 
     def do_POST(self) -> None:
         """Change what is chosen, write a sheet, start a step, or end it."""
         place = self._read_place()
-        if place is None:
-            return
         try:
             given = self._read_body()
             if place == "state":
@@ -144,12 +146,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_PUT(self) -> None:
         """Write an uploaded file, piece by piece, into the folder of the page."""
-        place = self._read_place()
-        if place is None:
-            return
-        size = self._read_size(LARGEST_UPLOAD)
-        if size is None:
-            return
+        place, size = self._read_place(), self._read_size(LARGEST_UPLOAD)
         names = map(_clean_file_name, place.split("/")[1:])
         path = self.server.session.folder.joinpath("uploads", *names)
 
@@ -169,32 +166,33 @@ class Handler(BaseHTTPRequestHandler):
             return
         self._send_json({"path": str(path)})
 
-    def _read_place(self) -> str | None:
-        """Return what is asked for; None, and an error to the browser, if that is not allowed."""
+    def _refuse(self, status: HTTPStatus) -> NoReturn:
+        """Send an error to the browser, and end the request and its connection."""
+        self.send_error(status)
+        raise Refused
+
+    def _read_place(self) -> str:
+        """Return what is asked for; refuse the request if that is not allowed."""
         token, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
         hosts, origin = self.server.hosts, self.headers.get("Origin")
         own = self.headers.get("Host", "") in hosts
         asked_here = origin in {f"http://{host}" for host in hosts}
         allowed = own and (asked_here if origin or self.command != "GET" else True)
         if not allowed or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            self.close_connection = True
-            self.send_error(HTTPStatus.FORBIDDEN)
-            return None
+            self._refuse(HTTPStatus.FORBIDDEN)
         return unquote(place)
 
-    def _read_size(self, most: float) -> int | None:
-        """Return the length of what is sent; None, and an error, if it is unknown or too large."""
+    def _read_size(self, most: float) -> int:
+        """Return the length of what is sent; refuse the request if it is unknown or too large."""
         text = self.headers.get("Content-Length", "")
         if not text.isdecimal() or int(text) > most:
-            self.close_connection = True
-            self.send_error(
+            self._refuse(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE if text else HTTPStatus.LENGTH_REQUIRED
             )
-            return None
         return int(text)
 
     def _read_body(self) -> dict[str, Any]:
-        size = self._read_size(LARGEST_REQUEST) or 0
+        size = self._read_size(LARGEST_REQUEST)
         try:
             given = json.loads(self.rfile.read(size) or b"{}")
         except (ValueError, RecursionError):
@@ -248,7 +246,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def handle_one_request(self) -> None:
         """Answer a request; a browser that goes away is no error."""
-        with suppress(ConnectionError, socket.timeout):
+        with suppress(ConnectionError, socket.timeout, Refused):
             super().handle_one_request()
             return
         self.close_connection = True
