@@ -189,14 +189,7 @@ def _draft_layout(
     """Return what the names of the columns alone give, else their values; None if nothing."""
     if table.named:
         with suppress(RecordingError):
-            return find_layout(
-                table.source,
-                tuple(table.columns),
-                sheet=sheet,
-                known=table.known,
-                order=table.order,
-                has_gains=True,
-            )
+            return find_layout(table, sheet=sheet, has_gains=True)
     with suppress(RecordingError, ValueError):
         draft = RecordingSheet.model_validate(parse_toml(propose_sheet(table, model, reading.rate)))
         return find_table_layout(table, draft, model, reading)

@@ -49,13 +49,12 @@ def with_base_columns(
     RecordingError
         If the source of a state that is needed cannot be read, or a frame is not fixed to the base.
     """
-    names = tuple(table.columns)
     columns = {
         name: values
         for name, values in table.columns.items()
         if name.startswith(("base_", "contact_", "imu_"))
     } | {
-        name: table.columns[find_column(table.source, names, table.order, name, column)]
+        name: table.columns[find_column(table, name, column)]
         for name, column in sheet.columns.by_base.items()
     }
     posed, sensed = QUATERNION[0] in columns, "imu_wx" in columns

@@ -209,15 +209,7 @@ def find_table_layout(
             value=count,
         )
     try:
-        layout = find_layout(
-            table.source,
-            tuple(table.columns),
-            model=model,
-            sheet=sheet,
-            known=table.known,
-            order=table.order,
-            has_gains=options.gain is not None,
-        )
+        layout = find_layout(table, sheet=sheet, model=model, has_gains=options.gain is not None)
     except RecordingError as problem:
         text = ", ".join(table.text_columns)
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]

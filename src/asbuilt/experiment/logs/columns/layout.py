@@ -23,6 +23,7 @@ from asbuilt.experiment.logs.columns.roles import (
     recognise,
     recognise_by_unit,
 )
+from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import ENCODERS, TorqueSource
 from asbuilt.findings import Cure
@@ -85,19 +86,15 @@ _Group = list[Role]
 
 
 def find_layout(
-    source: str,
-    names: Sequence[str],
+    table: LogTable,
     *,
+    sheet: RecordingSheet,
     model: RobotModel | None = None,
-    sheet: RecordingSheet | None = None,
-    known: Mapping[str, tuple[str, str]] | None = None,
-    order: Sequence[str] = (),
     has_gains: bool = False,
 ) -> Layout:
     """Find the columns of each quantity from the sheet, what the format knows, and the usual names.
 
-    The numbers of a sheet count the columns in `order`, by default `names`. `has_gains` says that
-    gains are given in addition to the sheet's.
+    `has_gains` says that gains are given in addition to the sheet's.
 
     Raises
     ------
@@ -105,17 +102,14 @@ def find_layout(
         If positions are missing, or both torques and commands, columns are missing or claim the
         same place, or they do not fit the robot's joints.
     """
-    sheet = sheet or RecordingSheet()
+    source, names = table.source, tuple(table.columns)
     of_base = {
-        find_column(source, names, order, what, column): ("", "")
-        for what, column in sheet.columns.by_base.items()
+        find_column(table, what, column): ("", "") for what, column in sheet.columns.by_base.items()
     }
-    own = _find_own_columns(names, model, sheet) | dict(known or {}) | of_base
+    own = _find_own_columns(names, model, sheet) | dict(table.known) | of_base
     groups = _group_columns(names, own, sheet)
     for (quantity, kind), listed in sheet.columns.by_group.items():
-        groups[quantity, kind] = _group_listed_columns(
-            source, names, order, quantity, listed, sheet
-        )
+        groups[quantity, kind] = _group_listed_columns(table, quantity, listed, sheet)
     groups = {key: group for key, group in groups.items() if group}
     measured = next((key for key in _TORQUES if key in groups), None)
     position, command = groups.get(("position", "")), groups.get(("command", ""))
@@ -170,7 +164,7 @@ def find_layout(
         }
         ordered = {name: tuple(columns[k] for k in places) for name, columns in ordered.items()}
         joint_names, ordered = model.joint_names, ordered | followed
-    time = _find_time_column(source, names, order, groups, sheet)
+    time = _find_time_column(table, groups, sheet)
     timed = {} if time is None else {"time": [time]}
     scales = _choose_scales(chosen | timed, sheet, notes)
     own_time = time is not None and sheet.columns.time is None
@@ -305,11 +299,10 @@ def _locate_joints(group: _Group) -> list[tuple[str, int]]:
     return [(role.joint, -1 if role.joint else role.index or 0) for role in group]
 
 
-def find_column(
-    source: str, names: Sequence[str], order: Sequence[str], what: str, column: ColumnName
-) -> str:
-    """Return the column that a sheet gives by its name, or by its number in `order`."""
-    counted = order or names
+def find_column(table: LogTable, what: str, column: ColumnName) -> str:
+    """Return the column that a sheet gives by its name, or by its number in the file."""
+    source, names = table.source, tuple(table.columns)
+    counted = table.order or names
     numbered = isinstance(column, int)
     inside = isinstance(column, int) and 1 <= column <= len(counted)
     name = counted[int(column) - 1] if inside else str(column)
@@ -341,15 +334,10 @@ def find_column(
 
 
 def _group_listed_columns(
-    source: str,
-    names: Sequence[str],
-    order: Sequence[str],
-    what: str,
-    columns: Sequence[ColumnName],
-    sheet: RecordingSheet,
+    table: LogTable, what: str, columns: Sequence[ColumnName], sheet: RecordingSheet
 ) -> _Group:
     """Return the columns that a sheet lists for a quantity."""
-    found = [find_column(source, names, order, what, column) for column in columns]
+    found, source = [find_column(table, what, column) for column in columns], table.source
     repeated = next((name for name in found if found.count(name) > 1), None)
     labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
     refuse(
@@ -557,15 +545,12 @@ def _choose_scales(
 
 
 def _find_time_column(
-    source: str,
-    names: Sequence[str],
-    order: Sequence[str],
-    groups: Mapping[tuple[str, str], _Group],
-    sheet: RecordingSheet,
+    table: LogTable, groups: Mapping[tuple[str, str], _Group], sheet: RecordingSheet
 ) -> Role | None:
     """Return the column of the time, if there is one."""
+    names = tuple(table.columns)
     if sheet.columns.time is not None:
-        return Role("time", column=find_column(source, names, order, "time", sheet.columns.time))
+        return Role("time", column=find_column(table, "time", sheet.columns.time))
     picks = [role for role in groups.get(("time", ""), ()) if not role.joint]
     picks.sort(key=lambda role: find_nanoseconds(role.column, names) is None)
     return picks[0] if picks else None
