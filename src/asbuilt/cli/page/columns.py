@@ -20,13 +20,13 @@ from asbuilt.cli.answers import answer, describe_cure
 from asbuilt.cli.arguments.options import AsJson, Full, Robot, load_described_robot
 from asbuilt.experiment.logs.columns.layout import QUANTITIES, Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
+from asbuilt.experiment.logs.columns.unnamed_columns import suggest_sheet
 from asbuilt.experiment.logs.formats.log_format import LogTable, choose_log_format
 from asbuilt.experiment.logs.long_recordings import is_long
 from asbuilt.experiment.logs.readers import (
     check_readable,
     find_sheet,
     find_table_layout,
-    propose_sheet,
     read_table,
 )
 from asbuilt.experiment.logs.sheet import BASE_VECTORS, RecordingSheet
@@ -191,7 +191,7 @@ def _draft_layout(
         with suppress(RecordingError):
             return find_layout(table, sheet=sheet, has_gains=True)
     with suppress(RecordingError, ValueError):
-        draft = RecordingSheet.model_validate(parse_toml(propose_sheet(table, model, reading.rate)))
+        draft = RecordingSheet.model_validate(parse_toml(suggest_sheet(table, model, reading.rate)))
         return find_table_layout(table, draft, model, reading)
     return None
 

@@ -203,7 +203,7 @@ def find_table_layout(
                 f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from"
                 " the values it may read as follows (column numbers from 1; check it, and add"
                 " gains = [...] and torque_source if the torques are currents):\n\n"
-                f"{propose_sheet(table, model, options.rate)}\n"
+                f"{suggest_sheet(table, model, options.rate)}\n"
             ),
             file=table.source,
             value=count,
@@ -215,7 +215,7 @@ def find_table_layout(
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
         if "absent" in problem.fields and table.n_samples:
-            draft = propose_sheet(table, model, options.rate)
+            draft = suggest_sheet(table, model, options.rate)
             if DRAFT not in draft:
                 problem.cure = Cure(
                     f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
@@ -286,10 +286,3 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
         ),
         file=str(path),
     )
-
-
-def propose_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
-    """Return the draft of a sheet by the values of the columns."""
-    order = table.order or tuple(table.columns)
-    numbers = [order.index(name) + 1 for name in table.columns]
-    return suggest_sheet(table.columns, model, named=table.named, rate=rate, numbers=numbers)
