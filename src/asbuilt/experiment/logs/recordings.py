@@ -74,16 +74,18 @@ def as_recordings(
     listed = _list_items(items)
     groups = group_files([Path(item) for item in listed if isinstance(item, str | Path)])
     group_of = {path: group for group in groups for path in group}
+    floats = model is not None and model.n_floating > 0
     found: list[Recorded] = []
     for item in listed:
+        source: Any = item
         if isinstance(item, str | Path):
             group = group_of[Path(item)]
-            if group[0] == Path(item):
-                found.append(_read_files(group, model, chosen, streamed_from))
-        elif isinstance(item, Recorded):
-            found.append(item)
-        else:
-            found.append(read_recording(item, model=model, options=chosen))
+            if group[0] != Path(item):
+                continue  # read with the first file of its recording
+            whole = len(group) > 1 or floats or not is_long(group[0], streamed_from)
+            source = group if whole else RecordingStream(group[0], model, chosen)
+        read = isinstance(source, Recorded)
+        found.append(source if read else read_recording(source, model=model, options=chosen))
     return found
 
 
@@ -228,15 +230,3 @@ def _select_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
 def _list_items(items: Any) -> list[Any]:
     one = isinstance(items, str | Path | Recorded) or is_columns(items)
     return [items] if one else list(items)
-
-
-def _read_files(
-    group: list[Path],
-    model: RobotModel | None,
-    options: ReadingOptions,
-    streamed_from: float | None,
-) -> Recording | RecordingStream:
-    floats = model is not None and model.n_floating > 0
-    if len(group) == 1 and not floats and is_long(group[0], streamed_from):
-        return RecordingStream(group[0], model, options)
-    return read_recording(group, model=model, options=options)
