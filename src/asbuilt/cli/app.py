@@ -226,48 +226,47 @@ def _run_for_status(given: list[str]) -> int:
         status = typer.main.get_command(app).main(
             args=given, prog_name="asbuilt", standalone_mode=False
         )
-    except AsbuiltError as problem:
-        hint = describe_cure(problem.cure)
-        return _fail(
-            given, type(problem).__name__, problem.message, hint, problem.fields,
-            2 if isinstance(problem, UsageError) else 1,
-        )  # fmt: skip
-    except typer.TyperException as problem:
-        place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
-        message = " ".join(problem.format_message().split()).rstrip(".")
-        entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
-        hint = f"{place} -h lists the options"
-        if entry is not None and entry.surplus and "unexpected extra argument" in message:
-            hint = entry.surplus
-        return _fail(given, "UsageError", message, hint, {}, 2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (KeyboardInterrupt, EOFError, typer.Abort):
         status = INTERRUPTED
-    except MemoryError as problem:
-        detail = f": {problem}" if str(problem) else ""
-        return _fail(
-            given, "MemoryError", f"there is not enough memory{detail}; {_describe_memory()}",
-            "use fewer samples: decimate, or cut the recording", {}, 1,
-        )  # fmt: skip
     except Exception as problem:
         if isinstance(problem, OSError) and problem.errno == errno.ENOSPC:
             _say(FULL_DISK)
             return 1
-        if isinstance(problem, OSError) and problem.filename is not None:
-            message = f"{shorten_path(str(problem.filename))}: {describe_problem(problem)}"
-            return _fail(given, type(problem).__name__, message, "", {}, 1)
-        if os.environ.get("ASBUILT_TRACEBACK"):
-            traceback.print_exc()
-        message = f"unexpected {type(problem).__name__}: {problem}"
-        hint = "please report it with the output of ASBUILT_TRACEBACK=1"
-        return _fail(given, type(problem).__name__, message, hint, {}, 1)
+        return _fail(given, *_describe_failure(problem))
     if status == INTERRUPTED:
-        return _fail(
-            given, "KeyboardInterrupt", "interrupted; no file is half-written", "", {}, status
-        )
+        message = "interrupted; no file is half-written"
+        return _fail(given, "KeyboardInterrupt", message, "", {}, status)
     return status if isinstance(status, int) else 0
+
+
+def _describe_failure(problem: Exception) -> tuple[str, str, str, dict[str, Any], int]:
+    """Return kind, message, hint, values for programs, and exit status of an error."""
+    kind, text = type(problem).__name__, str(problem)
+    if isinstance(problem, AsbuiltError):
+        status = 2 if isinstance(problem, UsageError) else 1
+        return kind, problem.message, describe_cure(problem.cure), problem.fields, status
+    if isinstance(problem, typer.TyperException):
+        place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
+        message = " ".join(problem.format_message().split()).rstrip(".")
+        entry, hint = EVERY_COMMAND.get(place.removeprefix("asbuilt ")), ""
+        if entry is not None and "unexpected extra argument" in message:
+            hint = entry.surplus
+        return "UsageError", message, hint or f"{place} -h lists the options", {}, 2
+    if isinstance(problem, MemoryError):
+        detail = f": {text}" if text else ""
+        message = f"there is not enough memory{detail}; {_describe_memory()}"
+        hint = "use fewer samples: decimate, or cut the recording"
+        return "MemoryError", message, hint, {}, 1  # NumPy has a kind of its own
+    if isinstance(problem, OSError) and problem.filename is not None:
+        message = f"{shorten_path(str(problem.filename))}: {describe_problem(problem)}"
+        return kind, message, "", {}, 1
+    if os.environ.get("ASBUILT_TRACEBACK"):
+        traceback.print_exception(problem)
+    message = f"unexpected {kind}: {text}"
+    return kind, message, "please report it with the output of ASBUILT_TRACEBACK=1", {}, 1
 
 
 def _describe_memory() -> str:
