@@ -24,15 +24,18 @@ from asbuilt.experiment.logs.formats.log_format import (
     tabulate_variables,
 )
 from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag
-from asbuilt.experiment.logs.formats.ros.base_messages import IMU, ODOMETRY, POSE, WRENCH
 from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
     CONTROLLER_STATE,
     DYNAMIC_STATE,
+    IMU,
     JOINT_STATE,
     KINDS,
+    ODOMETRY,
+    POSE,
     TRAJECTORY,
+    WRENCH,
     choose_topics,
 )
 from asbuilt.experiment.logs.sheet import RecordingSheet
