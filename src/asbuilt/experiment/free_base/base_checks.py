@@ -225,7 +225,8 @@ def _is_falling(model: RobotModel, recording: Recording) -> bool:
     t = recording.t - recording.t[0]
     up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)
     height = recording.q[:, : len(up)][:, :3] @ up[: min(3, model.n_floating)]
-    return bool((-2.0 * np.polyfit(t, height, 2)[0]) > 0.5 * np.linalg.norm(model.gravity))
+    fall = -2.0 * np.polyfit(t, height, 2)[0]
+    return bool(fall > 0.5 * np.linalg.norm(model.gravity))
 
 
 def _measure_flag_delay(speed: Array, closed: Mask, rate: float) -> float:
