@@ -226,7 +226,8 @@ def _measure_difference(one: Array, other: Array) -> float:
     moves = spread > 0.0
     if not moves.any() or np.array_equal(one[ok], other[ok]):
         return np.inf
-    return float(np.median(np.sqrt(np.mean((one - other)[ok] ** 2, axis=0))[moves] / spread[moves]))
+    error = np.sqrt(np.mean((one - other)[ok] ** 2, axis=0))
+    return float(np.median(error[moves] / spread[moves]))
 
 
 def _is_later(t: Array, q: Array, u: Array) -> bool:

@@ -129,7 +129,7 @@ def _find_storage(path: Path) -> Path:
 
 def _unpack(packed: Path, target: Path) -> Path:
     """Unpack a file compressed with Zstandard, up to a limit."""
-    zstd = import_module("compression.zstd" if (sys.version_info >= (3, 14)) else "backports.zstd")
+    zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
     size = 0
     with zstd.open(packed, "rb") as file, target.open("wb") as out:
         while chunk := file.read(1 << 20):
