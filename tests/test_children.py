@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asbuilt.children import Child, ChildEnded, ChildPool, Limits
+from asbuilt.children import Child, ChildEnded, ChildPool
 
 
 def call(child: Child, function: Callable[..., Any], *arguments: Any, **limits: Any) -> bytes:
-    (answer,) = child.call(pickle.dumps((function, arguments)), Limits(**limits))
+    (answer,) = child.call(pickle.dumps((function, arguments)), **limits)
     return bytes(answer)
 
 
@@ -50,7 +50,7 @@ class _Imported:
 def test_arrays_come_back_to_the_last_bit_and_one_child_answers_many_calls() -> None:
     child = Child({})
     for n in (0, 1, 100_000):
-        (answer,) = child.call(pickle.dumps((_listed, (np.arange(n) / 3.0,))), Limits())
+        (answer,) = child.call(pickle.dumps((_listed, (np.arange(n) / 3.0,))))
         np.testing.assert_array_equal(np.frombuffer(answer), np.arange(n) / 3.0)
     assert child.calls == 3
     child.end()
@@ -79,7 +79,7 @@ def test_a_child_that_ends_says_how(
 def test_an_answer_beyond_its_size_is_refused() -> None:
     child = Child({})
     with pytest.raises(ChildEnded):
-        call(child, _listed, np.zeros(1000), answer=7999)
+        call(child, _listed, np.zeros(1000), largest=7999)
     assert not child.is_usable
 
 

@@ -19,7 +19,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -37,15 +36,6 @@ ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process, where the system does not look."""
 ENDING = 0.5
 """Seconds that a child is given to end by itself, as one that has no more requests does."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Limit a call: memory [bytes] beyond what is used before, time [s], and size of the answer."""
-
-    memory: int | None = None
-    seconds: float = 0.0
-    answer: float = math.inf
 
 
 class ChildEnded(Exception):  # noqa: N818 - what happened, which its caller explains
@@ -69,9 +59,9 @@ class Child:
     """
 
     def __init__(self, environment: Mapping[str, str], *, trusted: bool = False) -> None:
-        command = build_trusted_command if trusted else build_isolated_command
+        build_command = build_trusted_command if trusted else build_isolated_command
         self._process = subprocess.Popen(
-            command(PROGRAM.format(parent=os.getpid())),
+            build_command(PROGRAM.format(parent=os.getpid())),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -86,23 +76,31 @@ class Child:
     @property
     def is_usable(self) -> bool:
         """Whether it still runs, and was started by this process with the same modules."""
-        mine = self._made_by == (os.getpid(), tuple(sys.path))
-        return mine and self._process.poll() is None
+        made_here = self._made_by == (os.getpid(), tuple(sys.path))
+        return made_here and self._process.poll() is None
 
-    def call(self, request: bytes, limits: Limits) -> list[bytearray]:
+    def call(
+        self,
+        request: bytes,
+        *,
+        memory: int | None = None,
+        seconds: float = 0.0,
+        largest: float = math.inf,
+    ) -> list[bytearray]:
         """Return what a pickled function with its arguments returns: a sequence of buffers.
 
-        Raises `ChildEnded` if the child ends before, or its answer is larger than it may be.
+        It may take `memory` [bytes] beyond what is used before, and a time [s]; zero is no limit.
+        Raises `ChildEnded` if the child ends before, or its answer has more than `largest` bytes.
         """
         self.calls += 1
         stdin, stdout = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
-        head = [len(request), limits.memory, limits.seconds, os.getcwd()]
+        head = json.dumps([len(request), memory, seconds, os.getcwd()])
         with contextlib.suppress(BrokenPipeError):
-            stdin.write(json.dumps(head).encode() + b"\n" + request)
+            stdin.write(head.encode() + b"\n" + request)
             stdin.flush()
         line = stdout.readline()
         sizes: list[int] = json.loads(line) if line.endswith(b"\n") else []
-        if not sizes or sum(sizes) > limits.answer:
+        if not sizes or sum(sizes) > largest:
             raise ChildEnded(self.end())
         answer = [bytearray(size) for size in sizes]
         for part in answer:
@@ -147,15 +145,16 @@ class ChildPool:
         return self._threads.submit(self._run, function, arguments)
 
     def _run(self, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+        # Cloudpickle has lambdas and functions of the main module, which pickle has not.
         call = import_module("cloudpickle").dumps((function, arguments))
-        child = self._child_of_thread()
-        (answer,) = child.call(pickle.dumps((_run_pickled_call, (call,))), Limits())
+        (answer,) = self._find_child().call(pickle.dumps((_run_pickled_call, (call,))))
         result, problem = pickle.loads(answer)
         if problem is not None:
             raise problem
         return result
 
-    def _child_of_thread(self) -> Child:
+    def _find_child(self) -> Child:
+        """Return the child of this thread, which starts when it is needed."""
         thread = threading.get_ident()
         child = self._children.get(thread)
         if child is None or not child.is_usable:
@@ -212,8 +211,8 @@ def _limit(memory: int | None, seconds: float) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         most = allowed = resource.getrlimit(resource.RLIMIT_DATA)[1]
         if memory is not None:
-            used = int(Path("/proc/self/statm").read_text().split()[5])
-            allowed = used * resource.getpagesize() + memory
+            pages = int(Path("/proc/self/statm").read_text().split()[5])
+            allowed = pages * resource.getpagesize() + memory
         resource.setrlimit(resource.RLIMIT_DATA, (allowed, most))
 
 

@@ -48,17 +48,13 @@ class MachineCodeFiles(IndexDataCacheFile):
 
     def save(self, key: Any, data: Any) -> None:
         """Keep the code of a signature."""
-        digest = hashlib.sha256(self._dump(data)).hexdigest()
-        name = f"{self._base}.{digest[:16]}.nbc"
+        name = f"{self._base}.{hashlib.sha256(self._dump(data)).hexdigest()[:16]}.nbc"
         if Path(self._index_path).exists() and not self._load_index():
-            self._forget()
+            # Its files are of other sources, which the index names no longer.
+            for path in Path(self._cache_path).glob(f"{glob.escape(self._base)}.*.nbc"):
+                path.unlink(missing_ok=True)
         self._save_data(name, data)
         self._save_index(self._load_index() | {key: name})
-
-    def _forget(self) -> None:
-        """Remove files of other sources, which the index names no longer."""
-        for path in Path(self._cache_path).glob(f"{glob.escape(self._base)}.*.nbc"):
-            path.unlink(missing_ok=True)
 
 
 class MachineCode(FunctionCache):
@@ -95,9 +91,9 @@ class Kernel(CPUDispatcher):
         self.declared = parse_types(signature)
         try:
             self._cache = MachineCode(function)
-            own = Path(function.__code__.co_filename).parent
-            sources = [digest_sources(folder) for folder in (PACKAGE, SHARED_PARTS, own)]
-            self._cache._cache_file = MachineCodeFiles(self._cache._cache_file, "".join(sources))
+            folders = (PACKAGE, SHARED_PARTS, Path(function.__code__.co_filename).parent)
+            sources = "".join(map(digest_sources, folders))
+            self._cache._cache_file = MachineCodeFiles(self._cache._cache_file, sources)
         except (RuntimeError, AttributeError):
             self._cache = NullCache()
         KERNELS.append(self)

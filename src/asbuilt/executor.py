@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from itertools import islice
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from asbuilt.children import ChildEnded, ChildPool
 from asbuilt.errors import AsbuiltError, MissingExtraError, UsageError
@@ -45,14 +45,6 @@ ENDED = (ChildEnded, CancelledError)
 """What a task raises whose process died."""
 
 
-class Executor(Protocol):
-    """Run functions elsewhere, as `concurrent.futures.Executor` and Dask's executor do."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Run a function on arguments; all must be picklable."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome(Generic[Task, Result]):
     """Hold a task with its result, or why it has none, and the error if it is one of ours."""
@@ -65,14 +57,15 @@ class Outcome(Generic[Task, Result]):
 
 @dataclass(frozen=True, eq=False)
 class Workers:
-    """Hold an executor and how many tasks it runs at a time.
+    """Hold how tasks are run elsewhere, and how many at a time.
 
     Parameters
     ----------
     count
         Number of workers.
-    executor
-        Runs the tasks.
+    submit
+        Runs a function on arguments, all of which must be picklable, as the method of
+        `concurrent.futures.Executor` and of Dask's executor does.
     close
         Gives up what is under way; nothing can be submitted after it.
     dashboard
@@ -80,7 +73,7 @@ class Workers:
     """
 
     count: int
-    executor: Executor
+    submit: Callable[..., Future[Any]]
     close: Callable[[], None]
     dashboard: str | None = None
 
@@ -93,16 +86,16 @@ class Workers:
         end, one at a time, so that only the one that kills its process, whatever memory the others
         took, fails.
         """
-        waiting, pace = iter(tasks), _Pace(self.count)
+        waiting, done, spent = iter(tasks), 0, 0.0
         running: dict[Future[_Done], list[Task]] = {}
         suspects: list[Task] = []
         while True:
             # Submissions under way for each worker, so that none is idle while results are taken.
             while len(running) < self.count * 3:
-                batch = list(islice(waiting, pace.batch))
+                batch = list(islice(waiting, _choose_batch(done, spent, self.count)))
                 if not batch:
                     break
-                running[self.executor.submit(_run_batch, function, batch)] = batch
+                running[self.submit(_run_batch, function, batch)] = batch
             if not running:
                 break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -115,15 +108,15 @@ class Workers:
                     else:
                         suspects += batch
                     continue
-                pace.add(len(batch), seconds)
+                done, spent = done + len(batch), spent + seconds
                 yield from (Outcome(task, *each) for task, each in zip(batch, found, strict=True))
-        yield from (self._alone(function, task) for task in suspects)
+        yield from (self._run_alone(function, task) for task in suspects)
 
-    def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
+    def _run_alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
         """Return the outcome of a task that is the only one under way."""
         for _ in range(ATTEMPTS):
             try:
-                (found,), _ = self.executor.submit(_run_batch, function, [task]).result()
+                (found,), _ = self.submit(_run_batch, function, [task]).result()
             except ENDED:
                 continue
             except Exception as problem:
@@ -134,27 +127,16 @@ class Workers:
         )
 
 
-@dataclass(slots=True)
-class _Pace:
-    """Choose how many tasks are submitted together to some workers."""
+def _choose_batch(tasks: int, seconds: float, workers: int) -> int:
+    """Return how many tasks are submitted together, after so many that took so long [s] in all.
 
-    workers: int
-    tasks: int = 0
-    seconds: float = 0.0
-
-    @property
-    def batch(self) -> int:
-        """Number of tasks that take about `TOGETHER` seconds, or longer after a while."""
-        if not self.tasks:
-            return 1
-        late = LATE_TOGETHER * self.seconds / self.workers
-        together = min(max(TOGETHER, late), LONGEST_TOGETHER)
-        return max(1, min(MOST_TOGETHER, int(together * self.tasks / max(self.seconds, 1e-9))))
-
-    def add(self, tasks: int, seconds: float) -> None:
-        """Count tasks and the time they took."""
-        self.tasks += tasks
-        self.seconds += seconds
+    They take about `TOGETHER` seconds, or longer after a while.
+    """
+    if not tasks:
+        return 1
+    late = LATE_TOGETHER * seconds / workers
+    together = min(max(TOGETHER, late), LONGEST_TOGETHER)  # seconds
+    return max(1, min(MOST_TOGETHER, int(together * tasks / max(seconds, 1e-9))))
 
 
 def _run_batch(function: Callable[[Any], Any], tasks: list[Any]) -> _Done:
@@ -195,13 +177,11 @@ def run_in_order(
         return [function(task) for task in tasks]
     numbered = list(enumerate(tasks))
     found = {each.task[0]: each for each in workers.run(partial(_run_numbered, function), numbered)}
-    for number, _ in numbered:
-        problem = found[number].problem
-        if problem is not None:
-            raise found[number].error or AsbuiltError(
-                f"a worker did not finish its part: {problem}"
-            )
-    return [found[number].result for number, _ in numbered]  # type: ignore[misc]
+    outcomes = [found[number] for number, _ in numbered]
+    for each in outcomes:
+        if each.problem is not None:
+            raise each.error or AsbuiltError(f"a worker did not finish its part: {each.problem}")
+    return [each.result for each in outcomes]  # type: ignore[misc]
 
 
 def _run_numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:
@@ -236,7 +216,7 @@ def open_workers(workers: int | None = None, scheduler: str | None = None) -> It
         raise UsageError(f"the number of workers must be 0 or more, got {count}")
     pool = ChildPool(count, ONE_THREAD) if count else _Here()
     try:
-        yield Workers(max(count, 1), pool, pool.close)
+        yield Workers(max(count, 1), pool.submit, pool.close)
     finally:
         pool.close()
 
@@ -271,8 +251,8 @@ def _open_cluster(address: str) -> Iterator[Workers]:
                 f"the Dask scheduler at {address} has no workers",
                 cure=Cure(f"start some with `dask worker {address}`"),
             )
-        executor = client.get_executor(pure=False)
-        yield Workers(threads, executor, lambda: None, client.dashboard_link)
+        submit = client.get_executor(pure=False).submit
+        yield Workers(threads, submit, lambda: None, client.dashboard_link)
     finally:
         client.close()
 

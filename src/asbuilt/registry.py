@@ -35,11 +35,8 @@ def list_known_fields(schema: Mapping[str, Any], location: Sequence[int | str]) 
     """
     places = _list_variants(schema, schema)
     for step in location:
-        inner = [_enter_place(place, step) for place in places]
-        found = [
-            each for place in inner if place is not None for each in _list_variants(place, schema)
-        ]
-        places = found or places
+        inner = [each for place in places for each in _enter_place(place, step)]
+        places = [each for place in inner for each in _list_variants(place, schema)] or places
     return [name for place in places for name in place.get("properties", {})]
 
 
@@ -51,11 +48,11 @@ def _list_variants(place: Mapping[str, Any], schema: Mapping[str, Any]) -> list[
     return [each for member in members for each in _list_variants(member, schema)] or [place]
 
 
-def _enter_place(place: Mapping[str, Any], step: int | str) -> Mapping[str, Any] | None:
-    """Return the part of a place at a field or an index, None if there is none."""
+def _enter_place(place: Mapping[str, Any], step: int | str) -> list[Mapping[str, Any]]:
+    """Return the part of a place at a field or an index, if there is one."""
     further = place.get("items" if isinstance(step, int) else "additionalProperties")
     inner = place.get("properties", {}).get(step, further)
-    return inner if isinstance(inner, Mapping) else None
+    return [inner] if isinstance(inner, Mapping) else []
 
 
 def divide_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dict[str, Any]]:
@@ -150,9 +147,8 @@ class Registry(Mapping[str, T]):
         from importlib.metadata import entry_points  # noqa: PLC0415 - slow
 
         self._complete = True
-        home = import_module(self.package)
-        prefix = f"{self.package}."
-        for module in sorted(each.name for each in pkgutil.walk_packages(home.__path__, prefix)):
-            import_module(module)
+        modules = pkgutil.walk_packages(import_module(self.package).__path__, f"{self.package}.")
+        for name in sorted(each.name for each in modules):
+            import_module(name)
         for entry in sorted(entry_points(group=self.group), key=lambda each: each.name):
             entry.load()

@@ -9,14 +9,15 @@ import re
 import stat
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure
 
+T = TypeVar("T")
 TEXT_LIMIT = 2_000_000
 """Bytes of a file that people write; the longest bundled robot has 10 kB."""
 TABLE_LIMIT = 200_000_000
@@ -30,23 +31,23 @@ _TRUSTED: ContextVar[bool] = ContextVar("whether xacro files may run any Python"
 
 
 @contextmanager
-def allow_xacro_python(trusted: bool = True) -> Iterator[None]:
+def hold_value(variable: ContextVar[T], value: T) -> Iterator[None]:
+    """Give a variable of the context a value for the time of a `with` statement."""
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
+
+
+def allow_xacro_python(trusted: bool = True) -> AbstractContextManager[None]:
     """Let xacro files run any Python that their expressions hold, if `trusted`."""
-    token = _TRUSTED.set(trusted or _TRUSTED.get())
-    try:
-        yield
-    finally:
-        _TRUSTED.reset(token)
+    return hold_value(_TRUSTED, trusted or _TRUSTED.get())
 
 
-@contextmanager
-def protect_inputs() -> Iterator[None]:
+def protect_inputs() -> AbstractContextManager[None]:
     """Remember every file that is read, so that none of them is replaced."""
-    token = _INPUTS.set(set())
-    try:
-        yield
-    finally:
-        _INPUTS.reset(token)
+    return hold_value(_INPUTS, set())
 
 
 def note_input(path: Path) -> None:
@@ -128,6 +129,7 @@ def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = T
     """
     check_regular(path, what, kind, limit)
     try:
+        # A pipe that took the place of the file since would block an ordinary opening.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         with os.fdopen(descriptor, "rb") as stream:
             return stream.read(int(limit))
@@ -184,8 +186,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except RecursionError:
-        raise ValueError(f"it is nested deeper than {DEEPEST} levels") from None
-    if measure_depth(content) > DEEPEST:
+        content = None
+    if content is None or measure_depth(content) > DEEPEST:
         raise ValueError(f"it is nested deeper than {DEEPEST} levels")
     return content
 

@@ -14,7 +14,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.excitation.motions.motion_csv import read_motion
 from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
-from asbuilt.experiment.logs.formats.log_format import tabulate_variables
+from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_variables
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.writers.pictures.motion_view import MotionView
 from command_line import call
@@ -206,7 +206,7 @@ def test_an_entry_of_another_robot_is_no_entry(
 
 def test_columns_by_the_thousand_are_not_compared_pair_by_pair() -> None:
     columns = {f"x{k}": np.sin(np.arange(50.0) / (k + 1)) for k in range(4000)}
-    assert DRAFT in suggest_sheet(columns, load_robot("two-link"))
+    assert DRAFT in suggest_sheet(LogTable("log", columns), load_robot("two-link"))
 
 
 def test_a_second_encoder_beyond_what_robots_log_is_refused(

@@ -37,5 +37,4 @@ def _open_closed_streams() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
         if getattr(sys, name) is None:
-            stream = os.fdopen(number, "r" if name == "stdin" else "w", encoding="utf-8")
-            setattr(sys, name, stream)
+            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w", encoding="utf-8"))

@@ -7,7 +7,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from asbuilt import writers
 from asbuilt.cli.arguments.spread import name_option
 from asbuilt.cli.commands import EVERY_COMMAND
 from asbuilt.findings import Cure
+from asbuilt.untrusted import hold_value
 
 if TYPE_CHECKING:
     from asbuilt.cli.arguments.spread import Common
@@ -46,11 +47,11 @@ class Screen:
         first = stage not in self._tasks
         _listener.get()(what, fraction)
         if self.verbose and first:
-            self._line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
+            self._print_line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
         if self.quiet or not self._terminal:
             self._tasks.setdefault(stage, None)
             return
-        bar = self._opened()
+        bar = self._open_bar()
         if first:
             for task in self._tasks.values():
                 bar.update(task, total=1.0, completed=1.0)
@@ -72,7 +73,7 @@ class Screen:
         if self._terminal:
             self.report(stage, 0.0)
         elif not self.quiet:
-            self._line(f"asbuilt: {message}")
+            self._print_line(f"asbuilt: {message}")
         if kernel.is_kept:
             compile_kernels(partial(self.report, stage) if self._terminal else lambda _: None)
 
@@ -82,7 +83,7 @@ class Screen:
             self._bar.stop()
         self._bar, self._tasks = None, {}
 
-    def _opened(self) -> Any:
+    def _open_bar(self) -> Any:
         if self._bar is None:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -92,7 +93,7 @@ class Screen:
             self._bar.start()
         return self._bar
 
-    def _line(self, text: str) -> None:
+    def _print_line(self, text: str) -> None:
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False)
         else:
@@ -105,33 +106,23 @@ _listener: ContextVar[Callable[[str, float], None]] = ContextVar(
 )
 
 
-@contextmanager
-def tell_progress(listener: Callable[[str, float], None]) -> Iterator[None]:
+def tell_progress(listener: Callable[[str, float], None]) -> AbstractContextManager[None]:
     """Report the progress of commands to `listener(what, fraction)` as to the screen."""
-    token = _listener.set(listener)
-    try:
-        yield
-    finally:
-        _listener.reset(token)
+    return hold_value(_listener, listener)
 
 
 @contextmanager
 def open_screen(common: Common, *, compiles: bool) -> Iterator[None]:
     """Open the screen of a command, which also announces compilation."""
     screen = Screen(quiet=common.quiet, verbose=common.verbose)
-    token = _screen.set(screen)
-    if compiles:
-        from asbuilt.compilation import announce_kernels
+    with ExitStack() as stack:
+        stack.callback(screen.close)
+        stack.enter_context(hold_value(_screen, screen))
+        if compiles:
+            from asbuilt.compilation import announce_kernels
 
-        announcing: AbstractContextManager[None] = announce_kernels(screen.announce_compilation)
-    else:
-        announcing = nullcontext()
-    try:
-        with announcing:
-            yield
-    finally:
-        screen.close()
-        _screen.reset(token)
+            stack.enter_context(announce_kernels(screen.announce_compilation))
+        yield
 
 
 @contextmanager
@@ -155,6 +146,16 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
     elif not screen.quiet:
         sys.stdout.write(text().strip("\n") + "\n")
     sys.stdout.flush()
+
+
+def serve_page(url: str, serve: Callable[[], None], *, browser: bool) -> None:
+    """Serve a page until Ctrl-C, and open it in the browser if that is wanted."""
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)
+    with suppress(KeyboardInterrupt):
+        serve()
 
 
 def describe_cure(cure: Cure | str | None) -> str:

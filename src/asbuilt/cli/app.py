@@ -103,7 +103,12 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
         entries = {name: each for group in self._sections.values() for name, each in group.items()}
-        entry = _find_entry(entries, cmd_name, "" if ctx is None else ctx.command_path)
+        if cmd_name not in entries:
+            near = difflib.get_close_matches(cmd_name, entries, n=1)
+            place = "" if ctx is None else ctx.command_path
+            guess = f"did you mean {near[0]}?" if near else f"{place} -h lists the commands"
+            raise UsageError(f"there is no command {cmd_name!r}", cure=Cure(guess))
+        entry = entries[cmd_name]
         if cmd_name in SUBCOMMANDS and self.name not in SUBCOMMANDS:
             return typer.main.get_command(
                 _make_group(cmd_name, help=entry.summary, add_completion=False)
@@ -132,14 +137,6 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
                 formatter.write(f"  asbuilt {place} {arguments}".rstrip() + "\n")
 
 
-def _find_entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
-    if name not in entries:
-        near = difflib.get_close_matches(name, entries, n=1)
-        guess = f"did you mean {near[0]}?" if near else f"{place} -h lists the commands"
-        raise UsageError(f"there is no command {name!r}", cure=Cure(guess))
-    return entries[name]
-
-
 def _import_command(name: str, entry: Entry) -> Any:
     """Import a command."""
     function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
@@ -155,8 +152,7 @@ def _import_command(name: str, entry: Entry) -> Any:
     alone = typer.Typer(add_completion=False, rich_markup_mode=None)
     more = inspect.cleandoc(function.__doc__ or "").partition("\n\n")[2]
     help_text = f"{entry.summary}\n\n{more}".strip()
-    register = alone.command(name, cls=Command, help=help_text, context_settings=HELP)
-    register(spread(function, run))
+    alone.command(name, cls=Command, help=help_text, context_settings=HELP)(spread(function, run))
     return typer.main.get_command(alone)
 
 
@@ -193,8 +189,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    given = [*(sys.argv[1:] if arguments is None else arguments)]
-    sys.exit(_flush_output(_run_for_status(given)))
+    sys.exit(_flush_output(_run_for_status([*(sys.argv[1:] if arguments is None else arguments)])))
 
 
 def _return_freed_memory() -> None:
@@ -231,44 +226,47 @@ def _run_for_status(given: list[str]) -> int:
         status = typer.main.get_command(app).main(
             args=given, prog_name="asbuilt", standalone_mode=False
         )
-    except AsbuiltError as problem:
-        hint = describe_cure(problem.cure)
-        return _fail(
-            given, type(problem).__name__, problem.message, hint, problem.fields,
-            2 if isinstance(problem, UsageError) else 1,
-        )  # fmt: skip
-    except typer.TyperException as problem:
-        place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
-        message = " ".join(problem.format_message().split()).rstrip(".")
-        return _fail(given, "UsageError", message, _word_usage_hint(place, message), {}, 2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (KeyboardInterrupt, EOFError, typer.Abort):
         status = INTERRUPTED
-    except MemoryError as problem:
-        detail = f": {problem}" if str(problem) else ""
-        return _fail(
-            given, "MemoryError", f"there is not enough memory{detail}; {_describe_memory()}",
-            "use fewer samples: decimate, or cut the recording", {}, 1,
-        )  # fmt: skip
     except Exception as problem:
         if isinstance(problem, OSError) and problem.errno == errno.ENOSPC:
             _say(FULL_DISK)
             return 1
-        if isinstance(problem, OSError) and problem.filename is not None:
-            message = f"{shorten_path(str(problem.filename))}: {describe_problem(problem)}"
-            return _fail(given, type(problem).__name__, message, "", {}, 1)
-        if os.environ.get("ASBUILT_TRACEBACK"):
-            traceback.print_exc()
-        message = f"unexpected {type(problem).__name__}: {problem}"
-        hint = "please report it with the output of ASBUILT_TRACEBACK=1"
-        return _fail(given, type(problem).__name__, message, hint, {}, 1)
+        return _fail(given, *_describe_failure(problem))
     if status == INTERRUPTED:
-        return _fail(
-            given, "KeyboardInterrupt", "interrupted; no file is half-written", "", {}, status
-        )
+        message = "interrupted; no file is half-written"
+        return _fail(given, "KeyboardInterrupt", message, "", {}, status)
     return status if isinstance(status, int) else 0
+
+
+def _describe_failure(problem: Exception) -> tuple[str, str, str, dict[str, Any], int]:
+    """Return kind, message, hint, values for programs, and exit status of an error."""
+    kind, text = type(problem).__name__, str(problem)
+    if isinstance(problem, AsbuiltError):
+        status = 2 if isinstance(problem, UsageError) else 1
+        return kind, problem.message, describe_cure(problem.cure), problem.fields, status
+    if isinstance(problem, typer.TyperException):
+        place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
+        message = " ".join(problem.format_message().split()).rstrip(".")
+        entry, hint = EVERY_COMMAND.get(place.removeprefix("asbuilt ")), ""
+        if entry is not None and "unexpected extra argument" in message:
+            hint = entry.surplus
+        return "UsageError", message, hint or f"{place} -h lists the options", {}, 2
+    if isinstance(problem, MemoryError):
+        detail = f": {text}" if text else ""
+        message = f"there is not enough memory{detail}; {_describe_memory()}"
+        hint = "use fewer samples: decimate, or cut the recording"
+        return "MemoryError", message, hint, {}, 1  # NumPy has a kind of its own
+    if isinstance(problem, OSError) and problem.filename is not None:
+        message = f"{shorten_path(str(problem.filename))}: {describe_problem(problem)}"
+        return kind, message, "", {}, 1
+    if os.environ.get("ASBUILT_TRACEBACK"):
+        traceback.print_exception(problem)
+    message = f"unexpected {kind}: {text}"
+    return kind, message, "please report it with the output of ASBUILT_TRACEBACK=1", {}, 1
 
 
 def _describe_memory() -> str:
@@ -284,14 +282,6 @@ def _describe_memory() -> str:
     return f"this process may have {most / 1e9:.3g} GB"
 
 
-def _word_usage_hint(place: str, message: str) -> str:
-    """Return what to do about wrong usage of a command."""
-    entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
-    if entry is not None and entry.surplus and "unexpected extra argument" in message:
-        return entry.surplus
-    return f"{place} -h lists the options"
-
-
 def _fail(
     given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
 ) -> int:
@@ -303,8 +293,7 @@ def _fail(
         error = {"kind": kind, "message": message, "hint": hint or None, **values}
         print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
-        text = f"asbuilt: {message}" + (f"; {hint}" if hint else "")
-        _say(fold_text(text))
+        _say(fold_text(f"asbuilt: {message}" + (f"; {hint}" if hint else "")))
     return status
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -31,7 +31,6 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.findings import list_findings
-from asbuilt.writers.files import with_files
 
 
 def channels(
@@ -218,37 +217,28 @@ def payload(
         chain=filtering.chain(),
         gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
     )
-    if moments:
-        with show_progress() as report:
-            weight = identify_moments(
-                identified, loaded, unloaded=bare, options=options, progress=report
-            )
-        document = writers.moments_document(weight)
-        written = (
-            {} if out is None else {"moments": writers.write_json(out / "moments.json", document)}
-        )
-        answer(
-            as_json,
-            lambda: with_files(document, written),
-            lambda: writers.moments_table(weight).as_text(full) + list_files(written),
-        )
-        return
     with show_progress() as report:
-        found = asbuilt.identify_payload(
-            identified,
-            loaded,
-            unloaded=bare,
-            validation=others,
-            options=options,
-            progress=report,
+        found: Any = (
+            identify_moments(identified, loaded, unloaded=bare, options=options, progress=report)
+            if moments
+            else asbuilt.identify_payload(
+                identified,
+                loaded,
+                unloaded=bare,
+                validation=others,
+                options=options,
+                progress=report,
+            )
         )
-    files = (
-        {"payload": writers.write_json(out / "payload.json", writers.payload_document(found))}
-        if out is not None
-        else {}
-    )
+    if moments:
+        name, document = "moments", writers.moments_document(found)
+        text = writers.moments_table(found).as_text(full)
+    else:
+        name, document = "payload", writers.payload_document(found)
+        text = writers.payload_text(found, full)
+    files = {} if out is None else {name: writers.write_json(out / f"{name}.json", document)}
     answer(
         as_json,
-        lambda: writers.payload_document(found, files),
-        lambda: writers.payload_text(found, full) + list_files(files),
+        lambda: writers.with_files(document, files),
+        lambda: text + list_files(files),
     )

@@ -11,6 +11,7 @@ import typer
 
 import asbuilt
 from asbuilt import (
+    FleetDriftOptions,
     FleetIdentification,
     FleetOptions,
     ReadingOptions,
@@ -30,7 +31,6 @@ from asbuilt.cli.arguments.options import (
     Unchecked,
     require_writable_folder,
 )
-from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 LedgerPlace = Annotated[
     str,
@@ -52,8 +52,6 @@ Drive = Annotated[
         help="drive terms of the type, or auto: chosen from its first log, then fixed",
     ),
 ]
-FAILED = 1
-"""Exit status if a log could not be added."""
 
 
 def add(
@@ -122,7 +120,7 @@ def _answer_addition(done: workflow.Addition, full: bool, as_json: bool) -> None
         lambda: writers.addition_text(done, describe_cure, full=full),
     )
     if done.failed:
-        raise typer.Exit(FAILED)
+        raise typer.Exit(1)
 
 
 def rebuild(

@@ -116,41 +116,33 @@ def excite(
     for form in program or ():
         writers.program_format(form, model, family)
 
-    def written(found: Any) -> dict[str, Path]:
-        files = {"motion": asbuilt.write_motion(out, found.motion, model.joint_names, rate)}
-        files |= _write_programs(model, found.motion, program, out, options.collision)
-        page = out.with_suffix(".html")
-        return files | ({"report": writers.write_motion_report(page, found)} if report else {})
-
-    if static is not None:
-        poses = asbuilt.design_static_poses(model, static, options)
-        files = written(poses)
-        answer(
-            as_json,
-            lambda: writers.design_document(poses, files),
-            lambda: writers.design_text(poses, full=full, spell=describe_cure) + list_files(files),
-        )
-        return
     with show_progress() as show:
 
         def progress(state: excitation.SearchProgress) -> None:
             best = f": best {state.best:.2f}" if math.isfinite(state.best) else ""
             show(state.phase + best, state.share)
 
-        design = asbuilt.design_motion(
-            model,
-            options,
-            base=base,
-            prior=prior,
-            cores=workers,
-            scheduler=scheduler,
-            progress=progress,
+        found: Any = (
+            asbuilt.design_motion(
+                model,
+                options,
+                base=base,
+                prior=prior,
+                cores=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
+            if static is None
+            else asbuilt.design_static_poses(model, static, options)
         )
-        files = written(design)
+        files = {"motion": asbuilt.write_motion(out, found.motion, model.joint_names, rate)}
+        files |= _write_programs(model, found.motion, program, out, options.collision)
+        if report:
+            files["report"] = writers.write_motion_report(out.with_suffix(".html"), found)
     answer(
         as_json,
-        lambda: writers.design_document(design, files),
-        lambda: writers.design_text(design, full=full, spell=describe_cure) + list_files(files),
+        lambda: writers.design_document(found, files),
+        lambda: writers.design_text(found, full=full, spell=describe_cure) + list_files(files),
     )
 
 

@@ -19,7 +19,7 @@ from asbuilt import (
     experiment,
     writers,
 )
-from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
+from asbuilt.cli.answers import answer, describe_cure, list_files, serve_page, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -125,8 +125,7 @@ def schema(
     """
     content = writers.json_schema(kind)
     files = {} if out is None else {"schema": writers.write_schema(kind, out)}
-    text = list_files(files) if files else format_json(content)
-    answer(as_json, lambda: content, lambda: text)
+    answer(as_json, lambda: content, lambda: list_files(files) if files else format_json(content))
 
 
 def base(
@@ -206,12 +205,7 @@ def view(
             lambda: {**about, "url": shown.url},
             lambda: f"{model.name} at {shown.url}; Ctrl-C ends it",
         )
-        if browser:
-            import webbrowser
-
-            webbrowser.open(shown.url)
-        with suppress(KeyboardInterrupt):
-            shown.serve()
+        serve_page(shown.url, shown.serve, browser=browser)
     finally:
         shown.close()
 

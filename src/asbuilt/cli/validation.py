@@ -121,8 +121,7 @@ def validate(
         return
     identified = asbuilt.read_result(Path(result))
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
-        kept = replace(options.chain, delay=identified.chain.delay)
-        options = replace(options, chain=kept)
+        options = replace(options, chain=replace(options.chain, delay=identified.chain.delay))
     logged = read_recordings_of_robot(identified.model, log, reading)
     from asbuilt.workflow.validation import decide_validation_verdict
 

@@ -9,9 +9,9 @@ import pytest
 
 from asbuilt.cli.demos.fleet import (
     CHANGED,
-    describe_fleet_demo,
-    fleet_demo_document,
-    run_fleet_demo,
+    demo_document,
+    describe_demo,
+    run_demo,
 )
 from asbuilt.codec import format_json
 from command_line import documented_fields
@@ -19,13 +19,13 @@ from command_line import documented_fields
 
 @pytest.mark.study
 def test_the_robot_that_changed_stands_out(tmp_path: Path) -> None:
-    demo = run_fleet_demo(tmp_path, robots=(CHANGED - 1, CHANGED), days=7)
+    demo = run_demo(tmp_path, robots=(CHANGED - 1, CHANGED), days=7)
     assert not demo.addition.failed
-    document = json.loads(format_json(fleet_demo_document(demo)))
+    document = json.loads(format_json(demo_document(demo)))
     assert set(document) in documented_fields()["demo"]
     change = {each["id"]: each["change"] for each in document["robots"]}
     changed = change.pop(f"arm-{CHANGED:02d}")
     assert changed > 100.0 * max(change.values())
-    screen = describe_fleet_demo(demo)
+    screen = describe_demo(demo)
     assert f"arm-{CHANGED:02d} changed most" in screen
     assert all(len(line) <= 80 or str(tmp_path) in line for line in screen.splitlines())

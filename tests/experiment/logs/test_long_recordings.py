@@ -16,7 +16,6 @@ from asbuilt.experiment.logs.formats import delimited
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long, stream_recording
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import as_recordings
-from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
@@ -103,7 +102,7 @@ def test_text_that_is_read_in_parts_is_the_whole_text(tmp_path, monkeypatch) -> 
         monkeypatch.setattr(delimited, "AT_ONCE", at_once)
         dialect = delimited.find_dialect(log)
         whole = delimited.read_delimited(log, dialect).columns
-        chunks = list(delimited._chunks(log, RecordingSheet(), dialect.names, 128))
+        chunks = list(delimited._read_chunks(log, dialect, dialect.names, 128))
         assert [first for first, _ in chunks] == list(range(0, 900, 128))
         for name, values in whole.items():
             parts = np.concatenate([chunk[name] for _, chunk in chunks])

@@ -12,8 +12,8 @@ import pytest
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.mcap import read_mcap
-from asbuilt.experiment.logs.formats.ros.messages import TopicChoices
 from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from studied_cases import first_of
 
 pytest.importorskip("mcap")
@@ -157,7 +157,7 @@ def test_commands_in_json_of_the_kinds_that_ros_has(tmp_path: Path) -> None:
     recording = read_recording(path, sheet={"command_joints": NAMES[::-1]}, kp=1.0)
     np.testing.assert_array_equal(recording.command, Q + 1.0)
     with pytest.raises(RecordingError, match="2 numbers without the names"):
-        read_mcap(path, TopicChoices())
+        read_mcap(path, RecordingSheet())
 
 
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

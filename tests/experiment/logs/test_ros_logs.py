@@ -18,9 +18,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     CONTROLLER_STATE,
     DYNAMIC_STATE,
     TRAJECTORY,
-    TopicChoices,
     choose_topics,
-    read_topic_choices,
 )
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -167,8 +165,8 @@ def test_commands_on_a_topic_of_their_own(
 def test_topics_of_states_and_commands(tmp_path: Path) -> None:
     def chosen(*topics: str, topic: str | None = None, command: str | None = None) -> Any:
         types = {each.split()[0]: each.partition(" ")[2] or STATE for each in topics}
-        choices = TopicChoices(topic=topic, command_topic=command)
-        found = choose_topics(tmp_path, types, choices)
+        sheet = RecordingSheet(topic=topic, command_topic=command)
+        found = choose_topics(tmp_path, types, sheet)
         return found.states, found.commands
 
     assert chosen() == (None, None)
@@ -307,7 +305,7 @@ def test_numbers_without_names_need_the_names_of_their_joints(
             bag.numbers(at - STEP // 2, ahead[[2, 0, 1]])
             bag.state(at, now)
     with pytest.raises(RecordingError, match="3 numbers without the names") as caught:
-        read_ros_bag(bag.folder, TopicChoices())
+        read_ros_bag(bag.folder, RecordingSheet())
     assert "command_joints" in str(caught.value.cure)
     order = {"command_joints": [JOINTS[2], JOINTS[0], JOINTS[1]]}
     recording = read_recording(bag.folder, sheet=order, kp=2.0)
@@ -318,7 +316,7 @@ def test_numbers_without_names_need_the_names_of_their_joints(
         (["base", "elbow", "hand"], "name base, elbow, hand"),
     ):
         with pytest.raises(RecordingError, match=said):
-            read_ros_bag(bag.folder, TopicChoices(command_joints=wrong))
+            read_ros_bag(bag.folder, RecordingSheet(command_joints=wrong))
 
 
 def test_commands_that_cannot_be_used_are_left_out_beside_efforts_unless_they_are_asked_for(
@@ -332,10 +330,10 @@ def test_commands_that_cannot_be_used_are_left_out_beside_efforts_unless_they_ar
     assert recording.command is None
     assert any("commands were left out: " in note for note in recording.notes)
     with pytest.raises(RecordingError, match="without the names"):
-        read_ros_bag(bag.folder, TopicChoices(required=True))
+        read_ros_bag(bag.folder, RecordingSheet(torque_source="command"))
     for said in ({"torque_source": "command"}, {"kp": 2.0}):
-        assert read_topic_choices(RecordingSheet.model_validate(said))["choices"].required
-    assert not read_topic_choices(RecordingSheet())["choices"].required
+        assert RecordingSheet.model_validate(said).names_commands
+    assert not RecordingSheet().names_commands
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -373,7 +371,7 @@ def test_trajectories_whose_way_the_controller_chose_are_refused(
             bag.trajectory(at, [(after, [value] * 3) for after, value in points])
             bag.state(at, now)
     with pytest.raises(RecordingError, match=said) as caught:
-        read_ros_bag(bag.folder, TopicChoices())
+        read_ros_bag(bag.folder, RecordingSheet())
     assert "controller_state" in str(caught.value.cure)
 
 
@@ -409,7 +407,7 @@ def test_messages_that_a_bag_does_not_define_are_named(
         database.execute("DROP TABLE IF EXISTS message_definitions")
         database.execute("UPDATE schema SET schema_version = 3")
     with pytest.raises(RecordingError, match="does not define the messages of /arm_controller"):
-        read_ros_bag(older, TopicChoices())
+        read_ros_bag(older, RecordingSheet())
 
 
 def test_interfaces_of_joints_are_states(tmp_path: Path, motion: dict[str, np.ndarray]) -> None:

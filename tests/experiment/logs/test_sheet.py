@@ -9,6 +9,7 @@ import pytest
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import find_layout
+from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 
@@ -111,11 +112,12 @@ def test_ranges_keep_their_prefix() -> None:
 def test_a_list_of_joints_is_not_ignored() -> None:
     """Columns that name their joints are not renamed in silence, and their names tell the order."""
     names = ["time", "q_elbow", "q_wrist", "tau_elbow", "tau_wrist"]
+    table = LogTable("log", dict.fromkeys(names, np.zeros(1)))
     for listed in (["elbow", "wrist"], ["wrist", "elbow"]):
-        layout = find_layout("log", names, sheet=RecordingSheet(joints=listed))
+        layout = find_layout(table, sheet=RecordingSheet(joints=listed))
         assert layout.joint_names == ("elbow", "wrist")
     with pytest.raises(RecordingError, match="lists the joints") as raised:
-        find_layout("log", names, sheet=RecordingSheet(joints=["one", "two"]))
+        find_layout(table, sheet=RecordingSheet(joints=["one", "two"]))
     assert '[joints] with "elbow"' in str(raised.value.cure)
 
 

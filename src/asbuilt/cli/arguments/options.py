@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import asbuilt
-from asbuilt import writers
+from asbuilt import UsageError, writers
 from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.errors import UsageError
 from asbuilt.ranges import Range, make_range_error
 from asbuilt.writing import check_replaceable, check_writable
 
@@ -204,49 +203,41 @@ Drive = Annotated[
 class Filtering:
     """The options that choose the signal chain."""
 
-    cutoff: Annotated[
-        str | None,
-        typer.Option(
-            "--cutoff",
-            metavar="HZ",
-            help=(
-                "low-pass cutoff, chosen from the recording by default; identify also takes auto:"
-                " chosen by held-out torque"
-            ),
-        ),
-    ] = None
-    decimate: Annotated[
-        int | None,
-        typer.Option(
-            "--decimate",
-            metavar="N",
-            min=1,
-            max=100_000,
-            help="keep every Nth sample after filtering",
-        ),
-    ] = None
-    max_gap: Annotated[
-        float | None,
-        typer.Option(
-            "--max-gap",
-            metavar="SECONDS",
-            help="longest pause that is bridged (default: what the low-pass does not resolve)",
-        ),
-    ] = None
-    delay: Annotated[
-        str | None,
-        typer.Option(
-            "--delay",
-            metavar="SECONDS",
-            help=(
-                "time by which torque is late against position, one number or one per joint; auto"
-                " (the default): estimated; none"
-            ),
-        ),
-    ] = None
-    preset: Annotated[
-        str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")
-    ] = "default"
+    cutoff: str | None = field(
+        default=None,
+        metadata={
+            "help": "low-pass cutoff, chosen from the recording by default; identify also takes"
+            " auto: chosen by held-out torque",
+            "metavar": "HZ",
+        },
+    )
+    decimate: int | None = field(
+        default=None,
+        metadata={
+            "help": "keep every Nth sample after filtering",
+            "metavar": "N",
+            "typer": {"min": 1, "max": 100_000},
+        },
+    )
+    max_gap: float | None = field(
+        default=None,
+        metadata={
+            "help": "longest pause that is bridged (default: what the low-pass does not resolve)",
+            "metavar": "SECONDS",
+        },
+    )
+    delay: str | None = field(
+        default=None,
+        metadata={
+            "help": "time by which torque is late against position, one number or one per joint;"
+            " auto (the default): estimated; none",
+            "metavar": "SECONDS",
+        },
+    )
+    preset: str = field(
+        default="default",
+        metadata={"help": "signal chain: default or paper2015 ", "metavar": "NAME"},
+    )
 
     @property
     def given(self) -> dict[str, bool]:
@@ -405,24 +396,22 @@ def parse_positive_number(option: str, text: str) -> float:
 class TimelineFiles:
     """The files in which a viewer shows measured and predicted torques over time."""
 
-    mcap: Annotated[
-        Path | None,
-        typer.Option(
-            "--mcap",
-            metavar="FILE",
-            help="measured and predicted torques and events, for Foxglove and PlotJuggler",
-            callback=require_writable_file,
-        ),
-    ] = None
-    rrd: Annotated[
-        Path | None,
-        typer.Option(
-            "--rrd",
-            metavar="FILE",
-            help="the same with the moving robot, for rerun",
-            callback=require_writable_file,
-        ),
-    ] = None
+    mcap: Path | None = field(
+        default=None,
+        metadata={
+            "help": "measured and predicted torques and events, for Foxglove and PlotJuggler",
+            "metavar": "FILE",
+            "typer": {"callback": require_writable_file, "autocompletion": None},
+        },
+    )
+    rrd: Path | None = field(
+        default=None,
+        metadata={
+            "help": "the same with the moving robot, for rerun",
+            "metavar": "FILE",
+            "typer": {"callback": require_writable_file, "autocompletion": None},
+        },
+    )
 
     def write(self, timelines: Callable[[], Sequence[writers.Timeline]]) -> dict[str, Path]:
         """Write the files that are asked for, and return their paths by kind."""

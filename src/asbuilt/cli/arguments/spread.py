@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import inspect
 import types
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -54,25 +54,27 @@ def print_version(wanted: bool) -> None:
 class Common:
     """The options of every command; `trust_xacro` of those that read a robot."""
 
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print errors and JSON only")] = False
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="print each step and its time on stderr")
-    ] = False
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", is_eager=True, callback=print_version, help="print the version and exit"
-        ),
-    ] = False
-    trust_xacro: Annotated[
-        bool,
-        typer.Option("--trust-xacro", help="let a .xacro file run any Python that it holds"),
-    ] = False
+    quiet: bool = field(
+        default=False, metadata={"help": "print errors and JSON only", "also": ("-q",)}
+    )
+    verbose: bool = field(
+        default=False,
+        metadata={"help": "print each step and its time on stderr", "also": ("-v",)},
+    )
+    version: bool = field(
+        default=False,
+        metadata={
+            "help": "print the version and exit",
+            "typer": {"is_eager": True, "callback": print_version},
+        },
+    )
+    trust_xacro: bool = field(
+        default=False, metadata={"help": "let a .xacro file run any Python that it holds"}
+    )
 
 
 ANY_NUMBER = Range(-1e18, 1e18)
 """Numbers that any option may have; fields of option classes have narrower ranges."""
-_COMMON = {field.name for field in fields(Common)}
 
 
 def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[..., None]:
@@ -80,9 +82,10 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
 
     A parameter of an option class becomes one option for each field that has `help` in its
     metadata; `metavar`, `choices` (names, or names and what they stand for), `names` (a function
-    that returns names to complete), `parse` (from text) and `also` (other spellings) may be
-    given too. The command gets the class built from the
-    options given, so that the class alone owns its defaults. `run(common, call)` calls the command.
+    that returns names to complete), `parse` (from text), `also` (other spellings) and `typer`
+    (further arguments of `typer.Option`) may be given too. The command gets the class built from
+    the options given, so that the class alone owns its defaults. `run(common, call)` calls the
+    command.
     """
     hints = get_type_hints(command, include_extras=True)
     groups = {
@@ -104,8 +107,8 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        common = _collect_options(Common, {"trust_xacro": False} | given)
-        given = {name: value for name, value in given.items() if name not in _COMMON}
+        given.setdefault("trust_xacro", False)
+        common = _collect_options(Common, given)
         for name, value in given.items():
             if type(value) in (int, float) and not ANY_NUMBER.holds(value):
                 raise make_range_error(name_option(name), value, ANY_NUMBER)
@@ -126,29 +129,19 @@ def find_given_options(group: Any) -> dict[str, bool]:
     }
 
 
-def _list_shown_fields(group: type[Any]) -> Iterator[Field[Any]]:
-    hints = get_type_hints(group, include_extras=True)
-    for field in fields(group):
-        if "help" in field.metadata or get_origin(hints[field.name]) is Annotated:
-            yield field
+def _list_shown_fields(group: type[Any]) -> list[Field[Any]]:
+    return [field for field in fields(group) if "help" in field.metadata]
 
 
 def _list_parameters(group: type[Any]) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    panel = PANELS.get(group.__name__)
-    made = []
-    for field in _list_shown_fields(group):
-        hint = hints[field.name]
-        if get_origin(hint) is Annotated:
-            get_args(hint)[1].rich_help_panel = panel
-            made.append(_make_keyword(field.name, hint, field.default))
-        else:
-            made.append(_generate_parameter(field, hint, panel))
-    return made
+    hints, panel = get_type_hints(group), PANELS.get(group.__name__)
+    return [
+        _generate_parameter(field, hints[field.name], panel) for field in _list_shown_fields(group)
+    ]
 
 
 def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
-    metadata, plain = field.metadata, _without_none(hint)
+    metadata, plain = field.metadata, _remove_none(hint)
     text = str(metadata["help"])
     flag = plain is bool
     if not flag and field.default not in (None, MISSING, ()):
@@ -160,7 +153,8 @@ def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> insp
         help=text,
         show_default=False,
         rich_help_panel=panel,
-        autocompletion=None if flag else _make_completion(metadata),
+        **{"autocompletion": None if flag else _make_completion(metadata)}
+        | metadata.get("typer", {}),
     )
     kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
     return _make_keyword(
@@ -180,16 +174,13 @@ def _make_completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
 
 def _collect_options(group: type[Any], given: dict[str, Any]) -> Any:
     """Build an option class from the values given, which are taken out of `given`."""
-    hints = get_type_hints(group, include_extras=True)
     values: dict[str, Any] = {}
-    for field in _list_shown_fields(group):
-        value = given.pop(field.name)
-        if get_origin(hints[field.name]) is Annotated:
-            values[field.name] = value
-        elif _without_none(hints[field.name]) is bool:
-            values |= {field.name: not field.default} if value else {}
+    for entry in _list_shown_fields(group):
+        value = given.pop(entry.name)
+        if isinstance(entry.default, bool):
+            values |= {entry.name: not entry.default} if value else {}
         elif value is not None:
-            values[field.name] = _parse_value(name_option(field.name), value, field.metadata)
+            values[entry.name] = _parse_value(name_option(entry.name), value, entry.metadata)
     try:
         return group(**values)
     except UsageError as problem:
@@ -238,7 +229,7 @@ def _name_default(default: Any, choices: Any) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _without_none(hint: Any) -> Any:
+def _remove_none(hint: Any) -> Any:
     if get_origin(hint) in (Union, types.UnionType):
         kinds = [kind for kind in get_args(hint) if kind is not type(None)]
         return kinds[0] if len(kinds) == 1 else str

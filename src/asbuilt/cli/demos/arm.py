@@ -17,7 +17,6 @@ from asbuilt import (
     DriveSet,
     LinkInertia,
     MissingExtraError,
-    Recording,
     RobotModel,
     Study,
     StudyOptions,
@@ -159,8 +158,7 @@ def _record(model: RobotModel, motion: Motion, seed: int, name: str) -> Simulate
     except MissingExtraError:
         robot = VirtualRobot.typical(model, SEED).with_tool(GRIPPER, at="flange")
         simulated = robot.record(motion, seed)
-    recording: Recording = replace(simulated.recording, source=name)
-    return replace(simulated, recording=recording)
+    return replace(simulated, recording=replace(simulated.recording, source=name))
 
 
 def _build_virtual_robot(model: RobotModel) -> VirtualRobot:

@@ -55,7 +55,7 @@ class FleetDemo:
     seconds: float
 
 
-def run_fleet_demo(
+def run_demo(
     folder: Path,
     *,
     progress: Progress | None = None,
@@ -112,15 +112,13 @@ def _record(folder: Path, k: int, day: int) -> Path:
     values = np.array(robot.drive_values)
     names = [name for j in range(model.n_joints) for name in robot.drive.names(j + 1)]
     # Standard deviation of viscous friction from day to day.
-    warm = 1.0 + 0.02 * rng.standard_normal()
-    values[[name.startswith("Fv") for name in names]] *= warm
+    values[[name.startswith("Fv") for name in names]] *= 1.0 + 0.02 * rng.standard_normal()
     robot = robot.with_drive(robot.drive, values)
     if k == CHANGED and day >= SINCE:
         robot = robot.with_tool(TOOL)
     motion = random_fourier(model, rng=1000 * k + day, duration=SECONDS)
     recording = robot.record(motion, rate=RATE, rng=100 * k + day).recording
-    date = BEGIN + timedelta(days=day - 1)
-    path = folder / _name_arm(k) / f"{date:%Y-%m-%d}.csv"
+    path = folder / _name_arm(k) / f"{BEGIN + timedelta(days=day - 1):%Y-%m-%d}.csv"
     write_recording(path, replace(recording, source=path.name))
     return path
 
@@ -129,7 +127,7 @@ def _name_arm(k: int) -> str:
     return f"arm-{k:02d}"
 
 
-def describe_fleet_demo(demo: FleetDemo) -> str:
+def describe_demo(demo: FleetDemo) -> str:
     """Return the screen with which the demonstration ends."""
     results = demo.results
     columns = (
@@ -178,7 +176,7 @@ def _measure_change(drift: Drift) -> float:
     return float(drift.chi_square.statistic / max(drift.chi_square.degrees, 1))
 
 
-def fleet_demo_document(demo: FleetDemo) -> dict[str, Any]:
+def demo_document(demo: FleetDemo) -> dict[str, Any]:
     """Return what `asbuilt demo fleet --json` prints."""
     return {
         "add": addition_document(demo.addition),

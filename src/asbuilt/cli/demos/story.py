@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -59,15 +60,8 @@ def demo(
     days, of which one changes, kept in a ledger.
     """
     require_known_value("WHICH", which, ("arm", "fleet"))
-    if which == "fleet":
-        from asbuilt.cli.demos.fleet import describe_fleet_demo, fleet_demo_document, run_fleet_demo
-
-        with show_progress() as report:
-            fleet = run_fleet_demo(out, progress=report)
-        answer(as_json, lambda: fleet_demo_document(fleet), lambda: describe_fleet_demo(fleet))
-        return
-    from asbuilt.cli.demos.arm import demo_document, describe_demo, run_demo
-
+    # Each module has the three functions.
+    story = import_module(f"asbuilt.cli.demos.{which}")
     with show_progress() as report:
-        story = run_demo(out, progress=report)
-    answer(as_json, lambda: demo_document(story), lambda: describe_demo(story))
+        done = story.run_demo(out, progress=report)
+    answer(as_json, lambda: story.demo_document(done), lambda: story.describe_demo(done))

@@ -44,17 +44,11 @@ class PublishedParameter:
     def coefficients(self, standard_names: Sequence[str]) -> Array:
         """Return the coefficients of the standard parameters, shape (n_standard,)."""
         row = np.zeros(len(standard_names))
-        for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(
-            self.expression
-        ):
-            name = (
-                f"I{axes}{inertia_link}"
-                if inertia_link
-                else f"m{axis}{moment_link}"
-                if moment_link
-                else f"m{mass_link}"
-            )
-            row[standard_names.index(name)] = (-1.0 if sign == "-" else 1.0) * float(factor or 1.0)
+        for sign, factor, *parts in _TERM.findall(self.expression):
+            inertia_link, axes, moment_link, axis, mass_link = parts
+            # A term has one of the three: I1yy, m1*d1x or m1, which are Iyy1, mx1 and m1 here.
+            name = f"I{axes}{inertia_link}" if inertia_link else f"m{axis}{moment_link}{mass_link}"
+            row[standard_names.index(name)] = float(f"{sign}{factor or 1.0}")
         unread = _TERM.sub("", self.expression).strip()
         if unread:
             raise ValueError(

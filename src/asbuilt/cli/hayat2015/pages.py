@@ -21,9 +21,10 @@ from asbuilt.cli.hayat2015.tables import (
     describe_highlighted,
     tabulate_torque_errors,
 )
+from asbuilt.cli.hayat2015.virtual_robot import DIFFERENCES
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.tables import stack_tables, wrap_text
+from asbuilt.tables import Table, stack_tables, wrap_text
 from asbuilt.writers.figures.figure_style import (
     add_headline,
     apply_style,
@@ -64,12 +65,7 @@ def describe_outcome(redone: Reproduction) -> list[str]:
 
 def describe_reproduction(redone: Reproduction, full: bool = False) -> str:
     """Return what `asbuilt reproduce` prints; every table if `full`."""
-    lines = [
-        wrap_text(SOURCE),
-        "",
-        *(wrap_text(sentence) for sentence in describe_outcome(redone)),
-        "",
-    ]
+    lines = [wrap_text(SOURCE), "", *map(wrap_text, describe_outcome(redone)), ""]
     tables = [*build_all_tables(redone).values()] if full else [tabulate_torque_errors(redone)]
     return "\n".join(lines) + "\n" + stack_tables(tables, full)
 
@@ -77,20 +73,19 @@ def describe_reproduction(redone: Reproduction, full: bool = False) -> str:
 def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
     """Write every table as CSV, every figure as PNG, the text and a page with all of them."""
     tables, figures = build_all_tables(redone), draw_all_figures(redone)
-    files = {
-        "page": atomic_write(folder / "reproduction.html", render_reproduction(redone)),
-        "text": atomic_write(folder / "reproduction.txt", describe_reproduction(redone, full=True)),
+    page, text = render_reproduction(redone, tables, figures), describe_reproduction(redone, True)
+    return {
+        "page": atomic_write(folder / "reproduction.html", page),
+        "text": atomic_write(folder / "reproduction.txt", text),
+        **{k: atomic_write(folder / f"{k}.csv", table.as_csv()) for k, table in tables.items()},
+        **{k: save_figure(figure, folder / f"{k}.png") for k, figure in figures.items()},
     }
-    for name, table in tables.items():
-        files[name] = atomic_write(folder / f"{name}.csv", table.as_csv())
-    for name, figure in figures.items():
-        files[name] = save_figure(figure, folder / f"{name}.png")
-    return files
 
 
-def render_reproduction(redone: Reproduction) -> str:
+def render_reproduction(
+    redone: Reproduction, tables: Mapping[str, Table], figures: Mapping[str, Figure]
+) -> str:
     """Return the page with every table and figure, complete in one file."""
-    tables, figures = build_all_tables(redone), draw_all_figures(redone)
     shown = {name: table_markup(table, name) for name, table in tables.items()} | {
         name: image_markup(_encode_png(figure), name) for name, figure in figures.items()
     }
@@ -98,11 +93,10 @@ def render_reproduction(redone: Reproduction) -> str:
         Block(heading.lower(), heading, [shown[name] for name in names])
         for heading, names in zip(("CAD", "Robot"), ORDER, strict=True)
     )
-    verdict = Block("verdict", "Verdict", (list_markup(describe_outcome(redone)),))
     return render_page(
         "The 2015 paper",
         "reproduced",
-        [verdict, *blocks],
+        [Block("verdict", "Verdict", (list_markup(describe_outcome(redone)),)), *blocks],
         title="The 2015 paper, reproduced",
         subtitle=SOURCE,
     )
@@ -135,10 +129,10 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
             "parameters": [
                 {
                     "id": row.id,
-                    "printed": row.printed,
-                    "corrected": row.corrected,
+                    "printed": row.printed or row.expression,
+                    "corrected": row.expression,
                     "ours": row.ours,
-                    "cad_printed": row.cad_printed,
+                    "cad_printed": row.cad,
                     "cad_ours": row.cad_ours,
                     "tolerance": row.tolerance,
                     "simulated": row.simulated,
@@ -155,7 +149,7 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
                 "robot": list(redone.paper.table3_robot),
             },
             "virtual": {
-                "installed": list(redone.differences),
+                "installed": list(DIFFERENCES),
                 "n_samples": redone.n_logged,
                 "cad": redone.rigid_validation.metrics_cad.as_dict(),
                 "identified": redone.rigid_validation.metrics_as_built.as_dict(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from decimal import Decimal
 
 import numpy as np
@@ -13,6 +13,7 @@ from asbuilt import (
     DriveSet,
     IdentificationResult,
     LinkInertia,
+    Recording,
     RobotModel,
     Samples,
     SignalChain,
@@ -23,13 +24,8 @@ from asbuilt import (
     simulate_recording,
 )
 from asbuilt.arrays import Array
-from asbuilt.cli.hayat2015.facts import Paper, read_paper
-from asbuilt.cli.hayat2015.virtual_robot import (
-    DIFFERENCES,
-    Recordings,
-    make_simulation_motion,
-    record_virtual_robot,
-)
+from asbuilt.cli.hayat2015.facts import Paper, PublishedParameter, read_paper
+from asbuilt.cli.hayat2015.virtual_robot import make_simulation_motion, record_virtual_robot
 from asbuilt.description import DHRow, bundled_robot, robot_from_dh
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.identification.bodies.consistency import consistency_margin
@@ -42,46 +38,40 @@ SIMULATION_RATE = 100.0
 """Rate of noise-free simulated torque [Hz]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReproducedParameter:
-    """Hold one row of Table 2, our values and the paper's [SI].
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ReproducedParameter(PublishedParameter):
+    """Hold one row of Table 2, with our values [SI].
 
     Parameters
     ----------
-    id
-        Id among the 70 standard parameters.
-    printed, corrected, ours
-        Expression as printed, as corrected, and as found.
-    same_expression
-        Whether the expression found equals the corrected one.
-    cad_printed, cad_ours
-        CAD value in Table 2 and as found.
+    ours, same_expression
+        Expression as found, and whether it equals the paper's as corrected.
+    cad_ours
+        CAD value as found.
     tolerance
         Largest difference that the rounding of Tables 1 and 2 allows.
     simulated
         Estimate from simulated noise-free torque (section 3.1).
-    robot
-        Value of the robot in Table 2.
     virtual_robot
         Estimate from the recording of the virtual robot.
     """
 
-    id: int
-    printed: str
-    corrected: str
     ours: str
     same_expression: bool
-    cad_printed: float
     cad_ours: float
     tolerance: float
     simulated: float
-    robot: float
     virtual_robot: float
+
+    @property
+    def difference(self) -> float:
+        """Difference of our CAD value from the paper's."""
+        return abs(self.cad_ours - self.cad)
 
     @property
     def same_value(self) -> bool:
         """Whether our CAD value is the paper's within rounding."""
-        return abs(self.cad_ours - self.cad_printed) <= self.tolerance
+        return self.difference <= self.tolerance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +109,6 @@ class Reproduction:
         Best attainable smallest eigenvalue of the pseudo-inertias for the two columns of Table 2.
     simulated_torque
         Validation with simulated torque.
-    differences
-        How the virtual robot differs from CAD.
     n_logged
         Number of samples of its recording.
     rigid, rigid_validation
@@ -137,7 +125,6 @@ class Reproduction:
     cad_margin: float
     robot_margin: float
     simulated_torque: SimulatedTorque
-    differences: tuple[str, ...]
     n_logged: int
     rigid: IdentificationResult
     rigid_validation: Validation
@@ -157,7 +144,7 @@ class Reproduction:
     @property
     def largest_difference(self) -> float:
         """Largest difference of a CAD value from the paper's."""
-        return max(abs(row.cad_ours - row.cad_printed) for row in self.parameters)
+        return max(row.difference for row in self.parameters)
 
 
 def reproduce_paper(progress: Progress | None = None) -> Reproduction:
@@ -177,13 +164,13 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
         consistency_margin(base, column) for column in (paper.cad, paper.robot)
     )
     report("record the virtual robot", 0.0)
-    recordings = record_virtual_robot(model)
+    training, test, test_motion = record_virtual_robot(model)
     report("identify the virtual robot", 0.0)
     rigid, rigid_validation = _identify_and_validate(
-        model, recordings, SignalChain.preset("paper2015"), "ols", DriveSet()
+        model, training, test, SignalChain.preset("paper2015"), "ols", DriveSet()
     )
     full, full_validation = _identify_and_validate(
-        model, recordings, None, "wls", DriveSet.parse("viscous,coulomb,offset")
+        model, training, test, None, "wls", DriveSet.parse("viscous,coulomb,offset")
     )
     report("identify the virtual robot", 1.0)
     same_ids = zip(base.ids, paper.parameters, strict=True)
@@ -195,11 +182,8 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
         mismatches_with_printed_alpha=_count_printed_alpha_mismatches(model, base, paper),
         cad_margin=cad_margin,
         robot_margin=robot_margin,
-        simulated_torque=_simulate_torque(
-            model, base, recordings.test_motion, paper.cad, simulated
-        ),
-        differences=DIFFERENCES,
-        n_logged=recordings.training.n_samples,
+        simulated_torque=_simulate_torque(model, base, test_motion, paper.cad, simulated),
+        n_logged=training.n_samples,
         rigid=rigid,
         rigid_validation=rigid_validation,
         full=full,
@@ -209,14 +193,13 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
 
 def _identify_and_validate(
     model: RobotModel,
-    recordings: Recordings,
+    training: Recording,
+    test: Recording,
     chain: SignalChain | None,
     method: str,
     drive: DriveSet,
 ) -> tuple[IdentificationResult, Validation]:
-    prepared = prepare(
-        model, [recordings.training], validation=[recordings.test], chain=chain, checked=False
-    )
+    prepared = prepare(model, [training], validation=[test], chain=chain, checked=False)
     result = identify_samples(
         model, prepared.training, base=find_base_parameters(model, drive), method=method
     )
@@ -257,25 +240,20 @@ def _reproduce_table_2(
     model: RobotModel, base: BaseParameters, paper: Paper, simulated: Array, virtual_robot: Array
 ) -> tuple[ReproducedParameter, ...]:
     values, rounding = base.values(model.parameters), _bound_table_1_rounding(model, base)
-    rows = []
-    for k, row in enumerate(paper.parameters):
-        expression = row.coefficients(base.standard_names)
-        rows.append(
-            ReproducedParameter(
-                id=row.id,
-                printed=row.printed or row.expression,
-                corrected=row.expression,
-                ours=base.symbolic[k],
-                same_expression=np.allclose(expression, base.regrouping[k], rtol=0, atol=1e-12),
-                cad_printed=row.cad,
-                cad_ours=float(values[k]),
-                tolerance=float(rounding[k]) + _halve_last_digit(row.cad),
-                simulated=float(simulated[k]),
-                robot=row.robot,
-                virtual_robot=float(virtual_robot[k]),
-            )
+    return tuple(
+        ReproducedParameter(
+            **asdict(row),
+            ours=base.symbolic[k],
+            same_expression=np.allclose(
+                row.coefficients(base.standard_names), base.regrouping[k], rtol=0, atol=1e-12
+            ),
+            cad_ours=float(values[k]),
+            tolerance=float(rounding[k]) + _halve_last_digit(row.cad),
+            simulated=float(simulated[k]),
+            virtual_robot=float(virtual_robot[k]),
         )
-    return tuple(rows)
+        for k, row in enumerate(paper.parameters)
+    )
 
 
 def _halve_last_digit(value: float) -> float:
@@ -290,11 +268,8 @@ def _bound_table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
     total = np.zeros(base.n_base)
     parameters = np.array(model.parameters)
     for i, link in enumerate(model.links):
-        com, inertia, mass = (
-            np.array(link.inertia.com),
-            np.array(link.inertia.inertia_about_com),
-            link.inertia.mass,
-        )
+        mass, com = link.inertia.mass, np.array(link.inertia.com)
+        inertia = np.array(link.inertia.inertia_about_com)
 
         def effect(changed: LinkInertia, i: int = i) -> Array:
             moved = parameters.copy()
@@ -328,5 +303,4 @@ def _count_printed_alpha_mismatches(model: RobotModel, base: BaseParameters, pap
     if other.n_base != base.n_base:
         return base.n_base
     difference = np.abs(other.values(printed.parameters) - paper.cad)
-    same_id = other.ids == base.ids
-    return int(np.sum(~same_id | (difference > 1e-4)))
+    return int(np.sum(~(other.ids == base.ids) | (difference > 1e-4)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.cli.hayat2015.reproduction import ReproducedParameter, Reproduction
+from asbuilt.cli.hayat2015.virtual_robot import DIFFERENCES
 from asbuilt.tables import Cell, Column, Table, format_share
 
 INERTIA = (("Ixx", 0, 0), ("Iyy", 1, 1), ("Izz", 2, 2), ("Ixy", 0, 1), ("Iyz", 1, 2), ("Izx", 0, 2))
@@ -12,20 +13,20 @@ INERTIA = (("Ixx", 0, 0), ("Iyy", 1, 1), ("Izz", 2, 2), ("Ixy", 0, 1), ("Iyz", 1
 
 def tabulate_links(redone: Reproduction) -> Table:
     """Return Table 1: kinematic parameters and mass properties of every link."""
-    rows: list[tuple[Cell, ...]] = []
-    for k, (joint, link) in enumerate(zip(redone.model.joints, redone.model.links, strict=True)):
-        inertia = link.inertia
-        rows.append(
-            (
-                k + 1,
-                redone.model.lengths.get(f"b{k + 1}", 0.0),
-                0.0,
-                float(np.rad2deg(np.arctan2(joint.after[2, 1], joint.after[2, 2]))),
-                inertia.mass,
-                *inertia.com.tolist(),
-                *(float(inertia.inertia_about_com[i, j]) for _, i, j in INERTIA),
-            )
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (
+            k,
+            redone.model.lengths.get(f"b{k}", 0.0),
+            0.0,
+            float(np.rad2deg(np.arctan2(joint.after[2, 1], joint.after[2, 2]))),
+            link.inertia.mass,
+            *link.inertia.com.tolist(),
+            *(float(link.inertia.inertia_about_com[i, j]) for _, i, j in INERTIA),
         )
+        for k, (joint, link) in enumerate(
+            zip(redone.model.joints, redone.model.links, strict=True), start=1
+        )
+    )
     columns = (
         Column("link", align="right"),
         Column("b", "m", "decimal"),
@@ -40,7 +41,7 @@ def tabulate_links(redone: Reproduction) -> Table:
         f" {redone.mismatches_with_printed_alpha} of {len(redone.parameters)} rows of Table 2"
         " would differ. With 0 deg all agree."
     )
-    return Table(columns, tuple(rows), "Table 1. KUKA LBR iiwa 7 R800 from CAD", notes=(note,))
+    return Table(columns, rows, "Table 1. KUKA LBR iiwa 7 R800 from CAD", notes=(note,))
 
 
 def tabulate_base_parameters(redone: Reproduction) -> Table:
@@ -50,17 +51,19 @@ def tabulate_base_parameters(redone: Reproduction) -> Table:
         Column("id", align="right", of="id"),
         Column("base parameter", width=40, of="ours"),
         Column("same", detail=True, of=lambda row: "yes" if row.same_expression else "NO"),
-        Column("CAD, paper", align="decimal", style=".9f", detail=True, of="cad_printed"),
+        Column("CAD, paper", align="decimal", style=".9f", detail=True, of="cad"),
         Column("CAD, ours", align="decimal", style=".6f", of="cad_ours"),
-        Column("same", detail=True, of=lambda row: "yes" if row.same_value else "NO"),
+        Column(
+            "same", detail=True, of=lambda row: "yes" if row.difference <= row.tolerance else "NO"
+        ),
         Column("simulated", align="decimal", style=".9f", detail=True, of="simulated"),
         Column("robot, paper", align="decimal", style=".9f", detail=True, of="robot"),
         Column("virtual robot", align="decimal", style=".6f", detail=True, of="virtual_robot"),
     )
     rows = list(enumerate(redone.parameters, start=1))
-    misprints = [str(k) for k, row in rows if row.printed != row.corrected]
+    misprints = [str(k) for k, row in rows if row.printed]
     # Difference of a CAD value [SI] from which it is mentioned.
-    rounded = [str(k) for k, row in rows if abs(row.cad_ours - row.cad_printed) > 5e-7]
+    rounded = [str(k) for k, row in rows if row.difference > 5e-7]
     return Table.of(
         redone.parameters,
         columns,
@@ -179,7 +182,7 @@ def tabulate_torque_errors(redone: Reproduction) -> Table:
     )
     notes = (
         "The recordings of the paper are not public. The virtual robot is the iiwa of Table 1 with"
-        f" {'; '.join(redone.differences)}.",
+        f" {'; '.join(DIFFERENCES)}.",
         "'with friction': the same recordings, default signal chain, weighted least squares and"
         " viscous, Coulomb and offset terms.",
     )

@@ -8,7 +8,7 @@ Table 3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,22 +51,13 @@ SPEED, SMOOTHNESS = 0.9, 0.6
 """Largest velocity in multiples of the limits; acceleration likewise, times the second."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recordings:
-    """Hold the recordings of the virtual robot, and the motion of the second.
+def record_virtual_robot(model: RobotModel) -> tuple[Recording, Recording, Motion]:
+    """Record the virtual robot of a CAD model on the motions of the paper.
 
-    `training` is the spline and point-to-point motion of section 3.2.1, `test` the point-to-point
-    motion of section 4.
+    Returns the spline and point-to-point motion of section 3.2.1, the point-to-point motion of
+    section 4, and the latter as it was commanded.
     """
-
-    training: Recording
-    test: Recording
-    test_motion: Motion
-
-
-def record_virtual_robot(model: RobotModel) -> Recordings:
-    """Record the virtual robot of a CAD model on the motions of the paper."""
-    robot = _with_lighter_wrist(model)
+    robot = _lighten_wrist(model)
     rng = np.random.default_rng(SEED)
     bounds = MotionBounds.assumed(model, SPEED)
     bounds = replace(
@@ -96,7 +87,7 @@ def record_virtual_robot(model: RobotModel) -> Recordings:
         )
         for k, motion in enumerate((training, test))
     ]
-    return Recordings(logs[0], logs[1], test)
+    return logs[0], logs[1], test
 
 
 def make_simulation_motion(model: RobotModel) -> Motion:
@@ -105,7 +96,7 @@ def make_simulation_motion(model: RobotModel) -> Motion:
     return _make_quintic(bounds, _draw_random_poses(bounds, np.random.default_rng(SEED), 12))
 
 
-def _with_lighter_wrist(model: RobotModel) -> RobotModel:
+def _lighten_wrist(model: RobotModel) -> RobotModel:
     links = list(model.links)
     for k in WRIST:
         links[k] = replace(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import tomli_w
@@ -14,18 +15,24 @@ import typer
 
 import asbuilt
 from asbuilt import Cure, ReadingOptions, RecordingError, UsageError
+from asbuilt.arrays import Array
 from asbuilt.cli.answers import answer, describe_cure
 from asbuilt.cli.arguments.options import AsJson, Full, Robot, load_described_robot
+from asbuilt.experiment.logs.columns.layout import QUANTITIES, Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
-from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.experiment.logs.sheet import BASE_VECTORS
+from asbuilt.experiment.logs.columns.unnamed_columns import suggest_sheet
+from asbuilt.experiment.logs.formats.log_format import LogTable, choose_log_format
+from asbuilt.experiment.logs.long_recordings import is_long
+from asbuilt.experiment.logs.readers import (
+    check_readable,
+    find_sheet,
+    find_table_layout,
+    read_table,
+)
+from asbuilt.experiment.logs.sheet import BASE_VECTORS, RecordingSheet
+from asbuilt.tables import Column, Table
+from asbuilt.untrusted import parse_toml
 from asbuilt.writing import atomic_write
-
-if TYPE_CHECKING:
-    from asbuilt.arrays import Array
-    from asbuilt.experiment.logs.columns.layout import Layout
-    from asbuilt.experiment.logs.formats.log_format import LogTable
-    from asbuilt.experiment.logs.sheet import RecordingSheet
 
 CURVE_POINTS = 160
 """Points of the curve of a column, which is drawn as wide as a word or two."""
@@ -66,12 +73,13 @@ class MatchedColumns:
             return None
         if column == self.layout.time:
             return "time", ""
-        for quantity, names in self.layout.quantities.items():
-            if column in names:
-                joints = self.layout.joint_names
-                place = names.index(column)
-                return quantity, joints[place] if place < len(joints) else ""
-        return None
+        places = (
+            (quantity, joint)
+            for quantity, names in self.layout.quantities.items()
+            for name, joint in zip_longest(names, self.layout.joint_names, fillvalue="")
+            if name == column
+        )
+        return next(places, None)
 
     def as_document(self) -> dict[str, Any]:
         """Return what `asbuilt columns --json` prints."""
@@ -84,10 +92,10 @@ class MatchedColumns:
             "torque_source": None if self.layout is None else self.layout.torque_source,
             "named": self.table.named,
             "n_samples": self.table.n_samples,
-            "columns": [self._column(name) for name in self.table.columns],
+            "columns": [self._describe_column(name) for name in self.table.columns],
         }
 
-    def _column(self, name: str) -> dict[str, Any]:
+    def _describe_column(self, name: str) -> dict[str, Any]:
         from asbuilt.writers.figures.thinning import thin_curves
 
         values = self.table.columns[name]
@@ -108,8 +116,6 @@ class MatchedColumns:
 
     def as_text(self, full: bool = False) -> str:
         """Return a table of the columns, those without a role left out unless `full`."""
-        from asbuilt.tables import Column, Table
-
         heads = (
             Column("column", width=34),
             Column("quantity"),
@@ -117,7 +123,7 @@ class MatchedColumns:
             Column("smallest", align="decimal"),
             Column("largest", align="decimal"),
         )
-        rows = [self._column(name) for name in self.table.columns]
+        rows = [self._describe_column(name) for name in self.table.columns]
         shown = [row for row in rows if full or row["quantity"] or self.layout is None]
         title = f"{len(shown)} of {len(rows)} columns of {self.table.source} are used"
         if self.problem:
@@ -127,16 +133,16 @@ class MatchedColumns:
                 row["name"],
                 row["quantity"] or "",
                 row["joint"] or "",
-                *(None if row[end] is None else f"{row[end]:.4g}" for end in ENDS),
+                *(
+                    None if row[end] is None else f"{row[end]:.4g}"
+                    for end in ("smallest", "largest")
+                ),
             )
             for row in shown
         )
         return (f"{self.problem}\n\n" if self.problem else "") + Table(
             heads, cells, title=title
         ).as_text(full)
-
-
-ENDS = ("smallest", "largest")
 
 
 def columns(
@@ -165,8 +171,6 @@ def match_columns(model: asbuilt.RobotModel, log: Path, reading: ReadingOptions)
 
     Raises `RecordingError` if the file is no table of numbers.
     """
-    from asbuilt.experiment.logs.readers import check_readable, find_sheet
-
     check_readable(log)
     sheet, _ = find_sheet(log, reading.sheet)
     table = _read_columns(log, sheet)
@@ -183,48 +187,25 @@ def _draft_layout(
     table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> Layout | None:
     """Return what the names of the columns alone give, else their values; None if nothing."""
-    from asbuilt.experiment.logs.columns.layout import find_layout
-    from asbuilt.experiment.logs.readers import find_table_layout, propose_sheet
-    from asbuilt.experiment.logs.sheet import RecordingSheet
-    from asbuilt.untrusted import parse_toml
-
     if table.named:
         with suppress(RecordingError):
-            return find_layout(
-                table.source,
-                tuple(table.columns),
-                sheet=sheet,
-                known=table.known,
-                order=table.order,
-                has_gains=True,
-            )
+            return find_layout(table, sheet=sheet, has_gains=True)
     with suppress(RecordingError, ValueError):
-        draft = RecordingSheet.model_validate(parse_toml(propose_sheet(table, model, reading.rate)))
+        draft = RecordingSheet.model_validate(parse_toml(suggest_sheet(table, model, reading.rate)))
         return find_table_layout(table, draft, model, reading)
     return None
 
 
 def _read_columns(log: Path, sheet: RecordingSheet) -> LogTable:
     """Return the columns of a log, the first rows of a long one."""
-    from asbuilt.experiment.logs.formats.log_format import choose_log_format
-    from asbuilt.experiment.logs.long_recordings import is_long
-    from asbuilt.experiment.logs.readers import read_table
-
-    stream = choose_log_format(log).stream if is_long(log) else None
-    header = None if stream is None else stream.header(log, sheet)
-    if stream is None or header is None:
-        return read_table([log], sheet)
-    for _, columns in stream.chunks(log, sheet, tuple(header.columns), FIRST_ROWS):
-        return replace(header, columns=columns)
-    return header
+    stream = choose_log_format(log).stream(log, sheet) if is_long(log) else None
+    return read_table([log], sheet) if stream is None else stream.read_first(FIRST_ROWS)
 
 
 def _find_layout(
     table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> tuple[asbuilt.RobotModel, Layout]:
     """Return the layout, and the robot without the joints that the log lacks."""
-    from asbuilt.experiment.logs.readers import find_table_layout
-
     model = model.locked(dict.fromkeys(name for name in sheet.lock if name in model.joint_names))
     while True:
         try:
@@ -240,7 +221,6 @@ def _list_values(values: Array) -> list[float | None]:
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
-QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
 UNITS = ("deg", "mrad", "mm", "rpm", "mN m", "kN m", "mA", "ms", "us", "ns")
 """Units other than SI that a column may have been found to be in."""
 SAME_UNIT = 1e-6
@@ -296,7 +276,7 @@ def write_sheet(
         found = [each["name"] for each in document["columns"] if each["quantity"] == quantity]
         # A sheet that names the time takes it from that column alone, without its nanoseconds.
         if names and not (quantity == "time" and document["named"] and names == found):
-            listed = [_choose_number_or_name(name, named=document["named"]) for name in names]
+            listed = names if document["named"] else [int(name) for name in names]
             columns[quantity] = listed[0] if quantity == "time" else listed
             unit = _choose_unit(quantity, [factors.get(name) for name in names])
             if unit:
@@ -332,10 +312,6 @@ def _order_columns(
             )
         names += found
     return names
-
-
-def _choose_number_or_name(name: str, *, named: bool) -> str | int:
-    return name if named else int(name)
 
 
 def _choose_unit(quantity: str, factors: Sequence[float | None]) -> str | None:

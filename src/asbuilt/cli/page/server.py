@@ -6,23 +6,23 @@ own name are, and none that another page sends; the page asks nothing of any oth
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import secrets
 import socket
+from collections.abc import Iterator
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, NoReturn
 from urllib.parse import unquote
 
 import typer
 
-from asbuilt.cli.answers import answer, describe_cure
+from asbuilt.cli.answers import answer, describe_cure, serve_page
 from asbuilt.cli.arguments.options import AsJson, Browser, Out, PagePort, complete_robot
-from asbuilt.cli.page.session import Session
+from asbuilt.cli.page.session import Choices, Session
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.writing import atomic_write
 
@@ -35,7 +35,6 @@ LARGEST_UPLOAD = 4e9
 LARGEST_REQUEST = 4_000_000
 """Bytes of a request that is no file: the choices of ten thousand columns take 1 MB."""
 CHUNK = 1 << 20
-UPLOADS = "uploads"
 KINDS = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -80,7 +79,7 @@ class PageServer(ThreadingHTTPServer):
         self.session = session
         self.token = secrets.token_urlsafe(24)
         for tried in range(port, port + LAST_PORT_OFFSET + 1):
-            with contextlib.suppress(OSError, OverflowError):
+            with suppress(OSError, OverflowError):
                 super().__init__((HOST, tried), Handler)
                 return
         raise UsageError(f"no port from {port} to {port + LAST_PORT_OFFSET} is free", value=port)
@@ -96,68 +95,62 @@ class PageServer(ThreadingHTTPServer):
         return f"http://{self.hosts[0]}/{self.token}/"
 
 
+class Refused(Exception):  # noqa: N818 - what happened, not a fault of the program
+    """End a request that was answered by an error."""
+
+
 class Handler(BaseHTTPRequestHandler):
     """Answer one request."""
 
+    server: PageServer
     server_version, sys_version = "asbuilt", ""
     protocol_version = "HTTP/1.1"
     timeout = 60.0
 
-    @property
-    def session(self) -> Session:
-        """What the page shows."""
-        return cast(PageServer, self.server).session
-
     def do_GET(self) -> None:
         """Answer with the page, its state, an answer of a step, or a file that was written."""
-        place = self._place()
+        place = self._read_place()
         if place == "state":
-            self._json(self.session.as_document())
-        elif place is not None and place.startswith("answer/"):
-            self._json(self.session.answers.get(place.removeprefix("answer/"), ((), None))[1])
-        elif place is not None and place.startswith("files/"):
-            self._file(self._written(place.removeprefix("files/")), FRAMED)
-        elif place is not None:
-            self._file(_find_resource(place or "page.html"), OWN)
+            self._send_json(self.server.session.as_document())
+        elif place.startswith("answer/"):
+            self._send_json(
+                self.server.session.answers.get(place.removeprefix("answer/"), ((), None))[1]
+            )
+        elif place.startswith("files/"):
+            self._send_file(self._find_written(place.removeprefix("files/")), FRAMED)
+        else:
+            self._send_file(_find_resource(place or "page.html"), OWN)
 
     def do_POST(self) -> None:
         """Change what is chosen, write a sheet, start a step, or end it."""
-        place = self._place()
-        if place is None:
-            return
+        place = self._read_place()
         try:
-            given = self._body()
+            given = self._read_body()
             if place == "state":
-                self.session.choose(given)
+                self.server.session.choose(given)
             elif place == "sheet":
-                self.session.assign(given.get("columns", []))
+                self.server.session.assign(given.get("columns", []))
             elif place == "cancel":
-                self.session.cancel()
+                self.server.session.cancel()
             elif place.startswith("run/"):
-                self.session.run(place.removeprefix("run/"))
+                self.server.session.run(place.removeprefix("run/"))
             else:
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
         except AsbuiltError as problem:
             hint = describe_cure(problem.cure)
             text = problem.message + (f"; {hint}" if hint else "")
-            self._json({"error": text}, HTTPStatus.CONFLICT)
+            self._send_json({"error": text}, HTTPStatus.CONFLICT)
             return
-        self._json(self.session.as_document())
+        self._send_json(self.server.session.as_document())
 
     def do_PUT(self) -> None:
         """Write an uploaded file, piece by piece, into the folder of the page."""
-        place = self._place()
-        if place is None:
-            return
-        size = self._size(LARGEST_UPLOAD)
-        if size is None:
-            return
-        path = self.session.folder / UPLOADS / Path(*map(_clean_file_name, place.split("/")[1:]))
-        left = size
+        place, size = self._read_place(), self._read_size(LARGEST_UPLOAD)
+        names = map(_clean_file_name, place.split("/")[1:])
+        path = self.server.session.folder.joinpath("uploads", *names)
 
-        def pieces() -> Any:
-            nonlocal left
+        def pieces(left: int) -> Iterator[bytes]:
             while left:
                 piece = self.rfile.read(min(CHUNK, left))
                 if not piece:
@@ -166,40 +159,40 @@ class Handler(BaseHTTPRequestHandler):
                 yield piece
 
         try:
-            atomic_write(path, pieces())
+            atomic_write(path, pieces(size))
         except AsbuiltError as problem:
             self.close_connection = True
-            self._json({"error": problem.message}, HTTPStatus.CONFLICT)
+            self._send_json({"error": problem.message}, HTTPStatus.CONFLICT)
             return
-        self._json({"path": str(path)})
+        self._send_json({"path": str(path)})
 
-    def _place(self) -> str | None:
-        """Return what is asked for; None, and an error to the browser, if that is not allowed."""
-        server = cast(PageServer, self.server)
+    def _refuse(self, status: HTTPStatus) -> NoReturn:
+        """Send an error to the browser, and end the request and its connection."""
+        self.send_error(status)
+        raise Refused
+
+    def _read_place(self) -> str:
+        """Return what is asked for; refuse the request if that is not allowed."""
         token, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
-        own = self.headers.get("Host", "") in server.hosts
-        origin = self.headers.get("Origin")
-        asked_here = origin in {f"http://{host}" for host in server.hosts}
+        hosts, origin = self.server.hosts, self.headers.get("Origin")
+        own = self.headers.get("Host", "") in hosts
+        asked_here = origin in {f"http://{host}" for host in hosts}
         allowed = own and (asked_here if origin or self.command != "GET" else True)
-        if not allowed or not secrets.compare_digest(token.encode(), server.token.encode()):
-            self.close_connection = True
-            self.send_error(HTTPStatus.FORBIDDEN)
-            return None
+        if not allowed or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            self._refuse(HTTPStatus.FORBIDDEN)
         return unquote(place)
 
-    def _size(self, most: float) -> int | None:
-        """Return the length of what is sent; None, and an error, if it is unknown or too large."""
+    def _read_size(self, most: float) -> int:
+        """Return the length of what is sent; refuse the request if it is unknown or too large."""
         text = self.headers.get("Content-Length", "")
         if not text.isdecimal() or int(text) > most:
-            self.close_connection = True
-            self.send_error(
+            self._refuse(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE if text else HTTPStatus.LENGTH_REQUIRED
             )
-            return None
         return int(text)
 
-    def _body(self) -> dict[str, Any]:
-        size = self._size(LARGEST_REQUEST) or 0
+    def _read_body(self) -> dict[str, Any]:
+        size = self._read_size(LARGEST_REQUEST)
         try:
             given = json.loads(self.rfile.read(size) or b"{}")
         except (ValueError, RecursionError):
@@ -208,47 +201,52 @@ class Handler(BaseHTTPRequestHandler):
             raise UsageError("the request is not a JSON object")
         return given
 
-    def _written(self, place: str) -> Path | None:
+    def _find_written(self, place: str) -> Path | None:
         """Return a file of the folder, None if it is none or lies elsewhere."""
-        folder = self.session.folder.resolve()
+        folder = self.server.session.folder.resolve()
         path = (folder / place).resolve()
         return path if path.is_relative_to(folder) and path.is_file() else None
 
-    def _file(self, path: Path | None, policy: str) -> None:
+    def _send_file(self, path: Path | None, policy: str) -> None:
         if path is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         kind = KINDS.get(path.suffix)
         with path.open("rb") as stream:
-            self._head(path.stat().st_size, kind or "application/octet-stream", policy)
+            self._send_head(path.stat().st_size, kind or "application/octet-stream", policy)
             if kind is None:
                 self.send_header("Content-Disposition", f'attachment; filename="{path.name}"')
             self.end_headers()
             while piece := stream.read(CHUNK):
                 self.wfile.write(piece)
 
-    def _json(self, document: Any, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send_json(self, document: Any, status: HTTPStatus = HTTPStatus.OK) -> None:
         content = json.dumps(document).encode()
-        self._head(len(content), KINDS[".json"], OWN, status)
+        self._send_head(len(content), KINDS[".json"], OWN, status)
         self.end_headers()
         self.wfile.write(content)
 
-    def _head(self, size: int, kind: str, policy: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send_head(
+        self, size: int, kind: str, policy: str, status: HTTPStatus = HTTPStatus.OK
+    ) -> None:
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(size))
-        self.send_header("Content-Security-Policy", policy)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
-        self.send_header("Cache-Control", "no-store")
+        for name, value in (
+            ("Content-Type", kind),
+            ("Content-Length", str(size)),
+            ("Content-Security-Policy", policy),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "no-referrer"),
+            ("Cross-Origin-Resource-Policy", "same-origin"),
+            ("Cache-Control", "no-store"),
+        ):
+            self.send_header(name, value)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Keep quiet: the terminal shows the address alone."""
 
     def handle_one_request(self) -> None:
         """Answer a request; a browser that goes away is no error."""
-        with contextlib.suppress(ConnectionError, socket.timeout):
+        with suppress(ConnectionError, socket.timeout, Refused):
             super().handle_one_request()
             return
         self.close_connection = True
@@ -259,13 +257,9 @@ def _find_resource(name: str) -> Path | None:
     from asbuilt.writers.reports import page as reports
 
     own, shared = Path(__file__).parent / "templates", Path(reports.__file__).parent / "templates"
-    for folder, names in (
-        (own, ("page.html", "page.js", "page.css")),
-        (shared, ("report.css", "plot.js")),
-    ):
-        if name in names:
-            return folder / name
-    return None
+    folders = dict.fromkeys(("page.html", "page.js", "page.css"), own)
+    folders |= dict.fromkeys(("report.css", "plot.js"), shared)
+    return folders[name] / name if name in folders else None
 
 
 def _clean_file_name(name: str) -> str:
@@ -303,8 +297,6 @@ def open(
     switch effects, export. Every step is a command of this program, which the page shows. It runs
     on this machine, for whoever has its address; Ctrl-C ends it.
     """
-    from asbuilt.cli.page.session import Choices, Session
-
     logs = tuple(str(path) for path in log or ())
     missing = next((path for path in logs if not Path(path).exists()), None)
     if missing is not None:
@@ -317,11 +309,7 @@ def open(
             lambda: {"url": server.url, "folder": str(session.folder)},
             lambda: f"{server.url}\nResults are written to {session.folder}; Ctrl-C ends it.",
         )
-        if browser:
-            import webbrowser
-
-            webbrowser.open(server.url)
-        with suppress(KeyboardInterrupt), server:
-            server.serve_forever()
+        with server:
+            serve_page(server.url, server.serve_forever, browser=browser)
     finally:
         session.close()

@@ -19,9 +19,6 @@ from asbuilt.identification.effects.wanted import TILT
 
 STEPS = ("show", "columns", "check", "identify", "view", "export")
 """The commands of the page, in the order of its sections."""
-VIEW = "view.html"
-"""File of the robot in 3-D."""
-RUNNING = "another step is running; cancel it or wait"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +136,7 @@ class Session:
                 *_split_words(chosen.options), *effects, "-o", str(self.folder),
             ),
             "view": (
-                "view", result, *chosen.logs[:1], *reading, "--save", str(self.folder / VIEW)
+                "view", result, *chosen.logs[:1], *reading, "--save", str(self.folder / "view.html")
             ),
             "export": ("export", result, *_split_words(chosen.export)),
         }[step]  # fmt: skip
@@ -154,12 +151,12 @@ class Session:
         if step == "identify":
             if not chosen.logs:
                 return "choose a log to identify with; all are for validation"
-            return self._unsound()
+            return self._find_fault()
         if step in ("view", "export") and self.answer("identify") is None:
             return "identify the robot first"
         return None
 
-    def _unsound(self) -> str | None:
+    def _find_fault(self) -> str | None:
         """Return what the check found wrong, or that the logs have not been checked."""
         checked = self.answer("check")
         if checked is None:
@@ -187,7 +184,8 @@ class Session:
         if step not in STEPS:
             raise UsageError(f"there is no step {step!r}", available=STEPS)
         with self._lock:
-            why = RUNNING if self.job is not None else self.refusal(step)
+            busy = self.job is not None
+            why = "another step is running; cancel it or wait" if busy else self.refusal(step)
             if why is not None:
                 raise UsageError(why)
             self.job = Job(step, self.arguments(step))

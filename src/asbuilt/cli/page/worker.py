@@ -32,14 +32,14 @@ class Worker:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
-        self._started()
+        self._start()
 
     def run(self, arguments: Sequence[str], progress: Progress) -> dict[str, Any]:
         """Return the document that a command prints with `--json`, or one with `error`.
 
         A process that ends before it has answered was cancelled, or has crashed.
         """
-        process = self._started()
+        process = self._start()
         stdin, stdout = cast(Any, process.stdin), cast(Any, process.stdout)
         with contextlib.suppress(OSError):
             stdin.write(json.dumps([*arguments, "--json"]).encode() + b"\n")
@@ -54,7 +54,7 @@ class Worker:
     def cancel(self) -> None:
         """End the running command; no file is half-written. The next process starts at once."""
         self.close()
-        self._started()
+        self._start()
 
     def close(self) -> None:
         """End the process."""
@@ -64,7 +64,7 @@ class Worker:
             process.kill()
             process.wait()
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> subprocess.Popen[bytes]:
         with self._lock:
             if self._process is None or self._process.poll() is not None:
                 self._process = subprocess.Popen(

@@ -52,7 +52,7 @@ class SearchPool(Generic[Task, Result]):
     def __init__(self, work: Callable[[Task], Result], workers: Workers, size: int) -> None:
         self._work, self._workers, self._busy, self._lost = work, workers, 0, False
         # What each process imports with the work takes longer than many a search.
-        self._ready = [workers.executor.submit(_load, work) for _ in range(size)]
+        self._ready = [workers.submit(_load, work) for _ in range(size)]
 
     @property
     def is_free(self) -> bool:
@@ -63,7 +63,7 @@ class SearchPool(Generic[Task, Result]):
     def submit(self, task: Task) -> Future[Result]:
         """Submit a task to a free process."""
         self._busy += 1
-        future: Future[Result] = self._workers.executor.submit(_run, self._work, task)
+        future: Future[Result] = self._workers.submit(_run, self._work, task)
         future.add_done_callback(self._count_done)
         return future
 

@@ -16,8 +16,8 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
-from asbuilt.experiment.free_base.force_checks import check_forces
-from asbuilt.experiment.free_base.rolling_feet import estimate_rolling_radii
+from asbuilt.experiment.free_base.feet import estimate_rolling_radii
+from asbuilt.experiment.free_base.measured_forces import check_forces
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -30,7 +30,7 @@ class FreeBaseLimits:
     shifted by up to `longest_shift` [s], and named from `shift` [s]. A contact that is closed
     slips above `slip` [m/s]; one that is open touches where it stands within `height` [m] of where
     it stands when closed. `gravity` [m/s^2] is the least mean by which accelerations that hold
-    gravity differ from those of the velocity. Stated radii are off by more than a part `radius`
+    gravity differ from the rates of the velocity. Stated radii are off by more than a part `radius`
     from those on which feet roll. At most `samples` of a log are looked at.
     """
 
@@ -103,28 +103,11 @@ def _report_wrong_axes(columns: str) -> Finding:
 
 def _list_other_readings(R: Array) -> Iterator[tuple[str, Array]]:
     """Yield other readings of quaternions that were read as x y z w, and their angles."""
-    x, y, z, w = _extract_quaternions(R)
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - light start
+
+    x, y, z, w = Rotation.from_matrix(R).as_quat().T
     yield "w x y z", yaw_pitch_roll(np.stack([y, z, w, x], axis=1))
     yield "the inverse (world axes to base axes)", yaw_pitch_roll(np.stack([-x, -y, -z, w], axis=1))
-
-
-def _extract_quaternions(R: Array) -> tuple[Array, Array, Array, Array]:
-    """Return x, y, z, w of rotations (N, 3, 3), as eigenvectors, so that none is singular."""
-    (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
-    K = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    largest = np.linalg.eigh(np.moveaxis(K, 2, 0))[1][:, :, -1]
-    sign = np.cumprod(
-        np.concatenate([[1.0], np.where(np.sum(largest[1:] * largest[:-1], axis=1) < 0, -1, 1)])
-    )
-    x, y, z, w = (largest * sign[:, None]).T
-    return x, y, z, w
 
 
 def _turn_into_base_axes(q: Array, rates: Array) -> Array:
@@ -137,7 +120,7 @@ def _turn_into_base_axes(q: Array, rates: Array) -> Array:
 
 
 def _check_accelerations(model: RobotModel, recording: Recording) -> Iterator[Finding]:
-    """Find accelerations that hold gravity, as those of an inertial sensor do."""
+    """Find accelerations that hold gravity, as an inertial sensor measures them."""
     if recording.qdd is None or recording.qd is None or model.n_floating != 6:
         return
     derived = np.gradient(recording.qd[:, :3], recording.t, axis=0)
@@ -163,7 +146,7 @@ def _check_contacts(model: RobotModel, recording: Recording, rates: Array) -> It
         for name, own in zip(names, closed.T, strict=True)
         if not own.any() and f"contact_{name}_fx" not in recording.extra
     ]
-    if never and not _falls(model, recording):
+    if never and not _is_falling(model, recording):
         all_open = len(never) == len(names)
         yield Finding(
             "contact_never_closes",
@@ -237,7 +220,7 @@ def _report_radii(model: RobotModel, recording: Recording) -> Iterator[Finding]:
         )
 
 
-def _falls(model: RobotModel, recording: Recording) -> bool:
+def _is_falling(model: RobotModel, recording: Recording) -> bool:
     """Return whether the base falls freely on average, as it does where nothing touches it."""
     t = recording.t - recording.t[0]
     up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)

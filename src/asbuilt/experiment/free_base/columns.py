@@ -1,8 +1,8 @@
-"""Columns of a free base: pose, velocity, contacts and forces beside the joints of a log.
+"""Columns of a free base: pose, velocity, contacts and forces, in addition to the joints of a log.
 
 The pose is `base_x base_y base_z` [m] and the quaternion `base_qx base_qy base_qz base_qw` that
-turns base axes into those of the world. Velocities `base_vx .. base_wz`, if there are any, are in
-base axes, as are those of Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
+turns base axes into world axes. Velocities `base_vx .. base_wz`, if there are any, are in
+base axes, as in Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
 Measured forces are `contact_NAME_fx .. fz` and `mx .. mz`, and `base_fx .. base_mz`. Where no pose
 is logged, columns `imu_..` take its place (`inertial_sensor`).
 """
@@ -16,13 +16,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.measured_forces import (
-    detect_force,
-    select_force_columns,
-    with_measured_forces,
-)
-from asbuilt.experiment.free_base.sensor_checks import unit_quaternions
+from asbuilt.errors import DescriptionError, RecordingError
+from asbuilt.experiment.free_base.feet import find_closed
+from asbuilt.experiment.free_base.measured_forces import select_force_columns, with_measured_forces
+from asbuilt.experiment.free_base.sensor_checks import normalise_quaternions
+from asbuilt.experiment.logs.columns.layout import find_column
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -36,13 +36,116 @@ STEEPEST = np.deg2rad(80.0)
 """Pitch beyond which yaw and roll are one turn, so that their rates say nothing."""
 
 
-def select_base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the columns of a log that belong to a free base and its contacts."""
-    return {
+def with_base_columns(
+    recording: Recording, table: LogTable, sheet: RecordingSheet, model: RobotModel
+) -> tuple[Recording, str]:
+    """Return the recording with columns of the base as its `extra`, and the frame of its sensor.
+
+    Pose and twist of another frame that is fixed to the base are moved to the base. Samples before
+    the first and after the last state of the base are left out.
+
+    Raises
+    ------
+    RecordingError
+        If the source of a state that is needed cannot be read, or a frame is not fixed to the base.
+    """
+    columns = {
         name: values
-        for name, values in columns.items()
+        for name, values in table.columns.items()
         if name.startswith(("base_", "contact_", "imu_"))
+    } | {
+        name: table.columns[find_column(table, name, column)]
+        for name, column in sheet.columns.by_base.items()
     }
+    posed, sensed = QUATERNION[0] in columns, "imu_wx" in columns
+    for group, (problem, cure) in table.unread.items():
+        of_contact = group in [f"contact_{each.frame}" for each in model.contacts]
+        if of_contact or not (posed or sensed):
+            raise RecordingError(problem, cure=Cure(cure), file=table.source)
+        if group == "base" and not posed:
+            note = f"{problem}; its inertial sensor gives the base"
+            recording = replace(recording, notes=(*recording.notes, note))
+    world = table.frames.get("world", "").rpartition("/")[2]
+    if posed and world in {*model.link_names, *(frame.name for frame in model.frames)}:
+        raise RecordingError(
+            f"{table.source}: the pose of the base is in axes of {world!r}, a part of {model.name},"
+            " and not of the world",
+            cure=Cure("record the pose in a frame that stands still, such as odom or map"),
+            file=table.source,
+            value=world,
+        )
+    frame = sheet.base_frame or table.frames.get("base", "")
+    sensor = sheet.imu_frame or ("" if posed else table.frames.get("imu", ""))
+    if posed and frame:
+        columns |= move_to_base(columns, _place_on_base(table, model, frame, "base_frame"))
+    if sensor:
+        _place_on_base(table, model, sensor, "imu_frame")
+    recording = replace(recording, extra=columns)
+    states = [columns[name] for name in columns if name.startswith(("base_", "imu_"))]
+    rows = np.flatnonzero(np.isfinite(states).all(axis=0))
+    if table.frames and rows.size:
+        inside = slice(int(rows[0]), int(rows[-1]) + 1)
+        left_out = recording.n_samples - (inside.stop - inside.start)
+        note = f"{left_out} samples without a state of the base, before or after it, were left out"
+        if left_out:
+            recording = replace(recording.taken(inside), notes=(*recording.notes, note))
+    return recording, sensor.rpartition("/")[2]
+
+
+def _place_on_base(table: LogTable, model: RobotModel, frame: str, field: str) -> Array:
+    """Return the placement (4, 4) of a frame on the base; refuses one that is not fixed to it."""
+    base = model.n_floating - 1
+    try:
+        link, placement = model.placed(frame.rpartition("/")[2])
+    except DescriptionError:
+        link, placement = -1, np.eye(4)
+    if link != base:
+        fixed = [each.name for each in model.frames if each.link == base]
+        listed = ", ".join([model.link_names[base], *fixed])
+        raise RecordingError(
+            f"{table.source}: the frame {frame!r} is not fixed to the base of {model.name}; its"
+            f" base has {listed}",
+            cure=Cure(
+                "say which of them it is in a recording sheet, or add it to the description:"
+                f' {field} = "{model.link_names[base]}"'
+            ),
+            file=table.source,
+            value=frame,
+            available=[model.link_names[base], *fixed],
+        )
+    return placement
+
+
+def move_to_base(columns: Mapping[str, Array], placement: Array) -> dict[str, Array]:
+    """Return pose and twist of a base, given of a frame at `placement` (4, 4) on it.
+
+    With R, p of the frame on the base: `R_base = R_frame R^T`, `x_base = x_frame - R_base p`, and
+    in axes of the base `w_base = R w_frame`, `v_base = R v_frame - w_base x p`, as are their rates.
+    """
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - light start
+
+    R, p = placement[:3, :3], placement[:3, 3].copy()  # SciPy takes none that is read-only
+    found: dict[str, Array] = {}
+
+    def stack(names: tuple[str, ...]) -> Array:
+        return np.stack([columns[name] for name in names], axis=1)
+
+    if set(QUATERNION) <= columns.keys() and set(POSITION) <= columns.keys():
+        logged = stack(QUATERNION)
+        length = np.linalg.norm(logged, axis=1)
+        known = length > 0.0  # neither zero nor NaN
+        turn = np.full(logged.shape, np.nan)
+        turned = Rotation.from_quat(logged[known]) * Rotation.from_matrix(R).inv()
+        turn[known] = turned.as_quat() * length[known, None]
+        place = np.full((len(turn), 3), np.nan)
+        place[known] = stack(POSITION)[known] - turned.apply(p)
+        found |= zip((*POSITION, *QUATERNION), (*place.T, *turn.T), strict=True)
+    for linear, angular in ((LINEAR, ANGULAR), (ACCELERATION, ANGULAR_ACCELERATION)):
+        if {*linear, *angular} <= columns.keys():
+            w = stack(angular) @ R.T
+            v = stack(linear) @ R.T - np.cross(w, p)
+            found |= zip((*linear, *angular), (*v.T, *w.T), strict=True)
+    return found
 
 
 def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = "") -> Recording:
@@ -96,16 +199,15 @@ def add_base_coordinates(recording: Recording, model: RobotModel, sensor: str = 
 
 def _find_closed_contacts(recording: Recording, model: RobotModel) -> Array:
     """Return where contacts are closed (N, n_contacts), by their flag or else by their force."""
-    found = []
-    for contact in model.contacts:
-        name = f"contact_{contact.frame}"
-        if name not in recording.extra and f"{name}_fz" in recording.extra:
-            found.append(detect_force(recording.extra[f"{name}_fz"]))
-        else:
-            found += list(
-                _stack_columns(recording, [name], "which says when the contact is closed").T
-            )
-    return np.stack(found, axis=1)
+
+    def closed(frame: str) -> Array:
+        found = find_closed(recording.extra, frame)
+        why = "which says when the contact is closed"
+        return (
+            _stack_columns(recording, [f"contact_{frame}"], why)[:, 0] if found is None else found
+        )
+
+    return np.stack([closed(each.frame) for each in model.contacts], axis=1)
 
 
 def _stack_columns(recording: Recording, names: list[str] | tuple[str, ...], what: str) -> Array:
@@ -133,7 +235,7 @@ def _read_pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str
         recording, POSITION[: 2 if model.n_floating == 3 else 3], "where the base is"
     )
     logged = _stack_columns(recording, QUATERNION, "how the base is turned")
-    quaternion, notes = unit_quaternions(recording, logged, QUATERNION)
+    quaternion, notes = normalise_quaternions(recording, logged, QUATERNION)
     angles = yaw_pitch_roll(quaternion)
     if model.n_floating == 3:
         return np.column_stack([position, np.unwrap(angles[:, 0])]), notes
@@ -207,7 +309,8 @@ def coordinate_accelerations(
     """Return the second rates (N, 6) of the base's coordinates.
 
     `a` and `alpha` are the rates of change of v and w in base axes, so that the base accelerates by
-    `R (a + w x v)`; those of the angles are the derivatives of the sums in `coordinate_rates`.
+    `R (a + w x v)`; the second rates of the angles are the derivatives of the sums in
+    `coordinate_rates`.
     """
     (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
     yaw, pitch, roll = rates[:, 3:].T
@@ -220,7 +323,7 @@ def coordinate_accelerations(
 
 
 def base_rotations(q: Array) -> Array:
-    """Return what turns base axes into those of the world, (N, 3, 3)."""
+    """Return the rotations from base axes to world axes, (N, 3, 3)."""
     (cy, cp, cr), (sy, sp, sr) = np.cos(q[:, 3:6]).T, np.sin(q[:, 3:6]).T
     R = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

@@ -3,12 +3,15 @@
 In `tau + J^T f = Y chi` a measured f is known and enters the left side; one that nobody measured
 is projected away (`dynamics.contact`). Forces [N] and moments [N m] act on the robot and are in
 axes of the frame that names them, as a sensor that is fixed there measures them.
+
+All forces on a robot together move its centre of mass and carry its weight, whatever its joints do.
+So the masses of a description say in which axes the forces are, and which way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,17 +20,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.parts import Contact
 from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
 from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.rolling_feet import set_rolling_radii
+from asbuilt.experiment.free_base.feet import detect_force, set_rolling_radii
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, join_names
+from asbuilt.findings import Cure, Finding, join_names
 
 BASE = "base"
 FORCE, MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
-
-
-PRESSED = 0.02
-"""Part of a large force above which a contact without a flag counts as closed."""
 
 
 def with_measured_forces(recording: Recording, model: RobotModel) -> Recording:
@@ -57,12 +57,6 @@ def select_force_columns(extra: Mapping[str, Array]) -> dict[str, Array]:
         for name, values in extra.items()
         if name.endswith(ends) or name.startswith("contact_")
     }
-
-
-def detect_force(force: Array) -> Array:
-    """Return 1 where a force (N,) is felt, or has no value, and 0 elsewhere."""
-    large = float(np.nanquantile(np.abs(force), 0.95))
-    return np.asarray(~(np.abs(force) <= PRESSED * large), dtype=np.float64)
 
 
 def collect_measured_wrenches(recording: Recording, model: RobotModel) -> dict[Contact, Array]:
@@ -112,8 +106,79 @@ def generalised_forces(model: RobotModel, q: Array, wrenches: Mapping[Contact, A
 
 
 def turn_into_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: Array) -> Array:
-    """Return a wrench (N, 3 or 6) turned from axes of its frame into those of the world."""
+    """Return a wrench (N, 3 or 6) turned from axes of its frame into axes of the world."""
     link, placement = model.placed(contact.frame)
     R = link_poses(model, q)[:, link, :3, :3] @ placement[:3, :3]
     parts = wrench.reshape(len(q), -1, 3)
     return np.asarray(np.einsum("sij,skj->ski", R, parts).reshape(wrench.shape))
+
+
+@dataclass(frozen=True, slots=True)
+class ForceLimits:
+    """Say from when forces are read wrongly: own choices, tested on virtual robots.
+
+    Forces are averaged over `window` [s]. Another reading must leave less than `share` of the
+    squared disagreement with the weight. Flags and forces disagree in more than a part `often`.
+    """
+
+    window: float = 0.1
+    share: float = 0.25
+    often: float = 0.1
+
+
+LIMITS = ForceLimits()
+
+
+def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
+    """Find forces in other axes or of other sign, and flags that disagree with them."""
+    wrenches = collect_measured_wrenches(recording, model)
+    if not wrenches or model.n_floating != 6:
+        return
+    own = {place: f[:, :3] for place, f in wrenches.items()}
+    world = _add_up(turn_into_world_axes(model, recording.q, place, f) for place, f in own.items())
+    needed = inverse_dynamics(model, recording.q, rates, np.gradient(rates, recording.t, axis=0))[
+        :, :3
+    ]
+    known = np.isfinite(world).all(axis=1)
+    if recording.contact is not None:
+        known &= ~(recording.contact > 0.5).any(axis=1)
+
+    def off(force: Array) -> float:
+        width = max(1, round(LIMITS.window * recording.rate))
+        left = (needed - force)[known]
+        means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
+        return float(np.mean(means**2)) if len(means) else 0.0
+
+    plain = _add_up(own.values())
+    readings = {
+        "in world axes": plain,
+        "those of the robot on its surroundings": -world,
+        "those of the robot on its surroundings, in world axes": -plain,
+    }
+    best = min(readings, key=lambda name: off(readings[name]))
+    if off(readings[best]) < LIMITS.share * off(world):
+        yield Finding(
+            "force_axes",
+            "error",
+            f"measured forces at {join_names([place.frame for place in own])} are {best}: so"
+            " read, they"
+            " carry the weight of the robot; as forces on it in axes of these frames they do not",
+            Cure("turn them into axes of the frames, with the sign of what acts on the robot"),
+        )
+    for place, force in own.items():
+        flag = recording.extra.get(f"contact_{place.frame}")
+        if flag is None:
+            continue
+        wrong = float(np.mean((flag > 0.5) != (detect_force(np.linalg.norm(force, axis=1)) > 0.5)))
+        if wrong > LIMITS.often:
+            yield Finding(
+                "contact_force_flags",
+                "warning",
+                f"contact_{place.frame} and the force measured there disagree in {100 * wrong:.0f}"
+                " % of the time; the force is used",
+                Cure("check the flags, and the clock and zero of the force"),
+            )
+
+
+def _add_up(forces: Iterable[Array]) -> Array:
+    return np.asarray(np.sum(list(forces), axis=0))

@@ -14,11 +14,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.rotation import rotation_z
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.standing_feet import (
+from asbuilt.experiment.free_base.feet import (
     RULES,
     Feet,
-    slow_part,
-    velocity_of_base,
+    estimate_base_velocity,
+    select_slow_part,
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
@@ -29,7 +29,7 @@ UNIT_LENGTH = 0.02
 """Largest deviation of a quaternion's length from 1 that is rounding or drift of an estimator."""
 
 
-def unit_quaternions(
+def normalise_quaternions(
     recording: Recording, quaternion: Array, names: Sequence[str]
 ) -> tuple[Array, list[str]]:
     """Return quaternions (N, 4), x y z w, of length 1, and notes; refuses those that are not."""
@@ -62,7 +62,7 @@ def refuse_units(recording: Recording, f: Array, g: float) -> None:
         what, cure = "they are in g", "multiply them by 9.81"
     else:
         what, cure = "they have another unit, or the robot falls", "log them in m/s^2"
-    raise wrong_sensor(
+    raise make_sensor_error(
         recording,
         f"has imu_ax .. imu_az of {size:.3g} m/s^2 in the mean, where gravity is {g:.3g}: {what}",
         cure,
@@ -71,7 +71,7 @@ def refuse_units(recording: Recording, f: Array, g: float) -> None:
 
 def refuse_force(recording: Recording, feet: Feet, f: Array) -> None:
     """Refuse a specific force that does not carry the robot while it stands upright."""
-    mean = f[feet.standing()].mean(axis=0)
+    mean = f[feet.find_stance()].mean(axis=0)
     mean /= np.linalg.norm(mean)
     if mean[2] >= np.cos(RULES.upright):
         return
@@ -82,7 +82,7 @@ def refuse_force(recording: Recording, feet: Feet, f: Array) -> None:
         if axis == "-z"
         else ("other axes", "turn them into axes of the base, or name the sensor's frame imu")
     )
-    raise wrong_sensor(
+    raise make_sensor_error(
         recording,
         f"has imu_ax .. imu_az of {what}: while the robot stands they point along {axis} of its"
         " base, where an accelerometer at rest shows 9.81 m/s^2 upwards",
@@ -94,18 +94,18 @@ def refuse_turn(
     recording: Recording, feet: Feet, R: Array, inverse: Array, w: Array, f: Array
 ) -> None:
     """Refuse orientations in which gravity is not vertical, and inverse ones."""
-    up = np.einsum("sij,sj->si", R, f)[feet.standing()].mean(axis=0)
+    up = np.einsum("sij,sj->si", R, f)[feet.find_stance()].mean(axis=0)
     angle = float(np.arccos(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0)))
     if angle > RULES.upright / 3.0:
-        raise wrong_sensor(
+        raise make_sensor_error(
             recording,
             f"has imu_qx .. imu_qw in which gravity is {np.rad2deg(angle):.0f} deg off the"
             " vertical",
             FORWARD,
         )
-    off_rates = [float(np.mean((w - spin_of(x, recording.t)) ** 2)) for x in (R, inverse)]
+    off_rates = [float(np.mean((w - find_spin(x, recording.t)) ** 2)) for x in (R, inverse)]
     if off_rates[1] < RULES.share * off_rates[0]:
-        raise wrong_sensor(recording, f"has imu_qx .. imu_qw that are {INVERSE}", FORWARD)
+        raise make_sensor_error(recording, f"has imu_qx .. imu_qw that are {INVERSE}", FORWARD)
 
 
 def refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array | None) -> None:
@@ -115,36 +115,36 @@ def refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array 
     """
     off: Callable[[Array], float]
     if R is not None:
-        what, off = "the quaternion", partial(_apart, spin_of(R, recording.t))
+        what, off = "the quaternion", partial(_measure_distance, find_spin(R, recording.t))
     elif (feet.stands.sum(axis=0) > 1).sum() > recording.rate:
         what, off = "the feet that stand", feet.slip
     else:
-        what, off = "gravity", partial(_turn_of_gravity, feet, f, recording.rate)
+        what, off = "gravity", partial(_measure_turn_of_gravity, feet, f, recording.rate)
     best, reading = RULES.share * off(w), ""
-    for M, name in _readings():
+    for M, name in _list_readings():
         left = off(w @ M.T)
         if left < best:
             best, reading = left, name
     if reading:
-        raise wrong_sensor(
+        raise make_sensor_error(
             recording,
             f"has imu_wx .. imu_wz that are {reading}: so read, they agree with {what}",
             "log them in rad/s, in axes of the sensor, or name its frame imu in the description",
         )
 
 
-def _apart(wanted: Array, w: Array) -> float:
+def _measure_distance(wanted: Array, w: Array) -> float:
     return float(np.mean((w - wanted) ** 2))
 
 
-def _turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> float:
+def _measure_turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> float:
     """Return the mean square of `du/dt + w x u`, of the vertical u in axes of the base."""
     v, count = feet.base_velocity(w)
     known = np.flatnonzero(count > 0)
     if known.size > rate:
         v = np.stack([np.interp(np.arange(len(v)), known, x) for x in v[known].T], axis=1)
         f = f - np.gradient(v, 1.0 / rate, axis=0)
-    u, slow = slow_part(f, RULES.turn, rate), slow_part(w, RULES.turn, rate)
+    u, slow = select_slow_part(f, RULES.turn, rate), select_slow_part(w, RULES.turn, rate)
     return float(np.mean((np.gradient(u, 1.0 / rate, axis=0) + np.cross(slow, u)) ** 2))
 
 
@@ -162,9 +162,9 @@ def refuse_heading(
     for quarters in (1, 2, 3):
         M = rotation_z(0.5 * np.pi * quarters)
         turned = R @ M.T
-        moved, _ = velocity_of_base(turned, f @ M.T, feet, w @ M.T, recording.rate, gravity)
+        moved, _ = estimate_base_velocity(turned, f @ M.T, feet, w @ M.T, recording.rate, gravity)
         if off(w @ M.T, turned, moved) < best:
-            raise wrong_sensor(
+            raise make_sensor_error(
                 recording,
                 f"has an inertial sensor whose axes are turned by {90 * quarters} deg about the"
                 " vertical: so read, its accelerations agree with the feet that stand",
@@ -172,13 +172,13 @@ def refuse_heading(
             )
 
 
-def spin_of(R: Array, t: Array) -> Array:
+def find_spin(R: Array, t: Array) -> Array:
     """Return the angular velocity (N, 3), in their own axes, of rotations (N, 3, 3)."""
     spin = np.einsum("sji,sjk->sik", R, np.gradient(R, t, axis=0))
     return np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
 
 
-def _readings() -> list[tuple[Array, str]]:
+def _list_readings() -> list[tuple[Array, str]]:
     """Return other readings of a vector (3, 3), with what they are called."""
     found = [(np.deg2rad(1.0) * np.eye(3), "in deg/s")]
     for order in permutations(range(3)):
@@ -193,6 +193,6 @@ def _readings() -> list[tuple[Array, str]]:
     return found
 
 
-def wrong_sensor(recording: Recording, what: str, cure: str) -> RecordingError:
+def make_sensor_error(recording: Recording, what: str, cure: str) -> RecordingError:
     """Return the error of a recording whose sensor is wrong."""
     return RecordingError(f"{recording.source} {what}", cure=Cure(cure), file=recording.source)

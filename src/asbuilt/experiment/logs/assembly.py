@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -24,21 +24,8 @@ from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
-_QUANTITIES = {"position", "velocity", "acceleration", "torque"}
-
-
-def group_by_role(paths: Sequence[Path]) -> list[list[Path]]:
-    """Group files whose names differ in the quantity alone, in the order of first appearance."""
-    groups: dict[tuple[Path, str, str], list[Path]] = {}
-    for path in paths:
-        quantity, rest = parse_file_quantity(path.stem)
-        key = (path.parent, rest, path.suffix) if quantity in _QUANTITIES else (path, "", "")
-        groups.setdefault(key, []).append(path)
-    result: list[list[Path]] = []
-    for group in groups.values():
-        distinct = {parse_file_quantity(path.stem)[0] for path in group}
-        result.extend([group] if len(distinct) == len(group) else [[path] for path in group])
-    return result
+FILE_QUANTITIES = {"position", "velocity", "acceleration", "torque"}
+"""Quantities that may have a file of their own."""
 
 
 def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
@@ -56,7 +43,7 @@ def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
     known: dict[str, tuple[str, str]] = {}
     parts: dict[str, LogTable] = {}
     for key, table in tables.items():
-        quantity = key if key in _QUANTITIES else parse_file_quantity(Path(key).stem)[0]
+        quantity = key if key in FILE_QUANTITIES else parse_file_quantity(Path(key).stem)[0]
         if quantity is None:
             raise RecordingError(
                 f"the name {key!r} does not name the quantity that the file holds",

@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
+from asbuilt.experiment.logs.columns.layout import QUANTITIES
 from asbuilt.experiment.logs.formats.log_format import choose_log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
@@ -31,8 +32,6 @@ from asbuilt.findings import Cure
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
     from asbuilt.experiment.signal.signal_chain import SignalChain
-
-_STREAMED = ("position", "velocity", "acceleration", "torque", "command")
 
 
 def stream_recording(
@@ -70,29 +69,26 @@ def stream_recording(
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
     whole_first = sheet.files.position is not None or sheet.sign == "command"
-    stream = None if whole_first or path.suffix == ".toml" else choose_log_format(path).stream
-    header = None if stream is None else stream.header(path, sheet)
-    if stream is None or header is None:
+    stream = None
+    if not whole_first and path.suffix != ".toml":
+        stream = choose_log_format(path).stream(path, sheet)
+    if stream is None:
         whole = read_recording(path, model=model, options=replace(chosen, sheet=sheet))
         for begin in range(0, whole.n_samples, chunk_samples):
             yield whole.taken(slice(begin, begin + chunk_samples))
         return
     try:
-        layout = find_table_layout(header, sheet, model, chosen)
+        layout = find_table_layout(stream.header, sheet, model, chosen)
     except RecordingError:
         # By the first rows of all numeric columns an error drafts a sheet.
-        first_rows = next(
-            (each for _, each in stream.chunks(path, sheet, [*header.columns], 2000)), {}
-        )
-        table = replace(header, columns=first_rows or header.columns)
-        layout = find_table_layout(table, sheet, model, chosen)
-    quantities = {name: layout.quantities[name] for name in _STREAMED if name in layout.quantities}
+        layout = find_table_layout(stream.read_first(2000), sheet, model, chosen)
+    quantities = {name: layout.quantities[name] for name in QUANTITIES if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     origin: float | None = None
     start: float | None = None
-    for first, columns in stream.chunks(path, sheet, layout.columns, chunk_samples):
-        table = replace(header, columns=columns)
+    for first, columns in stream.chunks(layout.columns, chunk_samples):
+        table = replace(stream.header, columns=columns)
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), sheet, chosen)
         origin = chunk.started
@@ -155,13 +151,11 @@ class RecordingStream:
         return self._read(self.chunk_samples)
 
     def _read(self, chunk_samples: int) -> Iterator[Recording]:
-        chunks = stream_recording(
+        for chunk in stream_recording(
             self.path, model=self.model, options=self.options, chunk_samples=chunk_samples
-        )
-        joints = self.joints
-        kept = chunks if joints is None else (chunk.reordered(joints) for chunk in chunks)
-        servo = self.servo
-        return kept if servo is None else (drive_by_command(chunk, servo) for chunk in kept)
+        ):
+            kept = chunk if self.joints is None else chunk.reordered(self.joints)
+            yield kept if self.servo is None else drive_by_command(kept, self.servo)
 
     @cached_property
     def head(self) -> Recording:
@@ -252,5 +246,5 @@ def is_long(path: Path, size: float | None = None) -> bool:
     """
     if not path.is_file() or path.suffix == ".toml":
         return False
-    stream = choose_log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > (LONG if size is None else size)
+    n_bytes = choose_log_format(path).n_bytes
+    return n_bytes is not None and n_bytes(path) > (LONG if size is None else size)

@@ -9,11 +9,11 @@ from typing import Any
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, refuse
-from asbuilt.experiment.free_base.columns import add_base_coordinates
+from asbuilt.experiment.free_base.columns import add_base_coordinates, with_base_columns
 from asbuilt.experiment.logs.assembly import (
+    FILE_QUANTITIES,
     apply_sheet,
     build_recording,
-    group_by_role,
     keep_windows,
     merge_role_files,
 )
@@ -26,8 +26,12 @@ from asbuilt.experiment.logs.columns.roles import (
     recognise,
 )
 from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
-from asbuilt.experiment.logs.formats.frames import is_columns, tabulate_columns
-from asbuilt.experiment.logs.formats.log_format import LogTable, choose_log_format
+from asbuilt.experiment.logs.formats.log_format import (
+    LogTable,
+    choose_log_format,
+    is_columns,
+    tabulate_columns,
+)
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 from asbuilt.experiment.recording import Recording
@@ -75,7 +79,7 @@ def read_recording(
     """
     chosen = merge_reading_options(options, settings)
     if is_columns(source):
-        sheet, notes = _read_given_sheet(chosen.sheet)
+        sheet, notes = find_sheet(None, chosen.sheet)
         table = tabulate_columns(source)
     else:
         given: Any = [source] if isinstance(source, str | Path) else source
@@ -94,10 +98,6 @@ def read_recording(
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
     if model is None or not model.n_floating:
         return keep_windows(apply_sheet(recording, sheet, chosen), sheet)
-    from asbuilt.experiment.logs.columns.base_columns import (  # noqa: PLC0415 - light start
-        with_base_columns,
-    )
-
     recording, sensor = with_base_columns(recording, table, sheet, model)
     recording = keep_windows(apply_sheet(recording, sheet, chosen), sheet)
     return add_base_coordinates(recording, model, sensor)
@@ -137,26 +137,51 @@ def check_readable(path: Path) -> None:
 
 
 def find_sheet(
-    log: Path, sheet: PathLike | RecordingSheet | Mapping[str, Any] | None
+    log: Path | None, sheet: PathLike | RecordingSheet | Mapping[str, Any] | None
 ) -> tuple[RecordingSheet, tuple[str, ...]]:
-    """Return the sheet that is given, is the log itself, or lies next to it; else an empty one."""
-    if sheet is None:
+    """Return the sheet that is given, is the log itself, or lies next to it, and notes.
+
+    Else it is an empty one, as for a log that is no file (None).
+    """
+    if sheet is None and log is not None:
         sheet = log if log.suffix == ".toml" else find_sheet_beside(log)
-    return _read_given_sheet(sheet)
+    if sheet is None or isinstance(sheet, RecordingSheet | Mapping):
+        return RecordingSheet() if sheet is None else RecordingSheet.model_validate(sheet), ()
+    path = Path(sheet)
+    found = read_sheet(path)
+    files = {
+        quantity: None if name is None else str(path.parent / name)
+        for quantity, name in found.files.model_dump().items()
+    }
+    found = found.model_copy(update={"files": found.files.model_copy(update=files)})
+    return found, (f"recording sheet {path.name} was used",)
 
 
 def group_files(paths: list[Path]) -> list[list[Path]]:
-    """Group files of one quantity each; whole recordings stay alone, whatever their names."""
+    """Group files whose names differ in the quantity alone, in the order of first appearance.
+
+    Whole recordings stay alone, whatever their names.
+    """
+    groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in paths:
         check_readable(path)
-    groups: list[list[Path]] = []
-    for group in group_by_role(paths):
-        whole = len(group) > 1 and any(
-            path.is_file() and _is_whole(choose_log_format(path).read(path, RecordingSheet()))
-            for path in group
-        )
-        groups.extend([[path] for path in group] if whole else [group])
-    return groups
+        quantity, rest = parse_file_quantity(path.stem)
+        key = (path.parent, rest, path.suffix) if quantity in FILE_QUANTITIES else (path, "", "")
+        groups.setdefault(key, []).append(path)
+    return [
+        part
+        for group in groups.values()
+        for part in ([group] if _are_one_recording(group) else [[path] for path in group])
+    ]
+
+
+def _are_one_recording(group: list[Path]) -> bool:
+    """Return whether files hold a quantity each, and none of them a whole recording."""
+    quantities = {parse_file_quantity(path.stem)[0] for path in group}
+    return len(quantities) == len(group) and not any(
+        path.is_file() and _is_whole(choose_log_format(path).read(path, RecordingSheet()))
+        for path in (group if len(group) > 1 else ())
+    )
 
 
 def find_table_layout(
@@ -178,52 +203,28 @@ def find_table_layout(
                 f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from"
                 " the values it may read as follows (column numbers from 1; check it, and add"
                 " gains = [...] and torque_source if the torques are currents):\n\n"
-                f"{propose_sheet(table, model, options.rate)}\n"
+                f"{suggest_sheet(table, model, options.rate)}\n"
             ),
             file=table.source,
             value=count,
         )
     try:
-        layout = find_layout(
-            table.source,
-            tuple(table.columns),
-            model=model,
-            sheet=sheet,
-            known=table.known,
-            order=table.order,
-            has_gains=options.gain is not None,
-        )
+        layout = find_layout(table, sheet=sheet, model=model, has_gains=options.gain is not None)
     except RecordingError as problem:
         text = ", ".join(table.text_columns)
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
-        draft = DRAFT
         if "absent" in problem.fields and table.n_samples:
-            draft = propose_sheet(table, model, options.rate)
-        if DRAFT not in draft:
-            problem.cure = Cure(
-                f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
-            )
+            draft = suggest_sheet(table, model, options.rate)
+            if DRAFT not in draft:
+                problem.cure = Cure(
+                    f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
+                )
         raise
     if not (sheet.joint_units or table.open_units):
         return layout
     held = options.lock if isinstance(options.lock, Mapping) else {}
     return with_joint_units(table, layout, sheet, sheet.lock | dict(held))
-
-
-def _read_given_sheet(
-    sheet: PathLike | RecordingSheet | Mapping[str, Any] | None,
-) -> tuple[RecordingSheet, tuple[str, ...]]:
-    if sheet is None or isinstance(sheet, RecordingSheet | Mapping):
-        return RecordingSheet() if sheet is None else RecordingSheet.model_validate(sheet), ()
-    path = Path(sheet)
-    found = read_sheet(path)
-    files = {
-        quantity: None if name is None else str(path.parent / name)
-        for quantity, name in found.files.model_dump().items()
-    }
-    found = found.model_copy(update={"files": found.files.model_copy(update=files)})
-    return found, (f"recording sheet {path.name} was used",)
 
 
 def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
@@ -285,10 +286,3 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
         ),
         file=str(path),
     )
-
-
-def propose_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
-    """Return the draft of a sheet by the values of the columns."""
-    order = table.order or tuple(table.columns)
-    numbers = [order.index(name) + 1 for name in table.columns]
-    return suggest_sheet(table.columns, model, named=table.named, rate=rate, numbers=numbers)

@@ -11,9 +11,9 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.free_base.rolling_feet import set_rolling_radii
-from asbuilt.experiment.logs.formats.frames import is_columns
-from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
+from asbuilt.experiment.free_base.feet import set_rolling_radii
+from asbuilt.experiment.logs.formats.log_format import is_columns
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
@@ -74,16 +74,18 @@ def as_recordings(
     listed = _list_items(items)
     groups = group_files([Path(item) for item in listed if isinstance(item, str | Path)])
     group_of = {path: group for group in groups for path in group}
+    floats = model is not None and model.n_floating > 0
     found: list[Recorded] = []
     for item in listed:
+        source: Any = item
         if isinstance(item, str | Path):
             group = group_of[Path(item)]
-            if group[0] == Path(item):
-                found.append(_read_files(group, model, chosen, streamed_from))
-        elif isinstance(item, Recorded):
-            found.append(item)
-        else:
-            found.append(read_recording(item, model=model, options=chosen))
+            if group[0] != Path(item):
+                continue  # read with the first file of its recording
+            whole = len(group) > 1 or floats or not is_long(group[0], streamed_from)
+            source = group if whole else RecordingStream(group[0], model, chosen)
+        read = isinstance(source, Recorded)
+        found.append(source if read else read_recording(source, model=model, options=chosen))
     return found
 
 
@@ -154,7 +156,7 @@ def read_fitted_recordings(
         values[name] = None
     whole, model = model, model.locked({**asked, **values})
     if model is not whole or any(each != model.joint_names for group in logged for each in group):
-        read = [[_with_joints(item, model.joint_names) for item in items] for items in read]
+        read = [[_select_joints(item, model.joint_names) for item in items] for items in read]
     whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
     return set_rolling_radii(model, whole_ones), read
 
@@ -203,7 +205,7 @@ def _name_joints_to_lock(
 
 def _list_joints(item: Recorded, model: RobotModel) -> tuple[str, ...]:
     """Return the joints that a recording has; the robot's, where its names match none."""
-    names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
+    names = (item if isinstance(item, Samples) else head_of(item)).joint_names
     return names if set(names) & set(model.joint_names) else model.joint_names
 
 
@@ -217,7 +219,7 @@ def _find_held_position(item: Recorded | None, joint: str, value: float | None) 
     return float(np.nanmedian(head.q[:, head.joint_names.index(joint)]))
 
 
-def _with_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
+def _select_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
     if isinstance(item, RecordingStream):
         return replace(item, joints=joints)
     if isinstance(item, Recording) and set(joints) <= set(item.joint_names):
@@ -228,15 +230,3 @@ def _with_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
 def _list_items(items: Any) -> list[Any]:
     one = isinstance(items, str | Path | Recorded) or is_columns(items)
     return [items] if one else list(items)
-
-
-def _read_files(
-    group: list[Path],
-    model: RobotModel | None,
-    options: ReadingOptions,
-    streamed_from: float | None,
-) -> Recording | RecordingStream:
-    floats = model is not None and model.n_floating > 0
-    if len(group) == 1 and not floats and is_long(group[0], streamed_from):
-        return RecordingStream(group[0], model, options)
-    return read_recording(group, model=model, options=options)

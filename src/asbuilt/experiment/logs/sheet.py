@@ -37,10 +37,10 @@ ROBOT_FIELDS = {"links", "dh", "robot", "gravity"}
 """Fields of a robot description, which a recording sheet does not have."""
 
 
-def _spread(value: object) -> object:
+def _spread_numbers(value: object) -> object:
     """Spread "2-7" or "q_1 - q_6" over the numbers between; a single name is a list of one."""
     if isinstance(value, list):
-        spread = [_spread(part) for part in value]
+        spread = [_spread_numbers(part) for part in value]
         return [item for part in spread for item in (part if isinstance(part, list) else [part])]
     if isinstance(value, int) and not isinstance(value, bool):
         return [value]
@@ -57,7 +57,7 @@ def _spread(value: object) -> object:
     return [f"{prefix}{k}" if prefix else k for k in range(first, last + 1)]
 
 
-def _without_values(value: object) -> object:
+def _list_without_values(value: object) -> object:
     """Give each joint of a list no position."""
     return dict.fromkeys(value) if isinstance(value, list) else value
 
@@ -70,7 +70,7 @@ GoalNumbers = GoalNumber | list[GoalNumber] | None
 _COLUMN = {"anyOf": [{"type": "integer"}, {"type": "string"}]}
 ColumnList = Annotated[
     list[ColumnName],
-    BeforeValidator(_spread),
+    BeforeValidator(_spread_numbers),
     WithJsonSchema({"anyOf": [*_COLUMN["anyOf"], {"type": "array", "items": _COLUMN}]}),
 ]
 _LOCK = {
@@ -103,16 +103,15 @@ class _Part(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_truth_as_number(cls, given: Any) -> Any:
+    def _refuse_truth(cls, given: Any) -> Any:
         """Refuse `rate = true`, which would be 1."""
         for name, value in given.items() if isinstance(given, Mapping) else ():
-            found = any(isinstance(each, bool) for each in _list_numbers(value))
-            if found and name != "header":
+            if any(isinstance(each, bool) for each in _list_numbers(value)) and name != "header":
                 raise ValueError(f"{name} = {str(value).lower()} is given; a number is expected")
         return given
 
     @model_validator(mode="after")
-    def _sensible(self) -> Self:
+    def _check_ranges(self) -> Self:
         for name in type(self).model_fields:
             for value in _list_numbers(getattr(self, name)):
                 allowed = RANGES.get(name, ANY)
@@ -160,7 +159,7 @@ class SheetColumns(_Part):
     extra: dict[str, ColumnList] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _whole_vectors(self) -> Self:
+    def _check_vectors(self) -> Self:
         for name, (_, axes) in BASE_VECTORS.items():
             listed = getattr(self, name)
             if listed is not None and len(listed) != len(axes):
@@ -214,7 +213,7 @@ class SheetUnits(_Part):
     command: str | None = None
 
     @model_validator(mode="after")
-    def _known(self) -> SheetUnits:
+    def _check_units(self) -> SheetUnits:
         for name, unit in self.model_dump().items():
             if unit is not None and parse_unit_scale(unit) is None:
                 raise ValueError(
@@ -231,7 +230,7 @@ class SheetRange(_Part):
     position: tuple[FiniteNumber, FiniteNumber]
 
     @model_validator(mode="after")
-    def _wide(self) -> SheetRange:
+    def _check_extent(self) -> SheetRange:
         for name, (first, last) in (("logged", self.logged), ("position", self.position)):
             if first == last:
                 raise ValueError(f"joint_units: {name} = [{first:g}, {last:g}] has no extent")
@@ -252,7 +251,7 @@ class SheetWindow(_Part):
     stop: float = Field(default=float("inf"))
 
     @model_validator(mode="after")
-    def _forward(self) -> SheetWindow:
+    def _check_order(self) -> SheetWindow:
         if not self.stop > self.start:
             raise ValueError(
                 f"windows: stop {self.stop:g} s does not come after start {self.start:g} s"
@@ -323,7 +322,7 @@ class RecordingSheet(_Part):
     windows: list[SheetWindow] = Field(default_factory=list)
     files: SheetFiles = SheetFiles()
     lock: Annotated[
-        dict[str, FiniteNumber | None], BeforeValidator(_without_values), WithJsonSchema(_LOCK)
+        dict[str, FiniteNumber | None], BeforeValidator(_list_without_values), WithJsonSchema(_LOCK)
     ] = Field(default_factory=dict)
     topic: str | None = None
     command_topic: str | None = None
@@ -334,6 +333,12 @@ class RecordingSheet(_Part):
     command_joints: list[str] | None = None
     date: datetime | None = None
 
+    @property
+    def names_commands(self) -> bool:
+        """Whether the log is read for its commands: where they cannot be used, that is an error."""
+        stated = (self.kp, self.kd, self.command_topic, self.command_joints, self.columns.command)
+        return self.torque_source == "command" or any(each is not None for each in stated)
+
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
         """Return which times (N,) [s] of a recording that began at `start` lie in a window.
 
@@ -343,7 +348,7 @@ class RecordingSheet(_Part):
         return np.any(inside, axis=0) if inside else np.ones(t.size, dtype=np.bool_)
 
     @model_validator(mode="after")
-    def _signs(self) -> RecordingSheet:
+    def _check_signs(self) -> RecordingSheet:
         for name in ("sign", "position_sign"):
             given = getattr(self, name)
             if any(sign not in (1, -1) for sign in _list_numbers(given)):
@@ -374,7 +379,7 @@ def read_sheet(path: str | Path) -> RecordingSheet:
     try:
         return RecordingSheet.model_validate(content)
     except ValidationError as error:
-        raise RecordingError(_explain(path, error), file=str(path)) from error
+        raise RecordingError(_explain_faults(path, error), file=str(path)) from error
 
 
 def find_sheet_beside(log: Path) -> Path | None:
@@ -390,7 +395,7 @@ def find_sheet_beside(log: Path) -> Path | None:
     return None
 
 
-def _explain(path: Path, error: ValidationError) -> str:
+def _explain_faults(path: Path, error: ValidationError) -> str:
     problems = []
     for item in error.errors():
         *place, last = item["loc"] or ("",)

@@ -64,19 +64,24 @@ class DriveTrain:
     warming_time: float = 600.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.warming < 1.0 or not self.warming_time > 0.0:
-            raise UsageError(
+        positive = {name: getattr(self, name) for name in ("stribeck_velocity", "engagement")}
+        refuse(
+            UsageError,
+            (
+                not 0.0 <= self.warming < 1.0 or not self.warming_time > 0.0,
                 "warming must be from 0 to below 1 and warming_time positive, got"
                 f" {self.warming} and {self.warming_time}",
-                value=(self.warming, self.warming_time),
-            )
-        for name in ("stribeck_velocity", "engagement"):
-            if np.any(np.asarray(getattr(self, name)) <= 0.0):
-                raise UsageError(
-                    f"{name} must be positive, got {getattr(self, name)}",
-                    value=getattr(self, name),
-                    lower=0.0,
+                {"value": (self.warming, self.warming_time)},
+            ),
+            *(
+                (
+                    np.any(np.asarray(value) <= 0.0),
+                    f"{name} must be positive, got {value}",
+                    {"value": value, "lower": 0.0},
                 )
+                for name, value in positive.items()
+            ),
+        )
 
     def of(self, name: str, n: int) -> Array:
         """Return a field for n joints, shape (n,)."""
@@ -84,8 +89,8 @@ class DriveTrain:
 
     def friction_law(self, n: int) -> Callable[[Array], Array]:
         """Return `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)` of n joints."""
-        names = ("coulomb", "stiction", "stribeck_velocity")
-        coulomb, stiction, velocity = (self.of(name, n) for name in names)
+        coulomb, stiction = self.of("coulomb", n), self.of("stiction", n)
+        velocity = self.of("stribeck_velocity", n)
         return lambda v: coulomb + stiction * np.exp(-((v / velocity) ** 2))
 
     def warmth(self, t: Array) -> Array:
@@ -152,15 +157,17 @@ class PositionController:
     rate: float = 1000.0
 
     def __post_init__(self) -> None:
-        for name in ("bandwidth", "damping", "rate"):
-            if not (np.isfinite(value := getattr(self, name)) and value > 0):
-                raise UsageError(
-                    f"{name} of the controller must be a positive number, got {value}",
-                    value=value,
-                    lower=0.0,
-                )
+        positive = {name: getattr(self, name) for name in ("bandwidth", "damping", "rate")}
         refuse(
             UsageError,
+            *(
+                (
+                    not (np.isfinite(value) and value > 0),
+                    f"{name} of the controller must be a positive number, got {value}",
+                    {"value": value, "lower": 0.0},
+                )
+                for name, value in positive.items()
+            ),
             (
                 self.feedforward not in get_args(FeedForward),
                 f"feedforward {self.feedforward!r} is not one of"
@@ -195,14 +202,11 @@ class PositionController:
         bodies = inverse_dynamics(described, command.q, command.qd, command.qdd)
         if self.feedforward == "full":
             return bodies
-        armature, viscous, coulomb = (
-            train.of(name, command.n_joints) for name in ("armature", "viscous", "coulomb")
+        armature, viscous, coulomb, offset = (
+            train.of(name, command.n_joints)
+            for name in ("armature", "viscous", "coulomb", "offset")
         )
-        friction = (
-            viscous * command.qd
-            + coulomb * np.sign(command.qd)
-            + train.of("offset", command.n_joints)
-        )
+        friction = viscous * command.qd + coulomb * np.sign(command.qd) + offset
         return bodies + armature * command.qdd + friction
 
 

@@ -119,46 +119,25 @@ class Physics:
             extend(spec)
         self.compiled: Any = spec.compile()
         self.compiled.opt.timestep = timestep
+        off = self._mujoco.mjtDisableBit
         self.compiled.opt.disableflags |= int(
-            self._mujoco.mjtDisableBit.mjDSBL_LIMIT | self._mujoco.mjtDisableBit.mjDSBL_CONTACT
+            off.mjDSBL_LIMIT | off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION
         )
-        self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         self.compiled.jnt_actfrclimited[:] = 0
-        ids = self._mujoco.mj_name2id
-        self._every = np.array(
-            [
-                ids(self.compiled, self._mujoco.mjtObj.mjOBJ_JOINT, joint.name)
-                for joint in model.moving_joints
-            ]
-        )
-        self._order = self._every[:n]
-        self.compiled.eq_solimp[:] = [
-            STIFFNESS.friction_impedance,
-            STIFFNESS.friction_impedance,
-            0.001,
-            0.5,
-            2.0,
-        ]
-        self.compiled.eq_solref[:] = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
-        self._bodies = [
-            ids(self.compiled, self._mujoco.mjtObj.mjOBJ_BODY, name) for name in model.link_names
-        ]
+        joints = [self.compiled.joint(joint.name).id for joint in model.moving_joints]
+        self.every: Indices = np.array(joints)
+        """Index of the degree of freedom of each link's joint in the compiled model (n_links,)."""
+        self.order: Indices = self.every[:n]
+        """The same of each joint, shape (n,)."""
         self._take_inertias(bare)
-        self.compiled.dof_armature[self._order] = np.broadcast_to(
-            np.asarray(armature, dtype=np.float64), (n,)
-        )
-        self.rub(
-            np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)),
-            np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)),
-        )
-        self.compiled.dof_solimp[:] = [
-            STIFFNESS.friction_impedance,
-            STIFFNESS.friction_impedance,
-            0.001,
-            0.5,
-            2.0,
-        ]
-        self.compiled.dof_solref[:] = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
+        self.compiled.dof_armature[self.order] = armature
+        self.rub(coulomb, viscous)
+        # Constraints are as stiff as dry friction: impedance at no and large violation, its shape.
+        impedance = STIFFNESS.friction_impedance
+        solimp = [impedance, impedance, 0.001, 0.5, 2.0]
+        solref = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
+        self.compiled.eq_solimp[:], self.compiled.dof_solimp[:] = solimp, solimp
+        self.compiled.eq_solref[:], self.compiled.dof_solref[:] = solref, solref
         self._parts = max(
             1,
             math.ceil(
@@ -171,18 +150,17 @@ class Physics:
             self._mujoco.mj_setConst(self.compiled, self.data)
         leading = np.flatnonzero(np.any(model.link_shares[n:] != 0.0, axis=0))
         coupled = [*range(n, model.n_links), *leading]
-        in_loops = self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_CONNECT
-        in_loops |= self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_WELD
+        kinds = self._mujoco.mjtEq
+        in_loops = np.isin(self.compiled.eq_type, [kinds.mjEQ_CONNECT, kinds.mjEQ_WELD])
         held = {*self.compiled.eq_obj1id[in_loops], *self.compiled.eq_obj2id[in_loops]}
         self.compiled.body_invweight0[sorted(held)] *= STIFFNESS.rigid
-        by_tendon = self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_TENDON
+        by_tendon = self.compiled.eq_type == kinds.mjEQ_TENDON
         self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= STIFFNESS.rigid
-        self.compiled.dof_invweight0[self._every[coupled]] *= STIFFNESS.rigid
+        self.compiled.dof_invweight0[self.every[coupled]] *= STIFFNESS.rigid
 
     def _take_inertias(self, compiled: RobotModel) -> None:
-        for k, link, placeholder in zip(
-            self._bodies, self.model.links, compiled.links, strict=True
-        ):
+        """Overwrite the placeholders in a compiled model by the inertias as they are."""
+        for link, placeholder in zip(self.model.links, compiled.links, strict=True):
             if placeholder.inertia is not PLACEHOLDER:
                 continue
             inertia = link.inertia
@@ -195,20 +173,18 @@ class Physics:
             moments, axes = np.linalg.eigh(inertia.inertia_about_com)
             if np.linalg.det(axes) < 0:
                 axes[:, 0] *= -1.0
-            self.compiled.body_mass[k] = inertia.mass
-            self.compiled.body_ipos[k] = inertia.com
-            self.compiled.body_iquat[k] = quaternion_from_rotation(axes)
-            self.compiled.body_inertia[k] = moments
+            body = self.compiled.body(link.name)
+            body.mass, body.ipos = inertia.mass, inertia.com
+            body.iquat, body.inertia = quaternion_from_rotation(axes), moments
 
     def _sound_mass_matrices(self) -> Array:
         """Return the mass matrices of some random poses (8, n, n), armature included.
 
         Raises InertiaError where one is singular.
         """
-        q = draw_postures(self.model, np.random.default_rng(0), 8)
-        masses: Array = mass_matrix(self.model, q) + np.diag(
-            self.compiled.dof_armature[self._order]
-        )
+        masses: Array = mass_matrix(
+            self.model, draw_postures(self.model, np.random.default_rng(0), 8)
+        ) + np.diag(self.compiled.dof_armature[self.order])
         for M in masses:
             eigenvalues, vectors = np.linalg.eigh(M)
             if eigenvalues[0] <= STIFFNESS.singular * eigenvalues[-1]:
@@ -222,7 +198,7 @@ class Physics:
 
     def _fastest_decay(self, masses: Array) -> float:
         """Return the largest eigenvalue of M^-1 D [1/s], the fastest decay by viscous friction."""
-        root = np.sqrt(np.maximum(self.compiled.dof_damping[self._order], 0.0))
+        root = np.sqrt(np.maximum(self.compiled.dof_damping[self.order], 0.0))
         return float(
             np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
         )
@@ -236,7 +212,7 @@ class Physics:
         torque = np.empty(states[0].shape)
         flags = self.compiled.opt.disableflags
         self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        data, every = self.data, self._every
+        data, every = self.data, self.every
         moved = self.model.link_motion(*states)
         for k in range(len(torque)):
             data.qpos[every], data.qvel[every] = moved.q[k], moved.qd[k]
@@ -255,50 +231,38 @@ class Physics:
         to overcome: `tau = rigid bodies + armature qdd + friction`.
         """
         acceleration, friction = np.empty(q.shape), np.empty(q.shape)
-        data, order, moved = self.data, self._order, self.model.link_motion(q, qd)
+        data, order, moved = self.data, self.order, self.model.link_motion(q, qd)
         for k in range(len(q)):
-            data.qpos[self._every], data.qvel[self._every] = moved.q[k], moved.qd[k]
+            data.qpos[self.every], data.qvel[self.every] = moved.q[k], moved.qd[k]
             data.qfrc_applied[order] = tau[k]
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
             acceleration[k] = data.qacc[order]
-            at_joints = (data.qfrc_spring - data.qfrc_constraint - data.qfrc_passive)[self._every]
+            at_joints = (data.qfrc_spring - data.qfrc_constraint - data.qfrc_passive)[self.every]
             friction[k] = at_joints @ moved.by_sample[k % len(moved.by_sample)]
         return acceleration, friction
-
-    @property
-    def order(self) -> Indices:
-        """Index of each joint's degree of freedom in the compiled model, shape (n,)."""
-        return self._order
-
-    @property
-    def every(self) -> Indices:
-        """Index of the degree of freedom of each link's joint in the compiled model (n_links,)."""
-        return self._every
 
     def start(self, q: ArrayLike, qd: ArrayLike) -> None:
         """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""
         self._mujoco.mj_resetData(self.compiled, self.data)
         moved = self.model.link_motion(*(np.array([x], dtype=np.float64) for x in (q, qd)))
-        self.data.qpos[self._every], self.data.qvel[self._every] = moved.q[0], moved.qd[0]
+        self.data.qpos[self.every], self.data.qvel[self.every] = moved.q[0], moved.qd[0]
 
     @property
     def state(self) -> tuple[Array, Array]:
         """Joint positions and velocities of this moment, two (n,)."""
-        return self.data.qpos[self._order], self.data.qvel[self._order]
+        return self.data.qpos[self.order], self.data.qvel[self.order]
 
     def quiet(self) -> AbstractContextManager[list[str]]:
         """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
         return collect_warnings(self._mujoco)
 
-    def rub(self, coulomb: Array, viscous: Array) -> None:
-        """Set dry [N m] and viscous [N m s/rad] friction, two (n,)."""
-        self.compiled.dof_frictionloss[self._order], self.compiled.dof_damping[self._order] = (
-            coulomb,
-            viscous,
-        )
+    def rub(self, coulomb: ArrayLike, viscous: ArrayLike) -> None:
+        """Set dry [N m] and viscous [N m s/rad] friction, one number or (n,) each."""
+        self.compiled.dof_frictionloss[self.order] = coulomb
+        self.compiled.dof_damping[self.order] = viscous
 
     def advance(self, tau: Array, steps: int = 1) -> None:
         """Take time steps under constant joint torques (n,)."""
-        self.data.qfrc_applied[self._order] = tau
+        self.data.qfrc_applied[self.order] = tau
         self._mujoco.mj_step(self.compiled, self.data, steps * self._parts)

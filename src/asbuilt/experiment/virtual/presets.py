@@ -62,8 +62,7 @@ def perturb_links(model: RobotModel, fraction: float, rng: np.random.Generator) 
         A = np.eye(4)
         A[:3, :3] += fraction / 2 * rng.normal(size=(3, 3))
         A[:3, 3] = fraction / 2 * radius * rng.normal(size=3)
-        scale = np.exp(fraction * rng.normal())
-        inertia = LinkInertia.from_pseudo_inertia(scale * A @ J @ A.T)
+        inertia = LinkInertia.from_pseudo_inertia(np.exp(fraction * rng.normal()) * A @ J @ A.T)
         links.append(replace(link, inertia=inertia, parts=()))
     return replace(model, links=tuple(links))
 
@@ -90,18 +89,17 @@ def estimate_torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> 
 def _find_flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
     if at is None:
         return model.tool_link, np.eye(4)
-    if at in model.link_names:
-        return model.link_names.index(at), np.eye(4)
-    for frame in model.frames:
-        if frame.name == at and frame.link != ROOT:
-            return frame.link, frame.placement
-    names = [*model.link_names, *(frame.name for frame in model.frames if frame.link != ROOT)]
-    raise UsageError(
-        f"{model.name} has no moving link or frame {at!r} to carry a tool; it has"
-        f" {', '.join(names)}",
-        value=at,
-        available=names,
-    )
+    links = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
+    frames = {each.name: (each.link, each.placement) for each in model.frames if each.link != ROOT}
+    if at not in links | frames:
+        names = [*links, *frames]
+        raise UsageError(
+            f"{model.name} has no moving link or frame {at!r} to carry a tool; it has"
+            f" {', '.join(names)}",
+            value=at,
+            available=names,
+        )
+    return (frames | links)[at]
 
 
 Engine = Literal["mujoco", "inverse-dynamics"]
@@ -223,11 +221,10 @@ def _build_lab(model: RobotModel, rng: np.random.Generator) -> Parts:
 def _build_factory(model: RobotModel, rng: np.random.Generator) -> Parts:
     n = model.n_joints
     torque, _ = estimate_torque_and_inertia(model, rng)
-    speed = MotionBounds.assumed(model).velocity
     train = replace(
         _build_drive_train(model, rng),
         stiction=_list_floats(0.01 * torque * rng.uniform(0.5, 1.5, n)),
-        stribeck_velocity=_list_floats(0.02 * speed),
+        stribeck_velocity=_list_floats(0.02 * MotionBounds.assumed(model).velocity),
         backlash=tuple(
             1.5e-4 * float(x) if joint.is_revolute else 2e-5
             for joint, x in zip(model.joints, rng.uniform(0.5, 1.5, n), strict=True)
@@ -244,9 +241,8 @@ def _build_factory(model: RobotModel, rng: np.random.Generator) -> Parts:
         torque_resolution=_list_floats(1e-3 * torque),
     )
     tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
-    built = tilt_base(perturb_links(model, 0.08, rng), float(tilt[0]), float(tilt[1]))
     return {
-        "model": built,
+        "model": tilt_base(perturb_links(model, 0.08, rng), float(tilt[0]), float(tilt[1])),
         "described": model,
         "train": train,
         "sensors": replace(sensors, ripple_phase=_list_floats(rng.uniform(0.0, 2 * np.pi, n))),
@@ -293,8 +289,7 @@ def _build_servo(model: RobotModel, rng: np.random.Generator) -> Parts:
     }
 
 
-Preset = Callable[[RobotModel, np.random.Generator], Parts]
-PRESETS: Mapping[str, Mapping[str, Preset]] = {
+PRESETS: Mapping[str, Mapping[str, Callable[[RobotModel, np.random.Generator], Parts]]] = {
     "mujoco": {
         "ideal": _build_ideal,
         "lab": _build_lab,
@@ -337,11 +332,9 @@ def _add_described_terms(
     """Return drive terms and values (n, columns_per_joint) with the further terms described."""
     described, stated = described_drive(model)
     whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
-    n = model.n_joints
-    known = [dict(zip(described.symbols, row, strict=True)) for row in stated.reshape(n, -1)]
     known = [
-        have | dict(zip(drive.symbols, row, strict=True))
-        for have, row in zip(known, values, strict=True)
+        dict(zip((*described.symbols, *drive.symbols), row, strict=True))
+        for row in np.hstack([stated.reshape(model.n_joints, -1), values])
     ]
     return whole, np.array([[have[symbol] for symbol in whole.symbols] for have in known]).ravel()
 

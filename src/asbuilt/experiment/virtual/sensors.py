@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +55,13 @@ class SensorNoise:
     ripple_phase: PerJoint = 0.0
     torque_delay: PerJoint = 0.0
 
+    def of(self, name: str, n: int) -> Array:
+        """Return a field for n joints, shape (n,)."""
+        return spread_per_joint(getattr(self, name), n, name, signed=name in SIGNED)
+
     def delayed(self, t: Array, tau: Array) -> Array:
         """Return torques (N, n) at times t (N,) [s] as late as `torque_delay` says."""
-        delay = spread_per_joint(self.torque_delay, tau.shape[1], "torque_delay", signed=True)
+        delay = self.of("torque_delay", tau.shape[1])
         if not np.any(delay):
             return tau
         return np.stack(
@@ -70,9 +75,8 @@ class SensorNoise:
     def check(self, n: int) -> None:
         """Raise `UsageError` unless every field fits n joints and no magnitude is negative."""
         for entry in fields(self):
-            value = getattr(self, entry.name)
-            if value is not None:
-                spread_per_joint(value, n, entry.name, signed=entry.name in SIGNED)
+            if getattr(self, entry.name) is not None:
+                self.of(entry.name, n)
 
     def measured(
         self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator
@@ -85,37 +89,23 @@ class SensorNoise:
             If a field does not fit the joints, or a magnitude is negative.
         """
         n = model.n_joints
-        counts = spread_per_joint(self.encoder_counts, n, "encoder_counts")
+        of = partial(self.of, n=n)
         turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, 1.0)
+        counts, ripple = of("encoder_counts"), of("torque_ripple")
         step = np.divide(turn, counts, out=np.zeros(n), where=counts > 0)
-        position = truth.q + spread_per_joint(
-            self.position_noise, n, "position_noise"
-        ) * rng.standard_normal(truth.q.shape)
-        torque = tau * spread_per_joint(
-            self.torque_gain, n, "torque_gain", signed=True
-        ) + spread_per_joint(self.torque_bias, n, "torque_bias", signed=True)
-        torque = torque + spread_per_joint(
-            self.torque_noise, n, "torque_noise"
-        ) * rng.standard_normal(tau.shape)
-        ripple = spread_per_joint(self.torque_ripple, n, "torque_ripple")
-        if np.any(ripple > 0):
-            waves = spread_per_joint(self.ripple_cycles, n, "ripple_cycles") * 2 * np.pi / turn
-            torque = torque + ripple * np.sin(
-                waves * truth.q
-                + spread_per_joint(self.ripple_phase, n, "ripple_phase", signed=True)
-            )
-        velocity = None
-        if self.velocity_noise is not None:
-            velocity = truth.qd + spread_per_joint(
-                self.velocity_noise, n, "velocity_noise"
-            ) * rng.standard_normal(truth.qd.shape)
-        return (
-            _round_to_step(position, step),
-            velocity,
-            _round_to_step(
-                torque, spread_per_joint(self.torque_resolution, n, "torque_resolution")
-            ),
+        q = truth.q + of("position_noise") * rng.standard_normal(truth.q.shape)
+        torque = (
+            tau * of("torque_gain")
+            + of("torque_bias")
+            + of("torque_noise") * rng.standard_normal(tau.shape)
         )
+        if np.any(ripple > 0):
+            waves = of("ripple_cycles") * 2 * np.pi / turn
+            torque = torque + ripple * np.sin(waves * truth.q + of("ripple_phase"))
+        qd = None
+        if self.velocity_noise is not None:
+            qd = truth.qd + of("velocity_noise") * rng.standard_normal(truth.qd.shape)
+        return _round_to_step(q, step), qd, _round_to_step(torque, of("torque_resolution"))
 
 
 PERFECT_SENSORS = SensorNoise()
@@ -219,19 +209,18 @@ class DataLogger:
         q, qd, torque = sensors.measured(model, seen, sensors.delayed(truth.t, tau)[pick], rng)
         t = seen.t.copy()
         if self.clock_jitter:
-            slips = np.clip(
-                self.clock_jitter * rng.standard_normal(t.size), -0.45 / self.rate, 0.45 / self.rate
-            )
+            most = 0.45 / self.rate  # so that no time stamp overtakes the next
+            slips = np.clip(self.clock_jitter * rng.standard_normal(t.size), -most, most)
             t = t + slips - slips[0]
         columns = {"t": t, "q": q, "tau": torque, "q_command": command[pick]}
         if sensors == PERFECT_SENSORS and self.accelerations:
             columns |= {"qd": seen.qd, "qdd": seen.qdd}
         elif qd is not None:
             columns["qd"] = qd
-        kept = self._kept(t.size, rng) if self.dropped else slice(None)
+        kept = self._draw_kept(t.size, rng) if self.dropped else slice(None)
         return {name: values[kept] for name, values in columns.items()}
 
-    def _kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    def _draw_kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Return which samples are kept; bursts start at random and have geometric lengths."""
         keep = np.ones(n, dtype=np.bool_)
         starts = np.flatnonzero(rng.random(n) < self.dropped / self.burst)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
@@ -65,7 +65,7 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
     (1.0, 0.5)
     """
     known = list_settings()
-    changes: dict[str, dict[str, Any]] = {"": {}, **{part: {} for part in PARTS}}
+    changes: defaultdict[str, dict[str, Any]] = defaultdict(dict)
     for setting in settings:
         name, equals, text = (piece.strip() for piece in setting.partition("="))
         if name not in known or not equals or not text:
@@ -89,18 +89,12 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
                 cure=Cure("choose the preset servo for a servo, another one for a controller"),
                 value=setting,
             )
-        changes[part][field] = _parse_value(
-            name, text, of_joints=part in PARTS and field in _list_joint_fields(PARTS[part])
-        )
-    if not any(changes.values()):
-        return robot
-    parts: dict[str, Any] = {}
-    for part, changed in changes.items():
-        if part and changed:
-            place = "controller" if part in FOLLOWERS else part
-            old: Any = getattr(robot, place)
-            parts[place] = replace(old, **changed)
-    return replace(robot, **parts, **changes[""])
+        of_joints = part in PARTS and field in _list_joint_fields(PARTS[part])
+        place = "controller" if part in FOLLOWERS else part
+        changes[place][field] = _parse_value(name, text, of_joints=of_joints)
+    own = changes.pop("", {})
+    parts = {place: replace(getattr(robot, place), **each) for place, each in changes.items()}
+    return replace(robot, **own, **parts) if settings else robot
 
 
 def _list_joint_fields(part: type) -> set[str]:

@@ -205,6 +205,10 @@ def run_free(
             f"the duration must be a positive number of seconds, got {duration}",
         ),
         (
+            duration > FREE.longest,
+            f"the duration must be at most {FREE.longest:g} s, got {duration:g}",
+        ),
+        (
             further,
             f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
             " simulate",
@@ -224,15 +228,11 @@ def run_free(
     physics = Physics(
         model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=FREE.timestep
     )
-    if duration > FREE.longest:
-        raise UsageError(f"the duration must be at most {FREE.longest:g} s, got {duration:g}")
     samples = round(duration / (FREE.timestep * FREE.logged)) + 1
     t: Array = np.arange(samples, dtype=np.float64) * FREE.timestep * FREE.logged
     q, qd, tau = np.empty((3, samples, n))
-    goal, limit = (
-        pose + _choose_step(model, pose),
-        np.array([joint.limits.torque for joint in model.joints]),
-    )
+    goal = pose + _choose_step(model, pose)
+    limit = np.array([joint.limits.torque for joint in model.joints])
     physics.start(pose, rates)
     with physics.quiet():
         for k in range(samples):

@@ -15,19 +15,15 @@ from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.findings import Cure
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackedMotion:
-    """Hold the true motion at the controller's ticks: `t` (N,), states and torques (N, n).
+@dataclass(frozen=True, eq=False)
+class TrackedMotion(Trajectory):
+    """Hold the true motion at the controller's ticks, with torques (N, n).
 
     `motor` is the drive's torque, `friction` and `armature` the parts of it for friction and for
     the rotor; the rest moves the links. At a tick, where the torque steps, `motor` and `qdd` are
     the means of before and after.
     """
 
-    t: Array
-    q: Array
-    qd: Array
-    qdd: Array
     motor: Array
     friction: Array
     armature: Array
@@ -91,19 +87,11 @@ def track(
                 _check_distance(physics, position, command.q[i], float(t[i]), torque_limit)
                 if progress is not None:
                     progress(i / t.size)
-    motor = 0.5 * (torque[:-1] + torque[1:])
-    qdd, friction = _evaluate_accelerations(physics, train, t, q, qd, motor - offset)
+    motor, warm_ticks = 0.5 * (torque[:-1] + torque[1:]), train.warmth(t)[:, None]
+    qdd, friction = physics.accelerations(
+        q, qd, motor - offset, coulomb=warm_ticks * law(qd), viscous=warm_ticks * viscous
+    )
     return TrackedMotion(t, q, qd, qdd, motor, friction + offset, armature * qdd)
-
-
-def _evaluate_accelerations(
-    physics: Physics, train: DriveTrain, t: Array, q: Array, qd: Array, tau: Array
-) -> tuple[Array, Array]:
-    """Return accelerations and friction at every tick, with the friction law of that moment."""
-    warmth = train.warmth(t)[:, None]
-    level = warmth * train.friction_law(q.shape[1])(qd)
-    damping = warmth * train.of("viscous", q.shape[1])
-    return physics.accelerations(q, qd, tau, coulomb=level, viscous=damping)
 
 
 def _check_distance(

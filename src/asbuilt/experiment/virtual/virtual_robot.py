@@ -48,7 +48,6 @@ MeasuredTorque = Literal["sensor", "motor", "current"]
 Seed = np.random.Generator | int | None
 
 _FOLLOW = Cure("choose the preset of another engine")
-LINK_DRIVE = "viscous,coulomb,offset"
 LONGEST_STEP = 1e-3
 """Longest step of the integrator [s]."""
 
@@ -288,7 +287,8 @@ class VirtualRobot:
         """
         if isinstance(self.train, TermDrives):
             return self.train.drive
-        measured = DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
+        sensed = self.torque == "sensor"  # behind the gear, where the rotor is not
+        measured = DriveSet.parse("viscous,coulomb,offset" if sensed else FULL_DRIVE)
         if self.name != "ideal":
             return measured
         n, described = self.model.n_joints, described_drive(self._described)[0].keys
@@ -366,7 +366,7 @@ class VirtualRobot:
             )
         generator = np.random.default_rng(rng)
         exact = self.controller is None
-        move = self._exact if exact else self._controlled
+        move = self._follow_exactly if exact else self._follow_command
         seen, torque, command, note = move(motion, rng, progress)
         logged = self.logger.logged(model, self.sensors, seen, torque, command, generator)
         engine = "" if exact else f", {self.name}"
@@ -417,7 +417,7 @@ class VirtualRobot:
             timestep=1.0 / ticks / substeps,
             springs=True,
         )
-        moved = track(
+        return track(
             physics,
             train,
             target,
@@ -426,8 +426,7 @@ class VirtualRobot:
             np.array([joint.limits.torque for joint in model.joints]),
             substeps=substeps,
             progress=progress,
-        )
-        return moved, command
+        ), command
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -454,7 +453,7 @@ class VirtualRobot:
     def _described(self) -> RobotModel:
         return self.described or self.model
 
-    def _exact(
+    def _follow_exactly(
         self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None
     ) -> tuple[Trajectory, Array, Array, str]:
         """Return motion, torque, command and a note of a robot that follows exactly."""
@@ -467,7 +466,7 @@ class VirtualRobot:
         )
         return sampled, self.exact_torque(sampled.q, sampled.qd, sampled.qdd), sampled.q, note
 
-    def _controlled(
+    def _follow_command(
         self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None
     ) -> tuple[Trajectory, Array, Array, str]:
         """Return motion at the motor, torque, command and a note of a robot in MuJoCo."""

@@ -15,9 +15,6 @@ from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange
 from asbuilt.findings import Cure
 
-_OF_POSITION = ("position", "command")
-_OF_RATE = ("velocity", "acceleration")
-
 
 def with_joint_units(
     table: LogTable, layout: Layout, sheet: RecordingSheet, held: Mapping[str, float | None]
@@ -52,11 +49,11 @@ def with_joint_units(
                 _refuse_open(table, column, joint, sheet)
             continue
         factor, offset = _find_conversion(units[joint])
-        for quantity in (*_OF_POSITION, *_OF_RATE):
+        shifts = {"position": offset, "command": offset, "velocity": 0.0, "acceleration": 0.0}
+        for quantity, shift in shifts.items():
             if quantity in layout.quantities:
                 column = layout.quantities[quantity][k]
-                scales[column] = factor
-                offsets[column] = offset if quantity in _OF_POSITION else 0.0
+                scales[column], offsets[column] = factor, shift
     return replace(layout, scales=scales, offsets=offsets)
 
 

@@ -23,11 +23,13 @@ from asbuilt.experiment.logs.columns.roles import (
     recognise,
     recognise_by_unit,
 )
+from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import ENCODERS, TorqueSource
 from asbuilt.findings import Cure
 
-_QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
+QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
+"""Quantities of every joint; others are kept as extras."""
 _SYMBOLS = {
     "q": "position",
     "qd": "velocity",
@@ -84,19 +86,15 @@ _Group = list[Role]
 
 
 def find_layout(
-    source: str,
-    names: Sequence[str],
+    table: LogTable,
     *,
+    sheet: RecordingSheet,
     model: RobotModel | None = None,
-    sheet: RecordingSheet | None = None,
-    known: Mapping[str, tuple[str, str]] | None = None,
-    order: Sequence[str] = (),
     has_gains: bool = False,
 ) -> Layout:
     """Find the columns of each quantity from the sheet, what the format knows, and the usual names.
 
-    The numbers of a sheet count the columns in `order`, by default `names`. `has_gains` says that
-    gains are given in addition to the sheet's.
+    `has_gains` says that gains are given in addition to the sheet's.
 
     Raises
     ------
@@ -104,17 +102,14 @@ def find_layout(
         If positions are missing, or both torques and commands, columns are missing or claim the
         same place, or they do not fit the robot's joints.
     """
-    sheet = sheet or RecordingSheet()
+    source, names = table.source, tuple(table.columns)
     of_base = {
-        find_column(source, names, order, what, column): ("", "")
-        for what, column in sheet.columns.by_base.items()
+        find_column(table, what, column): ("", "") for what, column in sheet.columns.by_base.items()
     }
-    own = _find_own_columns(names, model, sheet) | dict(known or {}) | of_base
+    own = _find_own_columns(names, model, sheet) | dict(table.known) | of_base
     groups = _group_columns(names, own, sheet)
     for (quantity, kind), listed in sheet.columns.by_group.items():
-        groups[quantity, kind] = _group_listed_columns(
-            source, names, order, quantity, listed, sheet
-        )
+        groups[quantity, kind] = _group_listed_columns(table, quantity, listed, sheet)
     groups = {key: group for key, group in groups.items() if group}
     measured = next((key for key in _TORQUES if key in groups), None)
     position, command = groups.get(("position", "")), groups.get(("command", ""))
@@ -141,18 +136,17 @@ def find_layout(
         _refuse_unscaled(source, torque, sheet)
     chosen = {"position": position} | ({} if torque is None else {"torque": torque})
     for (quantity, kind), group in groups.items():
-        used = group is position or group is torque
-        if not used and quantity != "time" and kind != "unscaled":
+        if not (group is position or group is torque) and quantity != "time" and kind != "unscaled":
             name = quantity if kind in ("", "sheet") else f"{quantity}_{kind}"
             chosen[_EXTRAS.get((quantity, kind), name)] = group
-    notes = [] if torque is not None else _without_command(chosen, groups["command", ""])
+    notes = [] if torque is not None else _leave_out_uncommanded(chosen, groups["command", ""])
     labels = _sort_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
     for quantity in [each for each in chosen if each != "position"]:
         try:
             ordered[quantity] = _align_columns(source, quantity, chosen, labels, sheet)
         except RecordingError:
-            if quantity in _QUANTITIES and (quantity != "command" or torque is None):
+            if quantity in QUANTITIES and (quantity != "command" or torque is None):
                 raise
             notes.append(
                 f"the {len(chosen[quantity])} columns of {quantity} do not match the {len(labels)}"
@@ -170,11 +164,9 @@ def find_layout(
         }
         ordered = {name: tuple(columns[k] for k in places) for name, columns in ordered.items()}
         joint_names, ordered = model.joint_names, ordered | followed
-    scales = _choose_scales(chosen, sheet, notes)
-    time = _find_time_column(source, names, order, groups, sheet)
-    if time is not None:
-        unit = sheet.units.time
-        scales[time.column] = time.scale if unit is None else parse_unit_scale(unit) or 1.0
+    time = _find_time_column(table, groups, sheet)
+    timed = {} if time is None else {"time": [time]}
+    scales = _choose_scales(chosen | timed, sheet, notes)
     own_time = time is not None and sheet.columns.time is None
     return Layout(
         time.column if time else None,
@@ -187,7 +179,7 @@ def find_layout(
     )
 
 
-def _without_command(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
+def _leave_out_uncommanded(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
     """Leave out joints that no command is logged for, such as a gripper's, and say so."""
     commanded = {role.joint for role in command}
     joints = [role.joint for role in chosen["position"]]
@@ -307,11 +299,10 @@ def _locate_joints(group: _Group) -> list[tuple[str, int]]:
     return [(role.joint, -1 if role.joint else role.index or 0) for role in group]
 
 
-def find_column(
-    source: str, names: Sequence[str], order: Sequence[str], what: str, column: ColumnName
-) -> str:
-    """Return the column that a sheet gives by its name, or by its number in `order`."""
-    counted = order or names
+def find_column(table: LogTable, what: str, column: ColumnName) -> str:
+    """Return the column that a sheet gives by its name, or by its number in the file."""
+    source, names = table.source, tuple(table.columns)
+    counted = table.order or names
     numbered = isinstance(column, int)
     inside = isinstance(column, int) and 1 <= column <= len(counted)
     name = counted[int(column) - 1] if inside else str(column)
@@ -343,15 +334,10 @@ def find_column(
 
 
 def _group_listed_columns(
-    source: str,
-    names: Sequence[str],
-    order: Sequence[str],
-    what: str,
-    columns: Sequence[ColumnName],
-    sheet: RecordingSheet,
+    table: LogTable, what: str, columns: Sequence[ColumnName], sheet: RecordingSheet
 ) -> _Group:
     """Return the columns that a sheet lists for a quantity."""
-    found = [find_column(source, names, order, what, column) for column in columns]
+    found, source = [find_column(table, what, column) for column in columns], table.source
     repeated = next((name for name in found if found.count(name) > 1), None)
     labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
     refuse(
@@ -368,7 +354,7 @@ def _group_listed_columns(
             {"file": source, "value": len(found), "expected": len(labels)},
         ),
     )
-    quantity = what if what in _QUANTITIES else "torque"
+    quantity = what if what in QUANTITIES else "torque"
     return [
         Role(quantity, label, k, column=name)  # type: ignore[arg-type]
         for k, (label, name) in enumerate(zip(labels, found, strict=True), start=1)
@@ -553,22 +539,18 @@ def _choose_scales(
         for role in group:
             scales[role.column] = role.scale if unit is None else parse_unit_scale(unit) or 1.0
         units = {role.unit for role in group if role.scale != 1.0}
-        if unit is None and units:
+        if unit is None and units and quantity != "time":
             notes.append(f"{quantity} columns were converted from {', '.join(sorted(units))}")
     return scales
 
 
 def _find_time_column(
-    source: str,
-    names: Sequence[str],
-    order: Sequence[str],
-    groups: Mapping[tuple[str, str], _Group],
-    sheet: RecordingSheet,
+    table: LogTable, groups: Mapping[tuple[str, str], _Group], sheet: RecordingSheet
 ) -> Role | None:
     """Return the column of the time, if there is one."""
+    names = tuple(table.columns)
     if sheet.columns.time is not None:
-        name = find_column(source, names, order, "time", sheet.columns.time)
-        return Role("time", column=name)
+        return Role("time", column=find_column(table, "time", sheet.columns.time))
     picks = [role for role in groups.get(("time", ""), ()) if not role.joint]
-    whole = [role for role in picks if find_nanoseconds(role.column, names)]
-    return next(iter([*whole, *picks]), None)
+    picks.sort(key=lambda role: find_nanoseconds(role.column, names) is None)
+    return picks[0] if picks else None

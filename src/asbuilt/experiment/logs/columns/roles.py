@@ -52,7 +52,7 @@ _SPELT = {
 }
 """Names of KUKA's sensor interface, in words."""
 _NO_CLOCK = {"latency", "delay", "dt", "delta", "period", "cycle", "jitter", "step", "flight"}
-"""Words of times that are not those of the samples."""
+"""Words of other times than those at which samples were taken."""
 _SECONDS = {"sec", "secs", "seconds"}
 _NANOSECONDS = {"nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"}
 _JOINT = {"joint", "joints", "jnt", "axis", "achse", "j", "a", "dof"}
@@ -135,7 +135,6 @@ _MOTOR = {"motor", "motors"}
 _NO_FACTOR = {"percent", "pct", "percentage", "count", "counts", "tick", "ticks"}
 """Units that another quantity, such as the rated torque, has to turn into SI."""
 _SENSOR = {"sensor", "sensors"}
-_ANGLES: tuple[Quantity, ...] = ("position", "velocity", "acceleration")
 _UNITS: dict[str, float] = {
     **dict.fromkeys(("rad", "m", "s", "sec", "n", "nm", "n m", "n*m", "n.m", "a"), 1.0),
     **dict.fromkeys(("deg", "degree", "degrees", "grad", "°"), math.pi / 180),
@@ -148,12 +147,11 @@ _UNITS: dict[str, float] = {
     "ns": 1e-9,
 }
 _TIMES = {"s", "sec", "ms", "us", "µs", "ns"}
+_ANGLES = ("rad", "deg", "degree", "degrees", "grad", "°", "mrad", "rev", "turn")
 _QUANTITY_OF_UNIT: dict[tuple[str, int], Quantity] = {
-    **{
-        (angle, order): quantity
-        for angle in ("rad", "deg", "degree", "degrees", "grad", "°", "mrad", "rev", "turn")
-        for order, quantity in enumerate(_ANGLES)
-    },
+    **{(angle, 0): "position" for angle in _ANGLES},
+    **{(angle, 1): "velocity" for angle in _ANGLES},
+    **{(angle, 2): "acceleration" for angle in _ANGLES},
     **{(unit, 0): "torque" for unit in ("nm", "n m", "n*m", "n.m", "mnm", "mn m", "knm", "kn m")},
     ("rpm", 0): "velocity",
     ("a", 0): "current",
@@ -206,41 +204,37 @@ def recognise(name: str) -> Role | None:
     ('torque', 'elbow_joint')
     >>> recognise("target_q_1")
     """
-    bare, index, unit, _ = _with_unit(_spell(name))
+    bare, index, unit, _ = _split_unit(_spell(name))
     spans = list(WORD.finditer(bare))
-    words = [each.group().lower() for each in spans]
+    words = [each[0].lower() for each in spans]
     quantity, used = _find_quantity(words)
     others = set(words) - {words[k] for k in used}
-    no_clock = quantity == "time" and set(words) & _NO_CLOCK
-    if quantity is None or others & (_DESIRED | _OTHER) or no_clock:
-        return None
     unscaled = "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
-    unit = unscaled or ("ms" if "ipoc" in words else unit)
-    rest = [k for k in range(len(words)) if k not in used and words[k] != unscaled]
-    left = {words[k] for k in rest}
-    if unscaled and left & _EXTERNAL:
+    no_clock = quantity == "time" and set(words) & _NO_CLOCK
+    unwanted = others & (_DESIRED | _OTHER) or (unscaled and others & _EXTERNAL)
+    if quantity is None or unwanted or no_clock:
         return None
+    unit = unscaled or ("ms" if "ipoc" in words else unit)
     kinds = {
         "unscaled": bool(unscaled),
-        "external": left & _EXTERNAL,
-        "motor": left & _MOTOR and quantity in ("torque", "position"),
-        "sensor": left & _SENSOR,
+        "external": others & _EXTERNAL,
+        "motor": others & _MOTOR and quantity in ("torque", "position"),
+        "sensor": others & _SENSOR,
     }
     kind = next((kind for kind, found in kinds.items() if found), "")
-    if quantity == "torque" and rest and used and rest[0] == used[-1] + 1 and words[rest[0]] == "j":
+    of_kind = {unscaled} | _EXTERNAL | _MOTOR | _SENSOR
+    rest = [k for k in range(len(words)) if k not in used and words[k] not in of_kind]
+    if quantity == "torque" and rest and rest[0] == used[-1] + 1 and words[rest[0]] == "j":
         rest = rest[1:]
-    rest = [k for k in rest if words[k] not in _EXTERNAL | _MOTOR | _SENSOR]
-    numbers = [k for k in rest if words[k].isdigit()]
-    if index is None and numbers:
-        index = int(words[numbers[-1]])
-    joint = ""
-    if quantity != "time":
-        joint = _find_joint(bare, spans, rest, "joint" in left and not unit)
+    numbers = [int(words[k]) for k in rest if words[k].isdigit()]
+    index = numbers[-1] if index is None and numbers else index
+    counts = "joint" in others and not unit
+    joint = "" if quantity == "time" else _find_joint(bare, spans, rest, counts)
     return Role(quantity, joint, index, kind, (unit and parse_unit_scale(unit)) or 1.0, unit)
 
 
 def _spell(name: str) -> str:
-    """Return a name with Greek letters and names of KUKA's interface in words."""
+    """Return a name with Greek symbols and names of KUKA's interface in words."""
     start = next((each for each in _SPELT if name.startswith(each)), "")
     name = _SPELT.get(start, "") + name.removeprefix(start)
     return name.replace("τ", "tau").replace("θ", "theta")
@@ -265,9 +259,7 @@ def _find_joint(
         return ""
     parts = [spans[k].group() for k in rest]
     joint = bare[spans[rest[0]].start() : spans[rest[-1]].end()] if whole else "_".join(parts)
-    for prefix in ("joint_states/", "joint_states_", "joint_state_"):
-        joint = joint.removeprefix(prefix)
-    return joint
+    return re.sub("^(joint_states/)?(joint_states_)?(joint_state_)?", "", joint)
 
 
 def find_nanoseconds(name: str, names: Sequence[str]) -> str | None:
@@ -305,14 +297,11 @@ def match_commanded_role(name: str, alone: Set[str] = COMMANDS) -> Role | None:
     [None, None, None]
     """
     name = _spell(name)
-    spans = list(WORD.finditer(name))
-    words = {m.group().lower() for m in spans}
-    desired = [m for m in spans if m.group().lower() in _DESIRED]
-    if not desired or words & {"error", "err"}:
+    words = {word.lower() for word in WORD.findall(name)}
+    if not words & _DESIRED or words & {"error", "err"}:
         return None
-    for found in reversed(desired):
-        name = name[: found.start()] + name[found.end() :]
-    rest = re.sub(r"([_./ -])[_./ -]+", r"\1", name).strip("_./ -")
+    bare = WORD.sub(lambda word: "" if word[0].lower() in _DESIRED else word[0], name)
+    rest = re.sub(r"([_./ -])[_./ -]+", r"\1", bare).strip("_./ -")
     role = recognise(rest)
     if role is None and alone & words:
         unit = _UNIT_SUFFIX.search(rest)
@@ -327,7 +316,7 @@ def match_commanded_role(name: str, alone: Set[str] = COMMANDS) -> Role | None:
 
 
 def names_command(name: str) -> bool:
-    """Return whether a name, such as that of a topic, says that it holds commands.
+    """Return whether the name of a topic or a column says that it holds commands.
 
     Examples
     --------
@@ -350,7 +339,7 @@ def recognise_by_unit(name: str) -> Role | None:
     >>> recognise_by_unit("step [ms]"), recognise_by_unit("heading_deg")
     (None, None)
     """
-    bare, _, unit, order = _with_unit(name)
+    bare, _, unit, order = _split_unit(name)
     words = split_words(bare)
     if not unit or recognise(name) is not None or set(words) & (_DESIRED | _OTHER | _EXTERNAL):
         return None
@@ -381,7 +370,7 @@ def parse_file_quantity(stem: str) -> tuple[Quantity | None, str]:
     return None, "_".join(words)
 
 
-def _with_unit(name: str) -> tuple[str, int | None, str, int]:
+def _split_unit(name: str) -> tuple[str, int | None, str, int]:
     """Split "speed[3] (deg/s)" into the bare name, the index, the unit and its order in time."""
     index: int | None = None
     unit = ""

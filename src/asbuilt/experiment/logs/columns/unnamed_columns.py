@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -18,8 +18,8 @@ from asbuilt.experiment.gravity_load import (
     match_load,
 )
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
+from asbuilt.experiment.logs.formats.log_format import LogTable
 
-DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS, DEGREES_ARE_MORE = DEGREE**0.5, DEGREE**-0.5
 """Ratios of velocities to the slope of positions in degrees, and in radians, above which they are
 degrees."""
@@ -45,12 +45,7 @@ DRAFT = (
 
 
 def suggest_sheet(
-    columns: Mapping[str, Array],
-    model: RobotModel | None = None,
-    *,
-    named: bool = False,
-    rate: float | None = None,
-    numbers: Sequence[int] | None = None,
+    table: LogTable, model: RobotModel | None = None, rate: float | None = None
 ) -> str:
     """Return a recording sheet for columns of unknown meaning, as far as their values decide it.
 
@@ -58,29 +53,16 @@ def suggest_sheet(
     another's derivative is its velocity; one that another follows closely is its command. With a
     robot, torque is the first group that correlates
     clearly with its gravity torques at the positions, which are degrees if that correlates better;
-    without one, the first of the groups left over.
-
-    Parameters
-    ----------
-    columns
-        Values by name, in the order of the file, (N,) each.
-    model
-        The robot.
-    named
-        Whether the file has a header row.
-    rate
-        The sampling rate that was given [Hz].
-    numbers
-        The number of each column in the file, from 1; by default they count up.
+    without one, the first of the groups left over. `rate` is the sampling rate that was given [Hz].
     """
-    values = list(columns.values())
-    places = list(range(1, len(values) + 1)) if numbers is None else list(numbers)
+    values, order = list(table.columns.values()), table.order or tuple(table.columns)
+    places = [order.index(name) + 1 for name in table.columns]  # the sheet counts text columns too
     time, others = _find_time_column(values)
     rest = [values[k] for k in others]
     rows = values[0].size if values else 0
     t = np.arange(rows) / (rate or 1.0) if time is None else values[time]
     n_joints = _count_joints_by_derivative(rest, t) if model is None else model.n_joints
-    head = [] if named else ["header = false"]
+    head = [] if table.named else ["header = false"]
     if rate is not None:
         head.append(f"rate = {rate:g}")
     fits = n_joints and 2 * n_joints <= len(rest) <= MOST_QUANTITIES * n_joints
@@ -176,7 +158,7 @@ def _estimate_rate(q: Array, qd: Array, degrees: bool) -> float | None:
     steps = np.gradient(q, axis=0)
     ok = np.isfinite(steps) & np.isfinite(qd)
     per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
-    rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
+    rates = [per_step] if degrees else [per_step, per_step / (180 / np.pi)]
     # Velocities beyond are rather degrees per second [rad/s].
     if _find_largest(qd) > 10.0:
         rates.reverse()

@@ -6,7 +6,7 @@ import io
 import pickle
 import zipfile
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -155,17 +155,15 @@ def _copy_tensor(
     return np.array(view, dtype=np.float64)
 
 
-def _flatten(content: Mapping[Any, Any], prefix: str = "") -> list[tuple[str, Array]]:
-    found = []
+def _flatten(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Array]]:
     for key, value in content.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            found += _flatten(value, f"{name}_")
+            yield from _flatten(value, f"{name}_")
         elif isinstance(value, np.ndarray) or (
             isinstance(value, list | tuple) and all(isinstance(each, int | float) for each in value)
         ):
-            found.append((name, np.asarray(value, dtype=np.float64)))
-    return found
+            yield name, np.asarray(value, dtype=np.float64)
 
 
 FORMATS.register(

@@ -22,8 +22,8 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogStream,
     LogTable,
 )
-from asbuilt.experiment.logs.formats.ros.topic_echo import is_topic_echo, read_topic_echo
-from asbuilt.experiment.logs.formats.series import columns_of, seconds_of_text
+from asbuilt.experiment.logs.formats.parquet import list_columns, parse_times
+from asbuilt.experiment.logs.formats.ros.joint_table import is_topic_echo, read_topic_echo
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 else:
     pl = lazy_loader.load("polars")
 
-_SEPARATORS = (",", ";", "\t", "|")
 _COMMENTS = ("#", "%")
 _PACKED = {
     b"\xff\xfe": ("UTF-16 text", "save it as UTF-8"),
@@ -152,7 +151,7 @@ def find_dialect(
     dated = tuple(
         name
         for name, cell in zip(names, data, strict=False)
-        if name in text and seconds_of_text(pl.Series([cell])) is not None
+        if name in text and parse_times(pl.Series([cell])) is not None
     )
     if len(text) == len(names):
         raise RecordingError(
@@ -275,8 +274,8 @@ def read_delimited(path: Path, dialect: Dialect | None = None) -> LogTable:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
         raise locate_bad_cell(path, dialect, error) from error
-    frame = _with_times(path, frame, dialect).select(dialect.numeric)
-    return replace(_make_header(path, dialect), columns=columns_of(frame))
+    frame = _convert_times(path, frame, dialect).select(dialect.numeric)
+    return replace(_make_header(path, dialect), columns=list_columns(frame))
 
 
 def _make_header(path: Path, dialect: Dialect) -> LogTable:
@@ -291,11 +290,11 @@ def _make_header(path: Path, dialect: Dialect) -> LogTable:
     )
 
 
-def _with_times(path: Path, frame: pl.DataFrame, dialect: Dialect) -> pl.DataFrame:
+def _convert_times(path: Path, frame: pl.DataFrame, dialect: Dialect) -> pl.DataFrame:
     """Return a frame whose columns of dates and times are seconds."""
     times = []
     for name in set(dialect.dated) & set(frame.columns):
-        seconds = seconds_of_text(frame[name])
+        seconds = parse_times(frame[name])
         if seconds is None:
             raise locate_bad_cell(path, dialect, ValueError(f"column {name!r} holds no times"))
         times.append(pl.Series(name, seconds))
@@ -329,7 +328,7 @@ def locate_bad_cell(path: Path, dialect: Dialect, error: Exception) -> Recording
                     continue
                 dated = name in dialect.dated
                 if (
-                    seconds_of_text(pl.Series([cell])) is None
+                    parse_times(pl.Series([cell])) is None
                     if dated
                     else not _is_number(cell, dialect.decimal_comma)
                 ):
@@ -404,7 +403,7 @@ def _find_separator(lines: list[str]) -> str:
         counts = {line.count(separator) for line in lines}
         if len(counts) == 1 and counts != {0}:
             return separator
-    for separator in _SEPARATORS:
+    for separator in (",", ";", "\t", "|"):
         if sum(separator in line for line in lines) > len(lines) // 2:
             return separator
     return "" if all(len(line.split()) > 1 for line in lines) else ","
@@ -423,17 +422,17 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
     return True
 
 
-def _read_header(path: Path, sheet: RecordingSheet) -> LogTable | None:
-    """Return the table of a file that can be read lazily, without its rows."""
+def _open_stream(path: Path, sheet: RecordingSheet) -> LogStream | None:
+    """Open a file that can be read lazily; None for blanks between the cells and echoed topics."""
     dialect = _detect_dialect(path, sheet)
-    return None if dialect is None or dialect.separator == "" else _make_header(path, dialect)
+    if dialect is None or dialect.separator == "":
+        return None
+    return LogStream(_make_header(path, dialect), partial(_read_chunks, path, dialect))
 
 
-def _chunks(
-    path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
+def _read_chunks(
+    path: Path, dialect: Dialect, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
-    dialect = _detect_dialect(path, sheet)
-    assert dialect is not None  # `_read_header` returns None for an echoed topic
     # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
     parts = [None] if _holds(path, b'"') else _read_parts(path, dialect)
     done, held = 0, pl.DataFrame()
@@ -443,12 +442,12 @@ def _chunks(
             for batch in rows.collect_batches(chunk_size=chunk_samples, maintain_order=True):
                 held = pl.concat([held, batch]) if held.height else batch
                 while held.height > chunk_samples:
-                    yield done, columns_of(_with_times(path, held[:chunk_samples], dialect))
+                    yield done, list_columns(_convert_times(path, held[:chunk_samples], dialect))
                     done, held = done + chunk_samples, held[chunk_samples:]
     except pl.exceptions.PolarsError as error:
         raise locate_bad_cell(path, dialect, error) from error
     if held.height:
-        yield done, columns_of(_with_times(path, held, dialect))
+        yield done, list_columns(_convert_times(path, held, dialect))
 
 
 def _read(path: Path, sheet: RecordingSheet) -> LogTable:
@@ -461,8 +460,7 @@ FORMATS.register(
     LogFormat(
         suffixes=(".csv", ".dat", ".tsv", ".txt"),
         read=_read,
-        stream=LogStream(
-            header=_read_header, chunks=_chunks, n_bytes=lambda path: path.stat().st_size
-        ),
+        stream=_open_stream,
+        n_bytes=lambda path: path.stat().st_size,
     ),
 )

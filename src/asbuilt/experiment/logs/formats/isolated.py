@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asbuilt import children
 from asbuilt.children import Child, ChildEnded
 from asbuilt.errors import AsbuiltError, MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.log_format import LogTable
@@ -88,15 +87,15 @@ class FileKind:
 
 
 def isolate(
-    read: Callable[..., LogTable],
-    kind: FileKind,
-    settings: Callable[[RecordingSheet], Mapping[str, Any]] = lambda sheet: {},
+    read: Callable[..., LogTable], kind: FileKind, *, by_sheet: bool = False
 ) -> Callable[[Path, RecordingSheet], LogTable]:
     """Return the reader of a format that calls `read` in another process (`read_isolated`).
 
-    `settings` takes further arguments of `read` from the recording sheet.
+    It gets the path of a file, and the recording sheet too if the format is read `by_sheet`.
     """
-    return lambda path, sheet: read_isolated(read, path, kind, **settings(sheet))
+    return lambda path, sheet: read_isolated(
+        read, path, kind, **({"sheet": sheet} if by_sheet else {})
+    )
 
 
 def read_guarded(
@@ -112,8 +111,7 @@ def read_guarded(
         raise
     except BaseException as problem:
         if isinstance(problem, ImportError) and kind.extra:
-            purpose = f"reading {path}"
-            raise MissingExtraError(str(problem.name), kind.extra, purpose) from problem
+            raise MissingExtraError(str(problem.name), kind.extra, f"reading {path}") from problem
         raise RecordingError(
             f"{path} is not a recording: it cannot be read as {kind.title or path.suffix}"
             f" ({type(problem).__name__}: {describe_problem(problem)})",
@@ -177,7 +175,7 @@ def _call(
         child = _take_idle() or Child({"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"})
         try:
             content, *columns = child.call(
-                request, children.Limits(memory, LIMITS.time_for(size), memory)
+                request, memory=memory, seconds=LIMITS.time_for(size), largest=memory
             )
         except ChildEnded as ended:
             if child.calls > 1:

@@ -1,10 +1,10 @@
-"""Log formats: what each reads a file into, and the registry of all."""
+"""Log formats: the table of a file or of data in memory, and the registry of all formats."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,25 +73,26 @@ class LogTable:
         return next(iter(self.columns.values())).size if self.columns else 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class LogStream:
-    """Say how files of a format are read in chunks.
+    """Hold a file that is read in chunks.
 
     Parameters
     ----------
     header
-        Return the table of a file without its rows; None if it must be read whole.
+        The table of the file without its rows.
     chunks
         Yield the index of the first row and the given columns, for each chunk of so many rows.
-    n_bytes
-        Return about how much memory a file takes.
     """
 
-    header: Callable[[Path, RecordingSheet], LogTable | None]
-    chunks: Callable[
-        [Path, RecordingSheet, Sequence[str], int], Iterator[tuple[int, dict[str, Array]]]
-    ]
-    n_bytes: Callable[[Path], float]
+    header: LogTable
+    chunks: Callable[[Sequence[str], int], Iterator[tuple[int, dict[str, Array]]]]
+
+    def read_first(self, n_samples: int) -> LogTable:
+        """Return the table with its first rows, at most so many."""
+        for _, columns in self.chunks(tuple(self.header.columns), n_samples):
+            return replace(self.header, columns=columns)
+        return self.header
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +106,10 @@ class LogFormat:
     read
         Function that reads a file, given its recording sheet.
     stream
-        How long files are read in chunks; None if they are read whole.
+        Function that opens a file, given its sheet, to be read in chunks; None is returned for one
+        that must be read whole, as all are by default.
+    n_bytes
+        Return about how much memory a file takes; None for formats whose files are read whole.
     folders
         Whether a folder may be a log of this format.
     recognises
@@ -114,7 +118,8 @@ class LogFormat:
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, RecordingSheet], LogTable]
-    stream: LogStream | None = None
+    stream: Callable[[Path, RecordingSheet], LogStream | None] = lambda path, sheet: None
+    n_bytes: Callable[[Path], float] | None = None
     folders: bool = False
     recognises: Callable[[Path], bool] | None = None
 
@@ -235,3 +240,48 @@ def tabulate_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
     listed = ", ".join(left_out)
     notes = (f"variables without the common length {length} were left out: {listed}",)
     return LogTable(source=source, columns=columns, notes=notes if left_out else ())
+
+
+def is_columns(item: Any) -> bool:
+    """Return whether an object is a dict of arrays or a data frame of pandas or polars."""
+    return isinstance(item, Mapping) or (hasattr(item, "columns") and hasattr(item, "__getitem__"))
+
+
+def tabulate_columns(item: Any) -> LogTable:
+    """Return the columns of a dict of arrays (vectors or matrices) or of a data frame.
+
+    A named index of a pandas frame counts as a column; time stamps become seconds.
+
+    Raises
+    ------
+    RecordingError
+        If no column is numeric.
+    """
+    if isinstance(item, Mapping):
+        arrays = {str(name): np.asarray(values) for name, values in item.items()}
+        return tabulate_variables("dict of arrays", arrays)
+    frame = item
+    if getattr(getattr(item, "index", None), "name", None) is not None:
+        frame = item.reset_index()
+    found = {str(name): np.asarray(frame[name].to_numpy()) for name in frame.columns}
+    columns = {
+        name: values
+        for name, each in found.items()
+        if (values := _convert_to_numbers(each)) is not None
+    }
+    if not columns:
+        raise RecordingError(
+            "the data frame is not a recording: none of its columns is numeric"
+            f" ({', '.join(found)})"
+        )
+    text = tuple(name for name in found if name not in columns)
+    return LogTable(source="data frame", columns=columns, text_columns=text, order=tuple(found))
+
+
+def _convert_to_numbers(values: Array) -> Array | None:
+    """Return a column as floats, time stamps in seconds; None if it does not hold numbers."""
+    if values.dtype.kind in "mM":
+        return values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64).astype(np.float64) / 1e9
+    if values.dtype.kind not in "biuf":
+        return None
+    return values.astype(np.float64)

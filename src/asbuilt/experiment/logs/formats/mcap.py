@@ -24,19 +24,21 @@ from asbuilt.experiment.logs.formats.log_format import (
     tabulate_variables,
 )
 from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag
-from asbuilt.experiment.logs.formats.ros.base_messages import IMU, ODOMETRY, POSE, WRENCH
 from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
     CONTROLLER_STATE,
     DYNAMIC_STATE,
+    IMU,
     JOINT_STATE,
     KINDS,
+    ODOMETRY,
+    POSE,
     TRAJECTORY,
-    TopicChoices,
+    WRENCH,
     choose_topics,
-    read_topic_choices,
 )
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
 MOST = 1 << 30
@@ -61,7 +63,7 @@ SHAPES = MappingProxyType(
 """Fields by which messages in JSON are recognised."""
 
 
-def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
+def read_mcap(path: Path, sheet: RecordingSheet) -> LogTable:
     """Read joints as `read_ros_bag` does, or messages in JSON, from an MCAP file.
 
     JSON messages are joint states (`name`, `position`, `velocity`, `effort`), lists of joints
@@ -72,7 +74,7 @@ def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
     Raises
     ------
     RecordingError
-        If the file has no such message, or has several topics of them and `choices` do not say
+        If the file has no such message, or has several topics of them and the sheet does not say
         which.
     """
     from mcap.exceptions import EndOfFile  # noqa: PLC0415
@@ -89,21 +91,21 @@ def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
                     channels[record.id] = record
                 elif isinstance(record, Message) and record.channel_id in channels:
                     channel = channels[record.channel_id]
-                    kind = KINDS.get(schemas.get(channel.schema_id, ""))
+                    kind = KINDS.get(schemas.get(channel.schema_id, ""), {})
                     if channel.message_encoding == "json":
                         topic = found.setdefault(channel.topic, [])
                         topic.append(
                             (record.log_time, _parse(record.data, len(topic), path, channel))
                         )
-                    elif channel.message_encoding == "cdr" and kind and kind.states:
+                    elif channel.message_encoding == "cdr" and "states" in kind:
                         of_ros.add(channel.topic)
         except (EndOfFile, struct.error):
             # A record ends early where the file does: a recorder that was switched off.
             if file.read(1) or not channels:
                 raise
             complete = False
-    if of_ros and choices.topic in (None, *of_ros):
-        return read_ros_bag(path, choices)
+    if of_ros and sheet.topic in (None, *of_ros):
+        return read_ros_bag(path, sheet)
     if not found:
         others = sorted({f"{c.topic} ({c.message_encoding})" for c in channels.values()})
         raise RecordingError(
@@ -112,7 +114,7 @@ def read_mcap(path: Path, choices: TopicChoices) -> LogTable:
             cure=Cure("record the joint states' topic"),
             file=str(path),
         )
-    table = _tabulate_objects(path, found, choices)
+    table = _tabulate_objects(path, found, sheet)
     note = f"the file is cut off after {table.n_samples} messages"
     return table if complete else replace(table, notes=(*table.notes, note))
 
@@ -159,7 +161,7 @@ def _make_object(fields: dict[str, Any]) -> SimpleNamespace:
 
 
 def _tabulate_objects(
-    path: Path, topics: Mapping[str, list[tuple[int, Any]]], choices: TopicChoices
+    path: Path, topics: Mapping[str, list[tuple[int, Any]]], sheet: RecordingSheet
 ) -> LogTable:
     """Return the joints of messages as ROS has them, or else the numbers of a topic."""
     types: dict[str, str] = {}
@@ -169,16 +171,16 @@ def _tabulate_objects(
             kind, message = _read_as_ros(stamp, each)
             if kind and types.setdefault(name, kind) == kind:
                 messages.setdefault(name, []).append((stamp, message))
-    states = [name for name, kind in types.items() if KINDS[kind].states]
-    if states and choices.topic in (None, *states):
-        return tabulate_joint_messages(choose_topics(path, types, choices), messages, choices)
-    topic = choices.topic or next(iter(topics))
+    states = [name for name, kind in types.items() if "states" in KINDS[kind]]
+    if states and sheet.topic in (None, *states):
+        return tabulate_joint_messages(choose_topics(path, types, sheet), messages, sheet)
+    topic = sheet.topic or next(iter(topics))
     listed = ", ".join(sorted(topics))
     choice = Cure('choose one in a recording sheet: topic = "..."')
     refuse(
         RecordingError,
         (
-            choices.topic is None and len(topics) > 1,
+            sheet.topic is None and len(topics) > 1,
             f"{path} has messages in JSON on {len(topics)} topics ({listed})",
             {"cure": choice, "file": str(path), "available": sorted(topics)},
         ),
@@ -205,7 +207,8 @@ def _read_as_ros(logged: int, message: Any) -> tuple[str, Any]:
     names = next((fields[key] for key in NAMES if key in fields), None)
     fields |= {"name": names, "effort": fields.get("effort", fields.get("torque", ()))}
     kind = next((kind for kind, known in SHAPES.items() if known <= fields.keys()), "")
-    read = kind and (KINDS[kind].commands or KINDS[kind].states or KINDS[kind].base)
+    readers = KINDS.get(kind, {})
+    read = readers.get("commands", readers.get("states", readers.get("base")))
     with suppress(AttributeError, TypeError, ValueError, KeyError, OverflowError):
         for each in read(logged, SimpleNamespace(**fields)) if read else ():
             named = kind == ARRAY or each.position.size == len(each.names) > 0
@@ -250,6 +253,6 @@ FORMATS.register(
     "mcap",
     LogFormat(
         suffixes=(".mcap",),
-        read=isolate(read_mcap, FileKind("MCAP", extra="bags"), read_topic_choices),
+        read=isolate(read_mcap, FileKind("MCAP", extra="bags"), by_sheet=True),
     ),
 )

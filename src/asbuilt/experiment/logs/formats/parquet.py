@@ -1,10 +1,10 @@
-"""Recordings in Parquet files."""
+"""Recordings in Parquet files, and columns of data frames of polars as floats."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,6 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogStream,
     LogTable,
 )
-from asbuilt.experiment.logs.formats.series import columns_of
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, describe_problem
 
@@ -32,6 +31,51 @@ else:
 PARQUET = FileKind("Parquet")
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
+
+
+def list_columns(frame: pl.DataFrame) -> dict[str, Array]:
+    """Return all columns as floats."""
+    return {name: convert_to_numbers(frame[name]) for name in frame.columns}
+
+
+def convert_to_numbers(series: pl.Series) -> Array:
+    """Return a column as floats; nulls become NaN and time stamps seconds."""
+    if series.dtype in (pl.Datetime, pl.Duration):
+        return convert_to_seconds(series)
+    if series.dtype != pl.Float64:
+        series = series.cast(pl.Float64)
+    return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()
+
+
+def convert_to_seconds(series: pl.Series) -> Array:
+    """Turn time stamps or durations into seconds, time stamps since 1970."""
+    kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
+    return _count_seconds(series.cast(kind))
+
+
+def _count_seconds(times: pl.Series) -> Array:
+    """Return seconds (N,) of times that count nanoseconds, NaN where there are none."""
+    counted = times.cast(pl.Int64).cast(pl.Float64).fill_null(float("nan"))
+    return np.asarray(counted.to_numpy() / 1e9)
+
+
+def parse_times(series: pl.Series) -> Array | None:
+    """Turn cells of dates and times, or of times of day, into seconds; None if they are neither.
+
+    Seconds since 1970 or since midnight; empty cells become NaN.
+
+    >>> parse_times(pl.Series(["00:01:00.5", None])).tolist()
+    [60.5, nan]
+    """
+    try:
+        return convert_to_seconds(series.str.to_datetime(strict=True, time_unit="ns"))
+    except pl.exceptions.PolarsError:
+        pass
+    try:
+        of_day = series.str.to_time("%H:%M:%S%.f", strict=True)
+    except pl.exceptions.PolarsError:
+        return None
+    return _count_seconds(of_day)
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
@@ -60,10 +104,10 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, LogTable]:
 def read_parquet(path: Path) -> LogTable:
     """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds."""
     frame, header = scan_parquet(path)
-    return replace(header, columns=columns_of(frame.select([*header.columns]).collect()))
+    return replace(header, columns=list_columns(frame.select([*header.columns]).collect()))
 
 
-def _chunks(
+def _read_chunks(
     path: Path, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
     """Read chunks in this process, whose damage ends in an error too."""
@@ -87,7 +131,7 @@ def _chunks(
                 file=str(path),
             ) from None
         for first in range(0, frame.height, chunk_samples):
-            yield begin + first, columns_of(frame.slice(first, chunk_samples))
+            yield begin + first, list_columns(frame.slice(first, chunk_samples))
 
 
 def read_parquet_header(path: Path) -> LogTable:
@@ -135,10 +179,7 @@ FORMATS.register(
     LogFormat(
         suffixes=(".parquet",),
         read=isolate(read_parquet, PARQUET),
-        stream=LogStream(
-            header=lambda path, sheet: _read_declared(path)[1],
-            chunks=lambda path, sheet, columns, size: _chunks(path, columns, size),
-            n_bytes=_estimate_memory,
-        ),
+        stream=lambda path, sheet: LogStream(_read_declared(path)[1], partial(_read_chunks, path)),
+        n_bytes=_estimate_memory,
     ),
 )

@@ -161,7 +161,6 @@ FORMATS.register(
 
 
 COMMANDS, STATES, NAMES = "control.csv", "state_motor.csv", "joint_list.txt"
-MICROSECOND = 1e-6
 QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "torque"}
 
 
@@ -184,7 +183,7 @@ def read_sage(path: Path) -> LogTable:
     groups = {QUANTITIES[field]: values for field, values in states.items()}
     groups["command"], notes = hold_last(t, sent, commands["positions"])
     listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
-    table = tabulate_joints(str(path), t * MICROSECOND, listed, notes)
+    table = tabulate_joints(str(path), t * 1e-6, listed, notes)
     grippers = [column for column, (_, joint) in table.known.items() if names_gripper(joint)]
     return replace(table, open_units=tuple(grippers))
 

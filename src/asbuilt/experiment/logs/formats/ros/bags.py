@@ -17,17 +17,16 @@ from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messa
 from asbuilt.experiment.logs.formats.ros.messages import (
     JOINT_STATE,
     KINDS,
-    TopicChoices,
     choose_topics,
-    read_topic_choices,
 )
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
 UNPACKED = 4_000_000_000
 """Bytes that a compressed bag may unpack to."""
 
 
-def read_ros_bag(path: Path, choices: TopicChoices) -> LogTable:
+def read_ros_bag(path: Path, sheet: RecordingSheet) -> LogTable:
     """Read joints from the folder of a ROS 2 bag, a bare file of one, or a ROS 1 `.bag`.
 
     A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap` of ROS 2.
@@ -40,7 +39,7 @@ def read_ros_bag(path: Path, choices: TopicChoices) -> LogTable:
     Raises
     ------
     RecordingError
-        If the bag has no joint states, or has several topics of them and `choices` do not say
+        If the bag has no joint states, or has several topics of them and the sheet does not say
         which, or neither efforts nor commands.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -58,7 +57,7 @@ def read_ros_bag(path: Path, choices: TopicChoices) -> LogTable:
                 cure=Cure("record the joint states' topic"),
                 file=str(path),
             )
-        topics = choose_topics(path, types, choices)
+        topics = choose_topics(path, types, sheet)
         used = {topics.states, topics.commands, *topics.base}
         wanted = [each for each in bag.connections if each.topic in used]
         for connection in wanted:
@@ -66,7 +65,7 @@ def read_ros_bag(path: Path, choices: TopicChoices) -> LogTable:
             messages.setdefault(connection.topic, [])
         for connection, stamp, data in bag.messages(wanted) if wanted else ():
             messages[connection.topic].append((stamp, read(bytes(data), connection.msgtype)))
-    return tabulate_joint_messages(topics, messages, choices)
+    return tabulate_joint_messages(topics, messages, sheet)
 
 
 def _define(path: Path, store: Any, connection: Any) -> None:
@@ -130,8 +129,7 @@ def _find_storage(path: Path) -> Path:
 
 def _unpack(packed: Path, target: Path) -> Path:
     """Unpack a file compressed with Zstandard, up to a limit."""
-    standard = sys.version_info >= (3, 14)
-    zstd = import_module("compression.zstd" if standard else "backports.zstd")
+    zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
     size = 0
     with zstd.open(packed, "rb") as file, target.open("wb") as out:
         while chunk := file.read(1 << 20):
@@ -144,10 +142,18 @@ def _unpack(packed: Path, target: Path) -> Path:
     return target
 
 
-def _make_format(title: str, *suffixes: str, folders: bool = False) -> LogFormat:
-    read = isolate(read_ros_bag, FileKind(title, extra="bags"), read_topic_choices)
-    return LogFormat(suffixes=suffixes, read=read, folders=folders)
-
-
-FORMATS.register("rosbag", _make_format("a ROS 2 bag", ".db3", ".zstd", folders=True))
-FORMATS.register("rosbag1", _make_format("a ROS 1 bag", ".bag"))
+FORMATS.register(
+    "rosbag",
+    LogFormat(
+        suffixes=(".db3", ".zstd"),
+        read=isolate(read_ros_bag, FileKind("a ROS 2 bag", extra="bags"), by_sheet=True),
+        folders=True,
+    ),
+)
+FORMATS.register(
+    "rosbag1",
+    LogFormat(
+        suffixes=(".bag",),
+        read=isolate(read_ros_bag, FileKind("a ROS 1 bag", extra="bags"), by_sheet=True),
+    ),
+)

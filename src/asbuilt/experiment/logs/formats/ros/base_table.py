@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.logs.formats.log_format import LogTable, hold_last
-from asbuilt.experiment.logs.formats.ros.base_messages import FLAG, name_contact
 from asbuilt.experiment.logs.formats.ros.messages import (
+    FLAG,
     SPARSE,
     JointMessage,
     Topics,
     is_stamped,
+    name_contact,
     read_times,
 )
 

@@ -1,10 +1,12 @@
-"""Table of joint states and of the commands that held at their times."""
+"""Table of joint states and of the commands that held at their times; joint states as text."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -24,32 +26,32 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     KINDS,
     SPARSE,
     JointMessage,
-    TopicChoices,
     Topics,
     is_stamped,
     read_times,
 )
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
 Messages = Mapping[str, Sequence[tuple[int, Any]]]
 """Messages of each topic with the times [ns] at which they were logged."""
 
 
-def tabulate_joint_messages(topics: Topics, messages: Messages, choices: TopicChoices) -> LogTable:
+def tabulate_joint_messages(topics: Topics, messages: Messages, sheet: RecordingSheet) -> LogTable:
     """Return the messages of the chosen topics as `tabulate_joint_states` does."""
     states, commands = (
         _read_topic(topics, messages, getattr(topics, role), role)
         for role in ("states", "commands")
     )
     base = {each: _read_topic(topics, messages, each, "base") for each in topics.base}
-    return tabulate_joint_states(topics, states, commands, choices, base)
+    return tabulate_joint_states(topics, states, commands, sheet, base)
 
 
 def tabulate_joint_states(
     topics: Topics,
     states: Sequence[JointMessage],
     commands: list[JointMessage],
-    choices: TopicChoices,
+    sheet: RecordingSheet,
     base: Mapping[str, list[JointMessage]] = MappingProxyType({}),
 ) -> LogTable:
     """Return states and commands as a table with one row for each joint state.
@@ -77,13 +79,13 @@ def tabulate_joint_states(
     stamped, notes = is_stamped(kept), list[str]()
     stamps = read_times(kept, stamped)
     try:
-        commands = _select_commands(topics, commands, names, choices)
+        commands = _select_commands(topics, commands, names, sheet)
         both = stamped and (not commands or is_stamped(commands))
         own = read_times(kept, both)
         sent, commands = order_commands(topics, commands, read_times(commands, both), own)
         stamps = own
     except RecordingError as problem:
-        if choices.required or not any(each.effort.size for each in kept):
+        if sheet.names_commands or not any(each.effort.size for each in kept):
             raise
         notes.append(f"commands were left out: {problem.message}")
         commands = []
@@ -122,19 +124,19 @@ def _read_topic(
     """Return the joints of a topic of states or of commands, or the states of the base."""
     if topic is None:
         return []
-    read = getattr(KINDS[topics.types[topic]], role)
+    read = KINDS[topics.types[topic]][role]
     return [each for at, message in messages[topic] for each in read(at, message)]
 
 
 def _select_commands(
-    topics: Topics, commands: list[JointMessage], names: Sequence[str], choices: TopicChoices
+    topics: Topics, commands: list[JointMessage], names: Sequence[str], sheet: RecordingSheet
 ) -> list[JointMessage]:
     """Return the commands that name all joints which are mostly commanded.
 
-    Numbers alone get the names of `choices.command_joints`. Raises `RecordingError` if these do not
+    Numbers alone get the names of `sheet.command_joints`. Raises `RecordingError` if these do not
     fit, or the states have none of the joints.
     """
-    listed, path = choices.command_joints, topics.path
+    listed, path = sheet.command_joints, topics.path
     sizes = {each.position.size for each in commands if not each.names}
     count = ", ".join(map(str, sorted(sizes)))
     distinct = set(listed or ())
@@ -280,3 +282,61 @@ def order_commands(
         sent, commands = sent[kept], [commands[k] for k in kept]
     order = np.argsort(sent, kind="stable")
     return sent[order], [commands[k] for k in order]
+
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
+
+
+def is_topic_echo(line: str) -> bool:
+    """Return whether a line of a file without header is an echoed joint state."""
+    return _parse_line(line) is not None
+
+
+def read_topic_echo(path: Path) -> LogTable:
+    """Read a file of echoed joint states; joints are matched by name in every line.
+
+    Raises
+    ------
+    RecordingError
+        If a line is no joint state, or none has an effort.
+    """
+    states: list[JointMessage] = []
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            state = _parse_line(line)
+            if state is not None:
+                states.append(state)
+            elif line.strip() not in ("", "---"):
+                raise RecordingError(
+                    f"{path}, line {number}: it is not a joint state",
+                    cure=Cure("remove the line"),
+                    file=str(path),
+                    line=number,
+                )
+    return tabulate_joint_states(Topics(path, {}, "the file", None), states, [], RecordingSheet())
+
+
+def _parse_line(line: str) -> JointMessage | None:
+    """Return the joint state of a line that `ros2 topic echo` prints as CSV; None if it is none.
+
+    A line has seconds, nanoseconds, the frame, the names of the joints, then positions, velocities
+    and efforts; an empty field stands for an empty array.
+    """
+    fields = [field.strip() for field in line.strip("\r\n").split(",")]
+    if len(fields) < 7 or not (fields[0].isdigit() and fields[1].isdigit()):
+        return None
+    numeric = [k for k in range(3, len(fields)) if not fields[k] or _NUMBER.fullmatch(fields[k])]
+    first = numeric[0] if numeric else len(fields)
+    names, rest = tuple(fields[3:first]), fields[first:]
+    values = []
+    for _ in range(3):
+        count = len(names) if rest and rest[0] else 1
+        values.append(rest[:count] if rest and rest[0] else [])
+        full, rest = len(rest) >= count, rest[count:]
+        if not full or not all(map(_NUMBER.fullmatch, values[-1])):
+            return None
+    if rest or not names or len(set(names)) < len(names):
+        return None
+    stamp = int(fields[0]) * 10**9 + int(fields[1])
+    q, qd, tau = (np.array(each, dtype=np.float64) for each in values)
+    return JointMessage(stamp, stamp, names, q, qd, tau)

@@ -1,7 +1,9 @@
-"""Messages of ROS that hold measured or commanded joints, and the choice of their topics."""
+"""Messages of ROS about joints, a floating base and its contacts, and the choice of topics."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,21 +18,6 @@ from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import split_words
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import names_command
-from asbuilt.experiment.logs.formats.ros.base_messages import (
-    ESTIMATED_POSE,
-    FLAG,
-    IMU,
-    ODOMETRY,
-    POSE,
-    WRENCH,
-    name_contact,
-    read_flag,
-    read_frames,
-    read_imu,
-    read_odometry,
-    read_pose,
-    read_wrench,
-)
 from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
@@ -41,6 +28,12 @@ DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
+ODOMETRY = "nav_msgs/msg/Odometry"
+POSE = "geometry_msgs/msg/PoseStamped"
+ESTIMATED_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+IMU = "sensor_msgs/msg/Imu"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+FLAG = "std_msgs/msg/Bool"
 FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
 """Fields of a joint state, and their quantities."""
 _NONE: Array = np.empty(0)
@@ -79,15 +72,6 @@ class JointMessage:
 
 Reader = Callable[[int, Any], list[JointMessage]]
 """Reads a message, given when it was logged [ns]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MessageKind:
-    """Say how messages of a type are read: as measured joints, commanded ones, or the base."""
-
-    states: Reader | None = None
-    commands: Reader | None = None
-    base: Reader | None = None
 
 
 def _read_joint_state(logged: int, message: Any) -> list[JointMessage]:
@@ -146,25 +130,98 @@ def _read_numbers_alone(logged: int, message: Any) -> list[JointMessage]:
     return [JointMessage(logged, 0, (), _make_array(message.data))]
 
 
-KINDS: Mapping[str, MessageKind] = MappingProxyType(
+def read_odometry(message: Any) -> dict[str, float]:
+    """Return the pose of the base in the world, and its twist in axes of the child frame."""
+    twist = message.twist.twist
+    speeds = _read_vector("base_v", twist.linear) | _read_vector("base_w", twist.angular)
+    return read_pose(message) | speeds
+
+
+def read_pose(message: Any) -> dict[str, float]:
+    """Return the pose of the base in the world, with or without a covariance."""
+    pose = getattr(message.pose, "pose", message.pose)
+    return _read_vector("base_", pose.position) | _read_vector("base_q", pose.orientation, "xyzw")
+
+
+def read_imu(message: Any) -> dict[str, float]:
+    """Return rates, specific force and orientation; what a sensor does not measure is left out.
+
+    The first element of its covariance is -1 then, or a quaternion is zero.
+    """
+    parts = {
+        "imu_w": (message.angular_velocity, "angular_velocity_covariance", "xyz"),
+        "imu_a": (message.linear_acceleration, "linear_acceleration_covariance", "xyz"),
+        "imu_q": (message.orientation, "orientation_covariance", "xyzw"),
+    }
+    found: dict[str, float] = {}
+    for start, (vector, covariance, axes) in parts.items():
+        values = _read_vector(start, vector, axes)
+        measured = [*getattr(message, covariance, ()), 0.0][0] != -1.0
+        if measured and (axes == "xyz" or any(values.values())):
+            found |= values
+    return found
+
+
+def read_wrench(message: Any) -> dict[str, float]:
+    """Return force and moment under the name of the frame in which they are measured."""
+    start = f"contact_{message.header.frame_id.rpartition('/')[2]}_"
+    parts = message.wrench
+    return _read_vector(f"{start}f", parts.force) | _read_vector(f"{start}m", parts.torque)
+
+
+def read_flag(message: Any) -> dict[str, float]:
+    """Return whether a contact is closed; its topic names it (`name_contact`)."""
+    return {"contact": float(bool(message.data))}
+
+
+def name_contact(topic: str) -> str:
+    """Return the contact of a topic, "" if its name does not say contact.
+
+    >>> [name_contact(each) for each in ("/contact/FL_foot", "/FL_foot/contact", "/FL_foot/on")]
+    ['FL_foot', 'FL_foot', '']
+    """
+    parts = [re.sub(r"(?i)_?contacts?_?", "", part) for part in topic.split("/")]
+    named = [part for part in parts if part]
+    return named[-1] if named and "contact" in topic.lower() else ""
+
+
+def read_frames(message: Any) -> dict[str, str]:
+    """Return the frames of what is posed or measured ("base", "imu"), and of the "world"."""
+    own = getattr(getattr(message, "header", None), "frame_id", "")
+    if hasattr(message, "linear_acceleration"):
+        return {"imu": own}
+    if hasattr(message, "pose"):
+        return {"base": getattr(message, "child_frame_id", ""), "world": own}
+    return {}
+
+
+def _read_vector(start: str, vector: Any, axes: str = "xyz") -> dict[str, float]:
+    """Return the components of a vector or quaternion by the names of their columns."""
+    found = {f"{start}{axis}": float(getattr(vector, axis)) for axis in axes}
+    return {name: value if math.isfinite(value) else math.nan for name, value in found.items()}
+
+
+KINDS: Mapping[str, dict[str, Reader]] = MappingProxyType(
     {
-        JOINT_STATE: MessageKind(states=_read_joint_state, commands=_read_joint_state),
-        DYNAMIC_STATE: MessageKind(states=_read_dynamic_state),
-        CONTROLLER_STATE: MessageKind(
-            states=partial(_read_controller_state, fields=("feedback", "actual")),
-            commands=partial(_read_controller_state, fields=("reference", "desired")),
-        ),
-        TRAJECTORY: MessageKind(commands=_read_points),
-        ARRAY: MessageKind(commands=_read_numbers_alone),
-        ODOMETRY: MessageKind(base=partial(_read_base, read=read_odometry)),
-        ESTIMATED_POSE: MessageKind(base=partial(_read_base, read=read_pose)),
-        POSE: MessageKind(base=partial(_read_base, read=read_pose)),
-        IMU: MessageKind(base=partial(_read_base, read=read_imu)),
-        WRENCH: MessageKind(base=partial(_read_base, read=read_wrench)),
-        FLAG: MessageKind(base=partial(_read_base, read=read_flag)),
+        JOINT_STATE: {"states": _read_joint_state, "commands": _read_joint_state},
+        DYNAMIC_STATE: {"states": _read_dynamic_state},
+        CONTROLLER_STATE: {
+            "states": partial(_read_controller_state, fields=("feedback", "actual")),
+            "commands": partial(_read_controller_state, fields=("reference", "desired")),
+        },
+        TRAJECTORY: {"commands": _read_points},
+        ARRAY: {"commands": _read_numbers_alone},
+        ODOMETRY: {"base": partial(_read_base, read=read_odometry)},
+        ESTIMATED_POSE: {"base": partial(_read_base, read=read_pose)},
+        POSE: {"base": partial(_read_base, read=read_pose)},
+        IMU: {"base": partial(_read_base, read=read_imu)},
+        WRENCH: {"base": partial(_read_base, read=read_wrench)},
+        FLAG: {"base": partial(_read_base, read=read_flag)},
     }
 )
-"""Types of messages that hold joints, or a floating base; of its poses the best first."""
+"""How messages of a type are read: as measured joints, commanded ones, or a floating base.
+
+The best types come first."""
 _BASES = {"base": (ODOMETRY, ESTIMATED_POSE, POSE), "imu": (IMU,)}
 SPARSE = 5.0
 """Periods of the states between other messages, or points of a trajectory, beyond which the way
@@ -195,41 +252,6 @@ _NOT_POSITIONS = {
 """Words in the name of a topic whose numbers are no positions."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicChoices:
-    """Choose topics of a bag.
-
-    Parameters
-    ----------
-    topic, command_topic, base_topic, imu_topic
-        Topics of states, of commands, of the pose of a floating base and of its inertial sensor;
-        None: found by their types and names.
-    command_joints
-        Joints of commands that are numbers alone, in their order.
-    required
-        Whether commands that cannot be used are an error even if there are efforts.
-    """
-
-    topic: str | None = None
-    command_topic: str | None = None
-    base_topic: str | None = None
-    imu_topic: str | None = None
-    command_joints: Sequence[str] | None = None
-    required: bool = False
-
-
-def read_topic_choices(sheet: RecordingSheet) -> dict[str, TopicChoices]:
-    """Return what a sheet says of the topics, as an argument of the readers of bags."""
-    stated = (sheet.kp, sheet.kd, sheet.command_topic, sheet.command_joints, sheet.columns.command)
-    names = ("topic", "command_topic", "base_topic", "imu_topic", "command_joints")
-    return {
-        "choices": TopicChoices(
-            **{name: getattr(sheet, name) for name in names},
-            required=sheet.torque_source == "command" or any(each is not None for each in stated),
-        )
-    }
-
-
 @dataclass(frozen=True, slots=True)
 class Topics:
     """Hold the topics of states and of commands of a file, None where there is none.
@@ -247,8 +269,8 @@ class Topics:
     unread: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
-def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -> Topics:
-    """Choose among topics, given the type of the messages of each.
+def choose_topics(path: Path, types: Mapping[str, str], sheet: RecordingSheet) -> Topics:
+    """Choose among topics, given the type of the messages of each, as far as a sheet does not.
 
     States are `topic`; else `/joint_states`, the only topic of joint states whose name does not say
     command, desired, target or the like, or the only one of a controller's states. Commands are
@@ -262,17 +284,17 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     RecordingError
         If it is not clear which topic holds the states, or one does not exist.
     """
-    of_states = {each for each, kind in types.items() if KINDS[kind].states}
-    of_commands = {each for each, kind in types.items() if KINDS[kind].commands}
+    of_states = {each for each, kind in types.items() if "states" in KINDS[kind]}
+    of_commands = {each for each, kind in types.items() if "commands" in KINDS[kind]}
     of_base = {
         group: {each for each, kind in types.items() if kind in kinds}
         for group, kinds in _BASES.items()
     }
     for topic, known, what in (
-        (choices.topic, of_states, "joint states"),
-        (choices.command_topic, of_commands, "joint states or commands of joints"),
-        (choices.base_topic, of_base["base"], "pose of a base"),
-        (choices.imu_topic, of_base["imu"], "inertial sensor"),
+        (sheet.topic, of_states, "joint states"),
+        (sheet.command_topic, of_commands, "joint states or commands of joints"),
+        (sheet.base_topic, of_base["base"], "pose of a base"),
+        (sheet.imu_topic, of_base["imu"], "inertial sensor"),
     ):
         if topic is not None and topic not in known:
             raise RecordingError(
@@ -282,13 +304,13 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
                 value=topic,
                 available=sorted(known),
             )
-    states = choices.topic or _find_state_topic(path, types, of_states, choices.command_topic)
+    states = sheet.topic or _find_state_topic(path, types, of_states, sheet.command_topic)
     candidates = tuple(
         sorted(each for each in of_commands if _holds_commands(each, types[each], states))
     )
     controllers = _list_best(candidates, types, [CONTROLLER_STATE])
     best = controllers if len(controllers) == 1 else candidates
-    commands = choices.command_topic or (best[0] if len(best) == 1 else None)
+    commands = sheet.command_topic or (best[0] if len(best) == 1 else None)
     base = [
         each
         for each, kind in types.items()
@@ -297,7 +319,7 @@ def choose_topics(path: Path, types: Mapping[str, str], choices: TopicChoices) -
     unread: dict[str, tuple[str, str]] = {}
     for group, kinds in _BASES.items():
         measured = {each for each in of_base[group] if not names_command(each)}
-        stated = getattr(choices, f"{group}_topic")
+        stated = getattr(sheet, f"{group}_topic")
         found = [stated] if stated else _list_best(measured, types, kinds)
         if len(found) > 1:
             unread[group] = (

@@ -1,0 +1,256 @@
+"""Feet: which of them stand, how fast a base moves by those, and on which radius they roll.
+
+Foot k stands at `p` of the base and moves at `J q'` while the base is held, so that the velocity of
+the base in its own axes is `v = -J q' - w x p`. The accelerometer integrates the specific force f:
+`v = integral (R (f - b) + g) + v0` in world axes, with an offset b that feet determine.
+
+The centre of a ball that rolls on level ground without slipping moves as `d(x, y) = r (w_y, -w_x)
+dt`, where a point that stands does not move at all. So pose and joints alone say on which radius a
+foot stands. Forces that act there have another moment than at its centre: legs of 16 cm of which
+the lowest 2 are rubber turn by 0.5 rad in a step, and the moment is off by as much as 1 cm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
+from asbuilt.experiment.recording import Recording
+
+PRESSED = 0.02
+"""Part of a large force above which a contact without a flag counts as closed."""
+
+
+def detect_force(force: Array) -> Array:
+    """Return 1 where a force (N,) is felt, or has no value, and 0 elsewhere."""
+    large = float(np.nanquantile(np.abs(force), 0.95))
+    return np.asarray(~(np.abs(force) <= PRESSED * large), dtype=np.float64)
+
+
+def find_closed(columns: Mapping[str, Array], frame: str) -> Array | None:
+    """Return where a contact is closed (N,), by its flag, else by its force; None without them."""
+    name = f"contact_{frame}"
+    if name not in columns and f"{name}_fz" in columns:
+        return detect_force(columns[f"{name}_fz"])
+    return columns.get(name)
+
+
+@dataclass(frozen=True, slots=True)
+class InertialRules:
+    """Say how a sensor is combined with feet, and when it is read wrongly: own choices.
+
+    Tested on a virtual Go2 and Solo12.
+    """
+
+    tilt: float = 0.1
+    """Frequency [Hz] below which gravity says how the base is tilted, above it the rates: a robot
+    that walks comes back within 10 s, or its feet say by how much it does not."""
+    drift: float = 0.2
+    """Frequency [Hz] below which feet say how fast the base moves, above it the accelerometer."""
+    updates: int = 5
+    """Corrections of the tilt, each of which is right to first order."""
+    turn: float = 1.0
+    """Frequency [Hz] below which gravity turns against the base as its rates say."""
+    gravity: float = 0.25
+    """Part by which the mean specific force may differ from gravity."""
+    upright: float = np.deg2rad(60.0)
+    """Largest mean angle between gravity and where it is expected."""
+    share: float = 0.5
+    """Part of the squared disagreement that is left by another reading, if that is right."""
+
+
+RULES = InertialRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Feet:
+    """Hold how feet move in base axes while the base is held: for each its place and velocity.
+
+    `place` and `velocity` are (n_contacts, N, 3), `stands` (n_contacts, N) where it is closed.
+    """
+
+    place: Array
+    velocity: Array
+    stands: Array
+
+    @classmethod
+    def of(cls, recording: Recording, model: RobotModel) -> Feet:
+        """Return the feet of a recording of the joints alone; of contact flags those it has."""
+        q = np.hstack([np.zeros((recording.n_samples, 6)), recording.q])
+        rates = recording.qd
+        rates = np.gradient(recording.q, recording.t, axis=0) if rates is None else rates
+        shape = (len(model.contacts), recording.n_samples, 3)
+        place, velocity = np.zeros(shape), np.zeros(shape)
+        for start in range(0, len(q), SAMPLES_AT_ONCE):
+            span = slice(start, start + SAMPLES_AT_ONCE)
+            for k, J in enumerate(contact_jacobians(model, q[span])):
+                velocity[k, span] = np.einsum("sij,sj->si", J[:, :3, 6:], rates[span])
+                # At zero, the columns of yaw and pitch are z x place and y x place.
+                place[k, span] = np.stack([J[:, 1, 3], -J[:, 0, 3], J[:, 0, 4]], axis=1)
+        stands = np.zeros(shape[:2])
+        for k, contact in enumerate(model.contacts):
+            closed = find_closed(recording.extra, contact.frame)
+            stands[k] = 0.0 if closed is None else np.nan_to_num(closed) > 0.5
+        return cls(place, velocity, stands)
+
+    def find_stance(self) -> Mask:
+        """Return where any foot stands (N,); everywhere if none ever does."""
+        any_foot = np.asarray(self.stands.any(axis=0), dtype=np.bool_)
+        return any_foot if any_foot.any() else ~any_foot
+
+    def base_velocity(self, w: Array) -> tuple[Array, Array]:
+        """Return the velocity (N, 3) in base axes at which feet stand, and how many do (N,)."""
+        each = -self.velocity - np.cross(w, self.place)
+        count = self.stands.sum(axis=0)
+        return np.einsum("ks,ksi->si", self.stands, each) / np.maximum(count, 1.0)[:, None], count
+
+    def slip(self, w: Array) -> float:
+        """Return the mean square speed of feet that stand, at the velocity that suits them best."""
+        v, count = self.base_velocity(w)
+        speed = np.sum((v + self.velocity + np.cross(w, self.place)) ** 2, axis=2)
+        several = self.stands * (count > 1)
+        capped = np.minimum(speed, np.quantile(speed[several > 0], 0.9) if several.any() else 0.0)
+        return float(np.sum(several * capped) / max(several.sum(), 1.0))
+
+
+def estimate_base_velocity(
+    R: Array, f: Array, feet: Feet, w: Array, rate: float, gravity: Array
+) -> tuple[Array, Array]:
+    """Return the velocity of the base (N, 3) in world axes, and the offset of the sensor (3,).
+
+    The velocity is the integral of the accelerometer, but for what it drifts by, which feet that
+    stand say: `v = integral (R (f - b) + g) + v0`, and slow deviations from that.
+    """
+    fallen = integrate(np.einsum("sij,sj->si", R, f) + gravity, 1.0 / rate)
+    own, count = feet.base_velocity(w)
+    known = np.flatnonzero(count > 0)
+    if known.size < rate:  # it hardly touches: the drift is not known, and no velocity enters
+        return fallen, np.zeros(3)
+    off = (fallen - np.einsum("sij,sj->si", R, own))[known]
+    turned = integrate(R.reshape(-1, 9), 1.0 / rate).reshape(-1, 3, 3)
+    start = np.broadcast_to(np.eye(3), (known.size, 3, 3))
+    columns = np.concatenate([turned[known], start], axis=2)
+    fit = np.linalg.lstsq(columns.reshape(-1, 6), off.ravel(), rcond=None)[0]
+    left = off - columns @ fit
+    left = np.stack([np.interp(np.arange(len(f)), known, x) for x in left.T], axis=1)
+    steady = turned @ fit[:3] + fit[3:]
+    return np.asarray(fallen - steady - select_slow_part(left, RULES.drift, rate)), fit[:3]
+
+
+def select_slow_part(x: Array, frequency: float, rate: float) -> Array:
+    """Return x (N, m) below a frequency, by a Gaussian window that mirrors the ends.
+
+    A recursive filter extends them so that it passes through the first and last sample, which are
+    as noisy as any.
+    """
+    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - light start
+
+    width = rate / (2.0 * np.pi * frequency)
+    return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
+
+
+def integrate(x: Array, dt: float) -> Array:
+    """Return the integral (N, m) from the first sample on, by trapezoids."""
+    return np.vstack([np.zeros(x.shape[1]), np.cumsum(0.5 * dt * (x[1:] + x[:-1]), axis=0)])
+
+
+@dataclass(frozen=True, slots=True)
+class RollingRules:
+    """Say when a foot is taken to roll: own choices, tested on virtual robots and a Solo12.
+
+    The foot is followed over pieces of stance of up to `longest` [s] and at least `samples`
+    samples, less an `edge` of every stance at both ends, where it lands and lifts. At least
+    `pieces` of them are needed, and in the median piece rolling leaves less than `left` of the
+    squared displacement. At most `read` samples of a recording are looked at; radii are `smallest`
+    to `largest` [m].
+    """
+
+    longest: float = 0.5
+    edge: float = 1.0 / 6.0
+    samples: int = 5
+    pieces: int = 5
+    left: float = 0.5
+    smallest: float = 2e-3
+    largest: float = 0.2
+    read: int = 20_000
+
+
+ROLLING = RollingRules()
+
+
+def set_rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
+    """Return a robot whose contacts of unstated radius have that on which they roll, if any."""
+    unstated = [each.radius is None and not each.flat for each in model.contacts]
+    if not any(unstated):
+        return model
+    radii = estimate_rolling_radii(model, recordings)
+    return replace(
+        model,
+        contacts=tuple(
+            replace(each, radius=radius) if open_ and radius else each
+            for each, radius, open_ in zip(model.contacts, radii, unstated, strict=True)
+        ),
+    )
+
+
+def estimate_rolling_radii(
+    model: RobotModel, recordings: Sequence[Recording]
+) -> list[float | None]:
+    """Return the radius [m] on which each contact rolls; None where it does not show one."""
+    flat = replace(
+        model, contacts=tuple(replace(each, flat=True, radius=0.0) for each in model.contacts)
+    )
+    pieces: list[list[tuple[Array, Array]]] = [[] for _ in model.contacts]
+    for recording in recordings:
+        part = recording.taken(slice(0, ROLLING.read))
+        readable = np.isfinite(part.rate) and bool(np.all(np.isfinite(part.q)))
+        if part.contact is None or model.n_floating != 6 or not readable:
+            continue
+        for own, moved, closed in zip(
+            pieces, _sum_displacements(flat, part.q), part.contact.T > 0.5, strict=True
+        ):
+            own.extend(_cut_stance_segments(moved, closed, part.rate))
+    return [_estimate_radius(own) for own in pieces]
+
+
+def _sum_displacements(model: RobotModel, q: Array) -> Array:
+    """Return the sums of displacements and turns (n_contacts, N, 6) of each contact's frame."""
+    steps = [np.zeros((len(model.contacts), 1, 6))]
+    for start in range(0, len(q) - 1, SAMPLES_AT_ONCE):
+        own = q[start : start + SAMPLES_AT_ONCE + 1]
+        J = np.stack(contact_jacobians(model, own))
+        middle = 0.5 * (J[:, 1:] + J[:, :-1])
+        steps.append(np.einsum("csij,sj->csi", middle, np.diff(own, axis=0)))
+    return np.cumsum(np.concatenate(steps, axis=1), axis=1)
+
+
+def _cut_stance_segments(moved: Array, closed: Mask, rate: float) -> Iterator[tuple[Array, Array]]:
+    """Yield displacement and what a radius of 1 m would give, (2 n,) each, of pieces of stance."""
+    changes = np.flatnonzero(np.diff(np.r_[False, closed, False].astype(np.int8)))
+    for start, stop in changes.reshape(-1, 2).tolist():
+        edge = round(ROLLING.edge * (stop - start))
+        stance = moved[start + edge : stop - edge]
+        parts = max(1, round(len(stance) / (ROLLING.longest * rate)))
+        for piece in np.array_split(stance, parts):
+            if len(piece) >= ROLLING.samples:
+                off = piece - piece.mean(axis=0)
+                yield off[:, :2].ravel(), np.stack([off[:, 4], -off[:, 3]], axis=1).ravel()
+
+
+def _estimate_radius(pieces: Sequence[tuple[Array, Array]]) -> float | None:
+    """Return the median radius, weighted by the turns of pieces, if the foot rolls on it."""
+    if len(pieces) < ROLLING.pieces:
+        return None
+    turns = np.array([x @ x for _, x in pieces])
+    radii = np.array([y @ x for y, x in pieces]) / np.maximum(turns, 1e-30)
+    order = np.argsort(radii)
+    half = np.searchsorted(np.cumsum(turns[order]), 0.5 * turns.sum())
+    radius = float(radii[order][half])
+    left = [np.sum((y - radius * x) ** 2) / max(float(y @ y), 1e-30) for y, x in pieces]
+    rolls = ROLLING.smallest < radius < ROLLING.largest and np.median(left) < ROLLING.left
+    return round(radius, 4) if rolls else None
