@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 from tests.identification.trajectories.test_simulation import samples_of
 
@@ -16,6 +18,7 @@ from asbuilt.identification.trajectories.windows import DriveSignal, Windows, cu
 from asbuilt.validation.rollout.errors import find_outlying_windows, measure_rollout_errors
 from asbuilt.validation.rollout.floor import delay_command, pair_repeated_windows
 from asbuilt.validation.rollout.rollout import roll_out, rollout_findings
+from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 
 pytest.importorskip("mujoco")
 
@@ -55,7 +58,9 @@ def test_a_divergence_has_no_number_and_is_counted(windows: Windows) -> None:
 
 
 @pytest.mark.study
-def test_robots_of_which_one_diverges_are_compared_before_it(fine: Windows) -> None:
+def test_robots_of_which_one_diverges_are_compared_before_it(
+    fine: Windows, tmp_path: Path
+) -> None:
     windows = fine
     truth = servo_arm()
     built = build_robot_as_described(truth, SERVO)
@@ -78,6 +83,13 @@ def test_robots_of_which_one_diverges_are_compared_before_it(fine: Windows) -> N
     (finding,) = (each for each in rollout_findings([found]) if each.code == "rollout_diverged")
     assert f"the first after {until:.2g} s" in finding.message
     assert found.as_dict()["cad"]["rms_all"] is None
+    # What is finite of it is drawn.
+    whole = roll_out(truth, [windows], [built], [built])
+    frames = [
+        Image.open(write_rollout_animation(tmp_path / f"{name}.gif", truth, each)).n_frames
+        for name, each in (("diverged", found), ("whole", whole))
+    ]
+    assert 1 < frames[0] < frames[1]
 
 
 @pytest.mark.study

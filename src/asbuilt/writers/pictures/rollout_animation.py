@@ -85,7 +85,13 @@ def _select_frames(motion: SimulatedMotion) -> _Shown:
         name: path[:count].reshape(-1, path.shape[2])[::every] - measured
         for name, path in given.items()
     }
-    worst = max(float(np.sqrt(np.nanmean(error**2))) for error in errors.values())
+    # A simulation that diverges, or a gap of the log, has no pose to draw.
+    drawn = np.isfinite(np.column_stack([measured, *errors.values()])).all(axis=1)
+    if not drawn.any():
+        raise UsageError(f"no simulated pose of {cut.source} is finite, so there is no animation")
+    t, measured = t[drawn], measured[drawn]
+    errors = {name: error[drawn] for name, error in errors.items()}
+    worst = max(float(np.sqrt(np.mean(error**2))) for error in errors.values())
     # Error of the worse simulation as it is drawn [rad or m], root mean square over joints.
     factor = max((each for each in FACTORS if each * worst <= 0.12), default=1.0)
     return _Shown(_close_gaps(t), measured, errors, factor)
