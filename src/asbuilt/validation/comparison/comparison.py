@@ -103,17 +103,22 @@ class Comparison:
             )
         )
 
+    def relevance(self) -> str:
+        """Return of how many differences the torque is their own; nothing if that is unknown."""
+        n = self.n_mattering
+        if n is None or not self.n_differing:
+            return ""
+        return (
+            f"; other parameters cannot make up for the torque of {n}"
+            if n
+            else "; other parameters can make up for the torque of each"
+        )
+
     def verdict(self) -> str:
         """Return the outcome in one or two sentences."""
-        matter = (
-            ""
-            if self.n_mattering is None
-            else f"; {self.n_mattering} of them matter{'s' if self.n_mattering == 1 else ''} to the"
-            " torque"
-        )
         text = (
             f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ"
-            f" ({self.rule()}){matter}."
+            f" ({self.rule()}){self.relevance()}."
             if self.n_compared
             else "No parameter has a CAD value."
         )

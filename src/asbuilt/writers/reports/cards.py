@@ -66,7 +66,5 @@ def make_determination_card(found: Determination) -> Card:
 
 def make_difference_card(comparison: Comparison) -> Card:
     """Return how many parameters differ from CAD."""
-    label, matter = "parameters differ from CAD", comparison.n_mattering
-    if matter is not None:
-        label += f", {matter} {'matters' if matter == 1 else 'matter'} to the torque"
+    label = f"parameters differ from CAD{comparison.relevance()}"
     return Card("neutral", f"{comparison.n_differing} of {comparison.n_compared}", label)

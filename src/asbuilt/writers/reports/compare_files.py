@@ -63,7 +63,9 @@ class CadVerdict:
             Show everything; else what fits one screen of 80 columns.
         """
         comparison, found = self.comparison, self.attribution
-        parts = [wrap_text(self.headline), comparison.heading(full)]
+        parts = [wrap_text(self.headline)]
+        if full or comparison.tolerance is not None:
+            parts.append(comparison.heading(full))
         if found is None or full:
             parts += [comparison.torque_table().as_text(full)] if comparison.torque else []
         if found is None:
