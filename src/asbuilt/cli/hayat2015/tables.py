@@ -53,9 +53,7 @@ def tabulate_base_parameters(redone: Reproduction) -> Table:
         Column("same", detail=True, of=lambda row: "yes" if row.same_expression else "NO"),
         Column("CAD, paper", align="decimal", style=".9f", detail=True, of="cad"),
         Column("CAD, ours", align="decimal", style=".6f", of="cad_ours"),
-        Column(
-            "same", detail=True, of=lambda row: "yes" if row.difference <= row.tolerance else "NO"
-        ),
+        Column("same", detail=True, of=lambda row: "yes" if row.same_value else "NO"),
         Column("simulated", align="decimal", style=".9f", detail=True, of="simulated"),
         Column("robot, paper", align="decimal", style=".9f", detail=True, of="robot"),
         Column("virtual robot", align="decimal", style=".6f", detail=True, of="virtual_robot"),
