@@ -58,9 +58,7 @@ def test_a_divergence_has_no_number_and_is_counted(windows: Windows) -> None:
 
 
 @pytest.mark.study
-def test_robots_of_which_one_diverges_are_compared_before_it(
-    fine: Windows, tmp_path: Path
-) -> None:
+def test_robots_of_which_one_diverges_are_compared_before_it(fine: Windows, tmp_path: Path) -> None:
     windows = fine
     truth = servo_arm()
     built = build_robot_as_described(truth, SERVO)
