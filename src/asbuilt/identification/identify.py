@@ -92,18 +92,16 @@ class Fit:
 
     def metrics(self, samples: Sequence[Samples]) -> tuple[TorqueMetrics, TorqueMetrics]:
         """Return the torque metrics of all samples together, as built and of the CAD values."""
-        as_built, by_design = (
-            TorqueTally(self.model.joint_names) for _ in ("as built", "by design")
-        )
-        for batch in samples:
-            for tally, beta in (
-                (as_built, self.estimate.beta),
-                (by_design, np.nan_to_num(self.design, nan=0.0)),
-            ):
+        source = ", ".join(self.information.sources)
+
+        def measure(beta: Array) -> TorqueMetrics:
+            tally = TorqueTally(self.model.joint_names)
+            for batch in samples:
                 prediction = predict_torque(self.model, self.base, beta, batch)
                 tally.add(prediction.measured, prediction.predicted)
-        source = ", ".join(self.information.sources)
-        return as_built.metrics(source), by_design.metrics(source)
+            return tally.metrics(source)
+
+        return measure(self.estimate.beta), measure(np.nan_to_num(self.design, nan=0.0))
 
     def concluded(
         self, train: TorqueMetrics, cad: TorqueMetrics, **further: Any
@@ -306,12 +304,12 @@ def _estimate_uncertainty(
     uncertainty = estimate_bootstrap_uncertainty(
         information, estimate, redraw(information, estimate)
     )
-    held = list(uncertainty.basis.held_fixed)
-    if automatic:
-        held.insert(0, f"the choice of {estimate.method}")
-    if information.base.drive.needs_load:
-        held.append("the load on friction")
-    return replace(uncertainty, basis=replace(uncertainty.basis, held_fixed=tuple(held)))
+    held = (
+        *([f"the choice of {estimate.method}"] if automatic else []),
+        *uncertainty.basis.held_fixed,
+        *(["the load on friction"] if information.base.drive.needs_load else []),
+    )
+    return replace(uncertainty, basis=replace(uncertainty.basis, held_fixed=held))
 
 
 def _settle_own_load(

@@ -129,6 +129,7 @@ class ConicProblem:
             [self.margin, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)]
         )
         self.torque = regrouping @ self.bodies
+        # R is triangular: row i of `R torque` has the entries of all rows of `torque` from i on.
         nonzero = (np.triu(np.ones((p, p))) @ (self.torque != 0.0) > 0.0).astype(np.float64)
         self.nonzero = nonzero.T > 0.0
         self.pattern = sparse.csc_matrix(

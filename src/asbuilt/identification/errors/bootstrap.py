@@ -143,6 +143,7 @@ def estimate_bootstrap_uncertainty(
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) * (few**2 * n / (n - 1.0))
+    # A bound that all draws hit leaves no scatter.
     still = np.flatnonzero(determined & (np.diag(covariance) == 0.0))
     covariance[still, still] = textbook[still]
     drawn_variance = np.maximum(np.diag(covariance), np.finfo(np.float64).tiny)

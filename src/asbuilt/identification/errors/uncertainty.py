@@ -98,6 +98,7 @@ def estimate_block_uncertainty(
     determined = textbook > 0
     swell = np.ones_like(textbook)
     variance = np.maximum(found.variance, textbook)[determined]
+    # Dropped and undetermined parameters have no textbook variance to grow.
     swell[determined] = grown = np.sqrt(variance / textbook[determined])
     shrinkage = float(np.exp(-2.0 * np.mean(np.log(grown)))) if grown.size else 1.0
     growth = float(np.median(grown)) if grown.size else None

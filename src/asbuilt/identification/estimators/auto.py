@@ -183,6 +183,7 @@ def _choose_closest_to_cad(
     candidates = _fit_candidates(information, prior, free, consistent, weights, parts)
     rates = None if data.samples is None else measure_recorded_rates(data.samples)
     motion = build_random_motion_rows(data.loading or data.model, data.base, rates)
+    # Rows are sample-major, so the weights of the joints repeat.
     motion *= np.resize(consistent.weights, len(motion))[:, None]
     free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
     return _choose_converging(

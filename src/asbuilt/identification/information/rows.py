@@ -288,6 +288,7 @@ class Rows:
             for rows, x in zip(block.rows, self._less, strict=False):
                 rows[-1] -= x @ rows[:-1]
             size += sum(rows.nbytes for rows in block.rows)
+            # Rows of a long recording are not kept, but made again in every pass.
             kept = [*kept, block] if size <= ROWS.most_held else []
             yield block
         self._held = kept if size <= ROWS.most_held else None

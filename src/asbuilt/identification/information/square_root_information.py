@@ -359,6 +359,7 @@ class _Gathering:
         else:
             self.blocks.append(block)
         if len(self.blocks) > 2 * MOST_BLOCKS:
+            # Blocks of twice the length: all are added again, and each joins its neighbour.
             self.seconds *= 2.0
             blocks, self.blocks = self.blocks, []
             for each in blocks:

@@ -110,14 +110,13 @@ class Determination:
     def in_short(self) -> str:
         """One sentence for a summary."""
         classes = (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped)
-        poor = [f"worse: {len(self.hardly)}"] if self.hardly else []
-        if self.negligible:
-            poor[0] += f", {len(self.negligible)} of which change the torque of this motion little"
+        little = f", {len(self.negligible)} of which change the torque of this motion little"
+        worse = f"worse: {len(self.hardly)}{little if self.negligible else ''}"
         parts = [
             f"Standard error at most {100 * LIMITS.well:g} %: {len(self.well)} of"
             f" {sum(map(len, classes))} parameters",
             f"at most {100 * LIMITS.poor:g} %: {len(self.fairly)} more",
-            *poor,
+            *([worse] if self.hardly else []),
             *([f"undetermined: {len(self.not_at_all)}"] if self.not_at_all else []),
             *([f"dropped: {len(self.dropped)}"] if self.dropped else []),
         ]

@@ -211,6 +211,7 @@ def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
     held_out = [format_share(metrics.relative_error) for metrics in result.validation]
     negative = ", ".join(non_passive_drives(result.base, result.estimates))
     inconsistent = f"NEGATIVE {negative}" if negative else "PHYSICALLY INCONSISTENT"
+    late = ", ".join(dict.fromkeys(each.text for each in result.delay if each.delays))
     condition = (
         f"{round_significant(result.condition_number)} (scaled"
         f" {round_significant(result.scaled_condition_number)})"
@@ -230,13 +231,8 @@ def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
             "consistency",
             {True: "OK", False: inconsistent, None: "not checked"}[result.physically_consistent],
         ),
-        *([("torque delay", late)] if (late := _describe_delays(result)) else []),
+        *([("torque delay", late)] if late else []),
     )
-
-
-def _describe_delays(result: IdentificationResult) -> str:
-    """Return the delays that were applied, as text; empty if there are none."""
-    return ", ".join(dict.fromkeys(each.text for each in result.delay if each.delays))
 
 
 def _format_heading(heading: Sequence[tuple[str, str]]) -> list[str]:
