@@ -58,13 +58,13 @@ class Finding:
         What to do.
     joint
         Name of the joint concerned.
-    link
-        Name of the link concerned.
     time
         First affected time [s].
     torque
         Share of the squared torque error that it concerns: what it explains, or all of its joint's;
         None: unknown.
+    link
+        Name of the link concerned.
     """
 
     code: str
@@ -72,9 +72,9 @@ class Finding:
     message: str
     cure: Cure | None = None
     joint: str | None = None
-    link: str | None = None
     time: float | None = None
     torque: float | None = None
+    link: str | None = None
 
     def __str__(self) -> str:
         return self.as_line()

@@ -303,7 +303,7 @@ def report_holdout(
         Finding(
             "nothing_held_out",
             "warning",
-            f"No validation data: {why}; errors are those of the training data and are too small",
+            f"No validation data: {why}; errors are of the training data and too small",
             Cure("validate on another recording, or record longer"),
         ),
     )

@@ -307,7 +307,7 @@ def report_servo(
             "servo_lead",
             "info",
             "The torque preceded the command, which no delay does: the servo was taken to have"
-            f" a gain on the rate of its control error, {lead} ms times its stiffness, beside a"
+            f" a gain on the rate of its control error, {lead} ms times its stiffness, and a"
             f" delay of {late} ms; viscous friction includes its damping. Positions that are"
             " logged late look alike in smooth motion",
             Cure("state the lead and the torque limit if they are known, or record steps"),
@@ -388,8 +388,8 @@ def _report_currents(model: RobotModel, found: ServoEstimate) -> Iterator[Findin
         yield Finding(
             "servo_current_explained",
             "info",
-            "The log has currents without a sign beside the commands, which the servo explains"
-            f" with damping / stiffness of {lags}. This much damping is the servo's, with the"
+            "The log has currents without a sign in addition to the commands, which the servo"
+            f" explains with damping / stiffness of {lags}. This much damping is the servo's, with the"
             " voltage that its motor induces; the rest of viscous friction is the joint's",
             Cure("give the damping as stiffness times this, to tell one from the other"),
         )

@@ -195,7 +195,7 @@ def test_a_value_just_below_zero_is_judged_at_zero(recording, tmp_path_factory):
     for joint in ("pan", "lift", "elbow"):
         claim = found.of("armature", joint)
         assert claim.verdict == "contradicted", joint
-        assert (claim.note == "judged at zero") == (claim.estimate < 0.0)
+        assert (claim.note == "tested at zero") == (claim.estimate < 0.0)
 
 
 def test_armature_and_inertia_about_one_axis_are_aliases():

@@ -93,7 +93,7 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
     v, offset = estimate_base_velocity(R, f, feet, w, recording.rate, model.gravity)
     refuse_heading(recording, feet, R, f, w, v, model.gravity)
     columns = _make_base_columns(R, v, w, alpha, f - offset, model.gravity, dt)
-    note = f"the base is that of the inertial sensor at {where} and of the feet that stand"
+    note = f"the motion of the base is from the inertial sensor at {where} and the feet that stand"
     return replace(recording, extra=dict(known) | columns, notes=(*recording.notes, note))
 
 

@@ -152,8 +152,8 @@ def check_forces(model: RobotModel, recording: Recording, rates: Array) -> Itera
     plain = _add_up(own.values())
     readings = {
         "in world axes": plain,
-        "those of the robot on its surroundings": -world,
-        "those of the robot on its surroundings, in world axes": -plain,
+        "forces of the robot on its surroundings": -world,
+        "forces of the robot on its surroundings, in world axes": -plain,
     }
     best = min(readings, key=lambda name: off(readings[name]))
     if off(readings[best]) < LIMITS.share * off(world):

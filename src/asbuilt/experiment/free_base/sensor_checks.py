@@ -24,7 +24,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
 INVERSE = "the inverse of a rotation: so read, it turns as imu_wx .. imu_wz say"
-FORWARD = "log the quaternion x y z w that turns axes of the sensor into those of the world"
+FORWARD = "log the quaternion x y z w that turns axes of the sensor into axes of the world"
 UNIT_LENGTH = 0.02
 """Largest deviation of a quaternion's length from 1 that is rounding or drift of an estimator."""
 

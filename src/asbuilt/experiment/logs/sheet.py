@@ -135,9 +135,9 @@ BASE_VECTORS = {
 class SheetColumns(_Part):
     """Columns by name, or by number from 1.
 
-    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between. Those of a floating base
-    and of its inertial sensor are in the order x y z, or x y z w, and in SI; `contact` has the flag
-    of each contact.
+    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between. Columns of a floating
+    base and of its inertial sensor are x y z, or x y z w, in SI; `contact` has the flag of each
+    contact.
     """
 
     time: ColumnName | None = None

@@ -34,7 +34,7 @@ class OmittedBias:
     bias, covariance
         Bias (p,) and second moment (p, p) of the estimate, such as a regularised one.
     free_bias, free_covariance
-        Those of weighted least squares.
+        Bias and covariance of weighted least squares.
     effects
         The effects, as text.
     """

@@ -61,7 +61,7 @@ class NonlinearErrors:
                 f"{joint_names[place.joint]} {shown}"
             )
         listed = "; ".join(f"{what} {', '.join(each)}" for what, each in parts.items())
-        return f"Standard errors include those of the fitted nonlinear parameters: {listed}."
+        return f"Standard errors include errors of the fitted nonlinear parameters: {listed}."
 
 
 @use_one_blas_thread()

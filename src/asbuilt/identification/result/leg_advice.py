@@ -42,8 +42,8 @@ def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tu
     if not advice:
         return ()
     parts = [
-        f"of {each.motion} {'would at least halve' if k == 0 else ''} those of {len(each.names)}"
-        f" ({join_names(each.names, NAMES)})".replace("  ", " ")
+        f"of {each.motion} {'would at least halve' if k == 0 else ''} the errors of"
+        f" {len(each.names)} ({join_names(each.names, NAMES)})".replace("  ", " ")
         for k, each in enumerate(advice)
     ]
     return (

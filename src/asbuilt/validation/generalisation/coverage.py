@@ -163,7 +163,7 @@ def check_repetitions(
             "held_out_repeats",
             "warning",
             f"{recording_name(samples.source)} repeats the training motion in {100 * share:.0f} %"
-            " of its states, so its errors are not those of other motion",
+            " of its states, so other motion has other errors",
             Cure("validate on another motion"),
         )
         for samples in validation

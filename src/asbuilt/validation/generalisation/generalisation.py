@@ -105,7 +105,7 @@ def check_validations(
             Finding(
                 "nothing_held_out",
                 "warning",
-                "No validation data: errors are those of the training data and are too small",
+                "No validation data: errors are of the training data and too small",
                 Cure(
                     "validate on another recording, or hold out blocks", {"holdout": "blocks:5s:3"}
                 ),

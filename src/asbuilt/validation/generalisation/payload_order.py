@@ -96,7 +96,7 @@ def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array
         order[[j, k]] = k, j
         yield (
             measured[:, order],
-            f"those of {names[j]} and {names[k]} look swapped",
+            f"the torques of {names[j]} and {names[k]} look swapped",
             Cure(
                 "check the order of the torque columns; a recording sheet names them:"
                 " [columns] torque = [...]",
@@ -108,7 +108,7 @@ def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array
         listed = ", ".join(f"{sign:g}" for sign in signs)
         yield (
             measured * signs,
-            f"that of {names[k]} alone has the opposite sign",
+            f"the torque of {names[k]} alone has the opposite sign",
             Cure(f"turn it in a recording sheet: sign = [{listed}]", {"checked": False}),
         )
 

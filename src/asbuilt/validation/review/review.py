@@ -237,7 +237,7 @@ def _make_claim(
         p_value=p,
         torque=_measure_torque_change(result, number.column * possible),
         alike=abs(possible) <= RESOLUTION * number.size,
-        note="" if possible == change else "judged at zero",
+        note="" if possible == change else "tested at zero",
     )
 
 

@@ -27,7 +27,7 @@ MOST = 0.2
 """Largest share of samples beyond a torque limit: the fit must not rest on them; own choice."""
 FEWEST = 20
 """Fewest samples that show a torque limit."""
-OF_NO_SERVO = "the torque of this recording is not that of the servo"
+OF_NO_SERVO = "the torque of this recording is not from the servo"
 SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
@@ -98,7 +98,7 @@ def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: 
     if errors is None or servo is None:
         return replace(claim, note=OF_NO_SERVO)
     if errors.scale[k] == "given":
-        return replace(claim, note=f"given as {servo.kp[k]:.6g}, not judged")
+        return replace(claim, note=f"given as {servo.kp[k]:.6g}, not tested")
     estimate, error = servo.kp[k], errors.kp[k]
     all_torques = f"scale of all torques of {joint}"
     if not error < UNDETERMINED * estimate:
@@ -121,7 +121,7 @@ def _claim_damping(result: IdentificationResult, k: int, joint: str, claimed: fl
     claim, errors = Claim("kv", joint, "N m s/rad", claimed), result.servo_errors
     if errors is not None and errors.kd_unknown[k]:
         return replace(claim, alias_of=(f"damping of {joint}",))
-    return replace(claim, note=OF_NO_SERVO if errors is None else "given, not judged")
+    return replace(claim, note=OF_NO_SERVO if errors is None else "given, not tested")
 
 
 def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Validation]) -> Claim:

@@ -1,6 +1,6 @@
 """Figures of a study: measured and predicted torque, and a sweep of the low-pass cutoff.
 
-That of torque is after Figures 3 and 4 of the 2015 paper.
+The figure of torque is after Figures 3 and 4 of the 2015 paper.
 """
 
 from __future__ import annotations

@@ -187,7 +187,7 @@ class Gain(_OfTorque):
     least = 0.03
     """Accuracy of the gains that makers state."""
     farthest = 1.15
-    """That of a dead channel, with an error: beyond, it is another quantity."""
+    """Gain error of a dead channel: beyond it, the column is another quantity."""
     removable, of_shares, shown = True, True, 0.1
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:

@@ -182,7 +182,8 @@ def _write_controller_functions(
 def _derive_fewest_parameters(model: RobotModel) -> Array:
     """Return standard parameters with the torques of the model, zero but at base columns.
 
-    Those of the model if the torques differ by more than rounding, as for lengths of almost zero.
+    They are the parameters of the model if the torques differ by more than rounding, as for
+    lengths of almost zero.
     """
     rigid = find_base_parameters(model)
     chi = np.zeros(10 * model.n_links)

@@ -43,7 +43,7 @@ def add_base_states(
     topics
         The file and its topics.
     messages
-        Those of each topic of the base.
+        Messages of each topic of the base.
     states
         The joint states.
     """
