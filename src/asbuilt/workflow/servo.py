@@ -388,9 +388,9 @@ def _report_currents(model: RobotModel, found: ServoEstimate) -> Iterator[Findin
         yield Finding(
             "servo_current_explained",
             "info",
-            "The log has currents without a sign in addition to the commands, which the servo"
-            f" explains with damping / stiffness of {lags}. This much damping is the servo's, with the"
-            " voltage that its motor induces; the rest of viscous friction is the joint's",
+            "The log has currents without a sign in addition to the commands, which the"
+            f" servo explains with damping / stiffness of {lags}. This much damping is the"
+            " servo's, with the voltage that its motor induces; the rest of viscous friction is the joint's",
             Cure("give the damping as stiffness times this, to tell one from the other"),
         )
 

@@ -39,10 +39,10 @@ HARMONICS = NonlinearParameter("harmonics", 1.0, 1.0, 2.0, "", fitted=False)
 class Balancer(DriveTerm):
     """Add `Bs sin(q) + Bc cos(q)`; with two `harmonics` also `B2s sin(2 q) + B2c cos(2 q)`.
 
-    One is the torque of a weight, or of a spring without free length. The torque of any force between
-    a point of the link and one of its parent is an odd function of the angle between both, whose
-    second harmonic is about `inner outer / (inner^2 + outer^2)` of the first, the third the square
-    of this part.
+    One is the torque of a weight, or of a spring without free length. The torque of any force
+    between a point of the link and one of its parent is an odd function of the angle between both,
+    whose second harmonic is about `inner outer / (inner^2 + outer^2)` of the first, the third the
+    square of this part.
 
     If gravity has a fixed direction in the parent link, the first harmonic is dependent on the
     first moment of the link.
