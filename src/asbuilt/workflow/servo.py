@@ -390,7 +390,8 @@ def _report_currents(model: RobotModel, found: ServoEstimate) -> Iterator[Findin
             "info",
             "The log has currents without a sign in addition to the commands, which the"
             f" servo explains with damping / stiffness of {lags}. This much damping is the"
-            " servo's, with the voltage that its motor induces; the rest of viscous friction is the joint's",
+            " servo's, with the voltage that its motor induces; the rest of viscous friction is"
+            " the joint's",
             Cure("give the damping as stiffness times this, to tell one from the other"),
         )
 
