@@ -10,8 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import Joint, RobotModel
-from asbuilt.dynamics.drives.torque import described_drive
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.dynamics import TorqueModel, described_drive
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion
 from asbuilt.findings import Cure

@@ -9,11 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.description import LinkInertia, RobotModel
+from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 
 STANDING = 0.9

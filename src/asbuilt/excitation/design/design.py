@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.description.structure.free_base import refuse_free_base
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters, inverse_dynamics
 from asbuilt.dynamics.batches import count_cores
-from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.design.designed_motion import (

@@ -10,9 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.torque import described_drive
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.dynamics import BaseParameters, TorqueModel, described_drive
 from asbuilt.errors import UsageError
 from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram
 from asbuilt.excitation.design.options import DesignOptions

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from asbuilt.arrays import Array, read_only
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import MotionError, UsageError

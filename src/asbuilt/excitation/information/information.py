@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics import BaseParameters, inverse_dynamics
 from asbuilt.dynamics.drives.selection import NO_DRIVE
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds

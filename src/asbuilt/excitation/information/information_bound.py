@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.excitation.information.criteria import DOptimality

@@ -14,9 +14,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics import inverse_dynamics, link_poses, mass_matrix
 from asbuilt.dynamics.contact import contact_jacobians
-from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.excitation.limits import MotionBounds
 
 

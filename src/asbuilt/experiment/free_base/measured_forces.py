@@ -18,9 +18,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.parts import Contact
+from asbuilt.dynamics import inverse_dynamics, link_poses
 from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
-from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.feet import detect_force, set_rolling_radii
 from asbuilt.experiment.recording import Recording

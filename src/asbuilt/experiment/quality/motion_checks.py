@@ -10,9 +10,7 @@ import numpy as np
 
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion

@@ -14,11 +14,8 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.appearance import link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
 from asbuilt.dynamics.drives.torque import spring_columns
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 
 T = TypeVar("T")

@@ -10,10 +10,14 @@ import numpy as np
 
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
-from asbuilt.dynamics.parameters import parameter_names
+from asbuilt.dynamics import (
+    DriveSet,
+    PositionServo,
+    gravity_torque,
+    inverse_dynamics,
+    mass_matrix,
+    parameter_names,
+)
 from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.experiment.virtual.sensors import PerJoint, spread_per_joint

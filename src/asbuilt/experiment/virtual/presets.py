@@ -12,9 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import rotation_from_rpy
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import described_drive
-from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
+from asbuilt.dynamics import DriveSet, described_drive, inverse_dynamics, mass_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.virtual.drive_train import (

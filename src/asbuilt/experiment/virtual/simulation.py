@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import gravity_torque, kinetic_energy, potential_energy
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.description import LinkInertia, RobotModel
+from asbuilt.dynamics import (
+    DriveSet,
+    gravity_torque,
+    kinetic_energy,
+    parameter_values,
+    potential_energy,
+)
 from asbuilt.errors import InertiaError, UsageError, refuse
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.drive_train import PositionController
 from asbuilt.experiment.virtual.physics import Physics

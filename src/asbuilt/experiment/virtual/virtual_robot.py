@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, read_only
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
+from asbuilt.description import LinkInertia, RobotModel
 from asbuilt.description.structure.free_base import refuse_free_base
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.parameters import parameter_names
+from asbuilt.dynamics import (
+    DriveSet,
+    described_drive,
+    drive_torque,
+    inverse_dynamics,
+    parameter_names,
+)
 from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.experiment.command.servo_torque import drive_by_command

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_names, parameter_values
+from asbuilt.dynamics import BaseParameters, DriveSet, parameter_names, parameter_values
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 

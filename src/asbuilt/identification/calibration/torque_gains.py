@@ -12,14 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment import Recording, Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.errors.block_scatter import BlockScores

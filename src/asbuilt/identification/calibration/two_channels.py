@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.base.identifiability import StandardParameter
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import BaseParameters, DriveSet, StandardParameter, find_base_parameters
 from asbuilt.dynamics.drives.torque import list_coupled_motor_terms
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError

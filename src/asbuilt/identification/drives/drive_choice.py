@@ -9,8 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics import DriveSet, available_terms, find_base_parameters
 from asbuilt.dynamics.drives.torque import choose_usual_drive, keep_driven_joints
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
+from asbuilt.dynamics import DriveSet, DriveTerm, NonlinearParameter, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError

@@ -9,8 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics import BaseParameters, DriveTerm
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Indices
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics import BaseParameters, DriveTerm
 from asbuilt.identification.effects.effect import EFFECTS
 
 LINKS = "links"

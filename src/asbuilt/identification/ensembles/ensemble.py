@@ -8,10 +8,8 @@ from functools import partial
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import BaseParameters, PositionServo, parameter_names, parameter_units
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.dynamics.parameters import parameter_names, parameter_units
 from asbuilt.errors import IdentifiabilityError, InertiaError, UsageError
 from asbuilt.executor import Workers, run_in_order
 from asbuilt.findings import Cure, join_names

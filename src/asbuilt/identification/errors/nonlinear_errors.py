@@ -10,11 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_torque
+from asbuilt.dynamics import BaseParameters, DriveSet, drive_torque, inverse_dynamics
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics import BaseParameters, mass_matrix
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.dynamics.newton_euler import mass_matrix
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator

@@ -10,9 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import store_as
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics import BaseParameters, gravity_torque
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.experiment.signal.samples import Samples

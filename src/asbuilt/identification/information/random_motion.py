@@ -8,8 +8,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import BaseParameters, observation_matrix
 from asbuilt.experiment.signal.samples import Samples
 
 RANDOM_STATES = 500

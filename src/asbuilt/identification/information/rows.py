@@ -12,10 +12,9 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import find_axes_across
-from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics import BaseParameters, gravity_torque
 from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.kernels.joint_space import project
-from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples

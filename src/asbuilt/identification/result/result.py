@@ -15,15 +15,15 @@ from asbuilt.arrays import Array
 from asbuilt.codec import FieldError, decode_fields, make_plain, store_as
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.dynamics import (
+    BaseParameters,
+    DriveSet,
+    PositionServo,
+    TorqueModel,
+    find_base_parameters,
+)
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.effect import FoundEffect

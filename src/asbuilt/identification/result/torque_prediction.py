@@ -12,11 +12,8 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain, store_as
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics import BaseParameters, DriveSet, drive_torque, inverse_dynamics
 from asbuilt.dynamics.contact import without_contact_forces
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.experiment.signal.samples import Samples
 

@@ -9,15 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.errors import UsageError
+from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, fit_logged_magnitude_laws
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.errors.pose_noise import ExpectedScores, with_equation_noise

@@ -18,13 +18,11 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import BaseParameters, PositionServo
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.resampling import GAP
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (

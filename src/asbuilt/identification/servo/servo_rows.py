@@ -16,6 +16,7 @@ from asbuilt.dynamics.contact import without_contact_forces
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording, Samples, SignalChain, hold_out
 from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
     differentiate_logged_positions,
@@ -23,11 +24,7 @@ from asbuilt.experiment.command.servo_torque import (
     drop_slow_rows,
     hold_command,
 )
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import SampleBlock, TimeBlock, divide_into_blocks
 

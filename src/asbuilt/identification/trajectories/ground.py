@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import quaternion_from_rotation
+from asbuilt.description import RobotModel, quaternion_from_rotation
 from asbuilt.description.structure.free_base import AXES
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError

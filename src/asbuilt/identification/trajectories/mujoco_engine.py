@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import drive_torque, inverse_dynamics
 from asbuilt.experiment.virtual.physics import Physics, import_mujoco
 from asbuilt.identification.trajectories.ground import add_ground
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot

@@ -9,10 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics import DriveSet, DriveTerm, PositionServo, find_base_parameters
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit

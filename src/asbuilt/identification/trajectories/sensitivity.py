@@ -11,13 +11,10 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.dynamics import BaseParameters, DriveSet, drive_columns, inverse_dynamics
 from asbuilt.dynamics.kernels.recursion import build_layout
 from asbuilt.dynamics.kernels.single_sample import work_size
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.one_sample import compile_drives
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot

@@ -8,9 +8,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.dynamics import DriveSet, PositionServo, described_drive
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
 

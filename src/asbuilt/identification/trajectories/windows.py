@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment import Recording, Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.trajectories.ground import Ground, measure_ground
 

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.dynamics import DriveSet, DriveTerm, available_terms, drive_columns
 from asbuilt.identification.drives.nonlinear_parameters import credible_range
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
 from asbuilt.identification.effects.gathering import Candidate
