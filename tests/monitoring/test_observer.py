@@ -121,7 +121,7 @@ def test_force_of_another_engine_is_found_with_its_point() -> None:
             model, q, link, np.block([[np.eye(3), pushed[:, None]], [0, 0, 0, 1]])
         )
         rows.append((t, q, qd, tau))
-        body = physics._bodies[link]
+        body = physics.compiled.body(model.links[link].name).id
         data = physics.data
         centre = data.xipos[body]
         origin, turned = data.xpos[body], data.xmat[body].reshape(3, 3)
