@@ -134,7 +134,7 @@ def test_force_of_another_engine_is_found_with_its_point() -> None:
     expected = here[3:].T @ force
     assert np.allclose(seen.residual[-1], expected, rtol=0, atol=0.05 * np.abs(expected).max())
     contact = estimate_contact(model, q[-1], seen.residual[-1], 0.01 * np.eye(7), link, np.eye(4))
-    turned = physics.data.xmat[physics._bodies[link]].reshape(3, 3)
+    turned = physics.data.xmat[body].reshape(3, 3)
     assert contact.point is not None
     along = force / np.linalg.norm(force)
     off = turned @ pushed - contact.point
