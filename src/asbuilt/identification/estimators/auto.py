@@ -83,7 +83,7 @@ class SelectionRules:
 
 RULES = SelectionRules()
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
-CURE = Cure("check gains, description and what else acts on the robot than what was found")
+CURE = Cure("check gains, description and what acts on the robot that the model lacks")
 
 
 @estimator(
