@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from asbuilt.codec import FieldError, format_json, make_plain, restore_dataclass, store_as
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.findings import Cure, Finding
 
 
@@ -108,3 +109,9 @@ def test_what_does_not_fit_is_refused(change: dict[str, object], error: str) -> 
         restore_dataclass(Outer, data)
     with pytest.raises(TypeError, match="object"):
         restore_dataclass(Outer, [1])  # type: ignore[arg-type]
+
+
+def test_infinite_numbers_of_a_tuple_come_back() -> None:
+    servo = PositionServo(kp=(5.0, 5.0), kd=(0.1, 0.1), torque_limit=(np.inf, 2.0))
+    assert make_plain(servo)["torque_limit"] == [None, 2.0]
+    assert restore_dataclass(PositionServo, json.loads(format_json(servo))) == servo

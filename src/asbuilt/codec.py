@@ -137,7 +137,7 @@ def _convert(hint: Any, value: Any, missing: float = math.nan) -> Any:
         if not isinstance(value, list):
             raise TypeError(f"expected a list, got {type(value).__name__}")
         if arguments[-1] is Ellipsis:
-            return tuple(_convert(arguments[0], item) for item in value)
+            return tuple(_convert(arguments[0], item, missing) for item in value)
         return tuple(_convert(kind, item) for kind, item in zip(arguments, value, strict=True))
     if origin is not None and issubclass(origin, Mapping):
         return {key: _convert(arguments[1], item) for key, item in value.items()}

@@ -20,11 +20,6 @@ PER_JOINT = ("kp", "kd", "deadband", "lead", *LIMITS)
 """Fields with one number per joint."""
 
 
-def _restore_limits(values: Sequence[float | None]) -> tuple[float, ...]:
-    """Return stored limits, infinite where None is stored."""
-    return tuple(np.inf if each is None else float(each) for each in values)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionServo:
     """Hold the gains of proportional-derivative position control, joint by joint.
@@ -79,15 +74,13 @@ class PositionServo:
 
     kp: tuple[float, ...]
     kd: tuple[float, ...]
-    torque_limit: tuple[float, ...] = field(default=(), metadata=store_as(decode=_restore_limits))
+    torque_limit: tuple[float, ...] = field(default=(), metadata=store_as(missing=np.inf))
     delay: float | None = None
     deadband: tuple[float, ...] = ()
     lead: tuple[float, ...] = ()
-    no_load_speed: tuple[float, ...] = field(default=(), metadata=store_as(decode=_restore_limits))
-    goal_acceleration: tuple[float, ...] = field(
-        default=(), metadata=store_as(decode=_restore_limits)
-    )
-    goal_speed: tuple[float, ...] = field(default=(), metadata=store_as(decode=_restore_limits))
+    no_load_speed: tuple[float, ...] = field(default=(), metadata=store_as(missing=np.inf))
+    goal_acceleration: tuple[float, ...] = field(default=(), metadata=store_as(missing=np.inf))
+    goal_speed: tuple[float, ...] = field(default=(), metadata=store_as(missing=np.inf))
 
     def __post_init__(self) -> None:
         for name in PER_JOINT:

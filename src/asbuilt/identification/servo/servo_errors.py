@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from asbuilt.codec import store_as
-
-
-def _with_infinities(values: Sequence[float | None]) -> tuple[float, ...]:
-    return tuple(np.inf if each is None else float(each) for each in values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +37,7 @@ class ServoErrors:
         Whether the damping of each joint is unknown and part of its viscous friction.
     """
 
-    kp: tuple[float, ...] = field(default=(), metadata=store_as(decode=_with_infinities))
+    kp: tuple[float, ...] = field(default=(), metadata=store_as(missing=np.inf))
     delay: float = 0.0
     lead: float = 0.0
     goal_acceleration: float = 0.0
