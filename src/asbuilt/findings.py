@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -173,19 +174,19 @@ def list_findings(
         List every finding; by default findings of one code at several joints or links are one
         paragraph, which names the others, and ten paragraphs are listed, three of severity "info".
     """
-
-    def name_kind(finding: Finding) -> tuple[str, bool, str]:
-        place = finding.joint or finding.link
-        alone = "" if place and finding.severity != "error" else finding.message
-        return finding.code, place is None, alone
-
     ranked = rank_findings(findings)
     groups = [[finding] for finding in ranked]
     hidden = 0
     if not full:
-        merged: dict[tuple[str, bool, str], list[Finding]] = {}
+        merged: dict[Any, list[Finding]] = {}
+        seen: Counter[Any] = Counter()
         for finding in ranked:
-            merged.setdefault(name_kind(finding), []).append(finding)
+            kind, place = (finding.severity, finding.code), finding.joint or finding.link
+            # The same joint again is of another log, which its message names.
+            seen[kind, place] += 1
+            alone = not place or finding.severity == "error"
+            key = finding.message if alone else seen[kind, place]
+            merged.setdefault((kind, key), []).append(finding)
         serious = [group for group in merged.values() if group[0].severity != "info"]
         infos = [group for group in merged.values() if group[0].severity == "info"]
         groups = [*serious, *infos[:MOST_INFOS]][:MOST_LISTED]
