@@ -120,7 +120,6 @@ class CadVerdict:
         ]
         sentences = (
             self.headline,
-            comparison.verdict(),
             *((NO_CAUSES,) if found is None else found.findings),
             *comparison.tests(),
         )
