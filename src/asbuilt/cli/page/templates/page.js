@@ -1,6 +1,6 @@
 /* The page of `asbuilt open`: every section is drawn from one state (talk.js). */
 import { digits, element, errorText, fileName, make, mark } from "./parts.js";
-import { choose, current, isBusy, onChange, page, post, refresh, setOption, upload } from "./talk.js";
+import { choose, current, onChange, page, post, refresh, setOption, upload } from "./talk.js";
 import { drawColumns } from "./columns.js";
 import { addCures, drawFindings } from "./findings.js";
 import { drawCurves, drawFiles, drawResult, fileAddress } from "./result.js";
@@ -20,7 +20,6 @@ function draw() {
   drawExport();
   drawJob();
   for (const [step, told] of Object.entries(page().steps)) drawCommand(step, told);
-  element("main").setAttribute("aria-busy", String(isBusy()));
 }
 
 /* Text of a field, unless somebody is writing in it. */

@@ -1,6 +1,6 @@
 /* Section 6: the verdict, effects as switches, torque curves, files. */
 import { digits, element, errorText, fileName, make, mark, percent } from "./parts.js";
-import { last, page, post } from "./talk.js";
+import { last, page, post, readFile } from "./talk.js";
 import { drawFindings } from "./findings.js";
 
 let shown = null;
@@ -114,13 +114,14 @@ function listEffects(wanted, joints) {
 
 /* ---- torque: the curves of the report ---- */
 
-async function drawTorque(answer, key) {
+function drawTorque(answer, key) {
   curves = null;
   element("torque").hidden = true;
   const place = fileAddress(answer.files.report || "", key);
-  const reply = place ? await fetch(place).catch(() => null) : null;
-  const text = reply && reply.ok ? await reply.text() : "";
-  if (shown !== answer) return;
+  if (place) readFile(place, (text) => { if (shown === answer) fillTorque(answer, text); });
+}
+
+function fillTorque(answer, text) {
   const data = text.match(/<script type="application\/json" id="data">(.*?)<\/script>/s);
   if (!data) return;
   curves = JSON.parse(data[1]);

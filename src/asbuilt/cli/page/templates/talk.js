@@ -9,7 +9,7 @@ const answers = {};
 const requests = {};
 
 export const page = () => state;
-export const onChange = (drawn) => { draw = drawn; };
+export const onChange = (drawn) => { draw = () => { drawn(); wait(0); }; };
 
 /* The answer of a step to the present question; null while there is none. */
 export function current(step) {
@@ -33,12 +33,30 @@ export function trouble(text) {
   element("trouble").hidden = !text;
 }
 
-async function ask(method, place, body) {
-  pending += 1;
-  const sent = { method, body: method === "POST" ? JSON.stringify(body || {}) : undefined };
+/* Count what is on its way, and say so to those who cannot see it. */
+function wait(change) {
+  pending += change;
+  element("main").setAttribute("aria-busy", String(!state || isBusy()));
+}
+
+/* The reply to a request and its text; null and "" where nobody answers. */
+async function talk(place, sent) {
+  wait(1);
   const reply = await fetch(place, sent).catch(() => null);
   const text = reply ? await reply.text().catch(() => "") : "";
-  pending -= 1;
+  return [reply, text];
+}
+
+/* The text of a written file, empty where there is none; `use` draws it. */
+export async function readFile(place, use) {
+  const [reply, text] = await talk(place);
+  use(reply && reply.ok ? text : "");
+  wait(-1);
+}
+
+async function ask(method, place, body) {
+  const [reply, text] = await talk(place, { method, body: method === "POST" ? JSON.stringify(body || {}) : undefined });
+  wait(-1);
   if (!reply) { trouble("The program has ended; start asbuilt open again."); return null; }
   let content = null;
   try { content = JSON.parse(text); } catch { content = { error: text || String(reply.status) }; }
@@ -100,14 +118,14 @@ export async function upload(files) {
   const line = element("upload");
   const paths = [];
   line.hidden = false;
-  pending += 1;
+  wait(1);
   for (const [file, name] of files) {
     paths.push(await send(file, batch.batch + "/" + name, (sent, total) => {
       line.firstElementChild.value = total ? sent / total : 0;
       line.lastElementChild.textContent = `${name}: ${(sent / 1e6).toFixed(0)} of ${(total / 1e6).toFixed(0)} MB`;
     }));
   }
-  pending -= 1;
+  wait(-1);
   line.hidden = true;
   return paths;
 }
