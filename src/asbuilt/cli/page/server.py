@@ -15,6 +15,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
@@ -49,6 +50,8 @@ LONGEST_NAME = 120
 """Bytes of the name of an uploaded file; file systems take 255."""
 LONGEST_END = 5.0
 """Seconds in which an upload that is ended has removed what it wrote."""
+LONGEST_REST = 1.0
+"""Seconds in which the rest of a refused request is read."""
 COOKIE = "asbuilt"
 KINDS = {
     ".html": "text/html; charset=utf-8",
@@ -401,6 +404,7 @@ class Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Send a status in one line, and end the connection: what follows was not read."""
         self.close_connection = True
+        self.request_version = self.protocol_version  # else one that was not read has no headers
         status = HTTPStatus(code)
         text = f"{status.value} {status.phrase}\n"
         if status is HTTPStatus.FORBIDDEN:
@@ -409,6 +413,19 @@ class Handler(BaseHTTPRequestHandler):
                 " browser, or after a restart, use the last address in the terminal.\n"
             )
         self._send_text(text, "text/plain; charset=utf-8", status)
+
+    def finish(self) -> None:
+        """End the connection; what is still sent is read for a moment.
+
+        Else the system takes the answer back from a browser that is still sending.
+        """
+        super().finish()
+        with suppress(OSError):
+            self.connection.shutdown(socket.SHUT_WR)
+            self.connection.settimeout(LONGEST_REST)
+            end = time.monotonic() + LONGEST_REST
+            while time.monotonic() < end and self.connection.recv(CHUNK):
+                pass
 
     def log_message(self, format: str, *args: Any) -> None:
         """Keep quiet: the terminal shows the address alone."""
