@@ -61,6 +61,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.apps("programs")
 def test_there_is_a_recipe_for_every_registry() -> None:
     assert set(RECIPES) == set(GROUPS.values())
     text = PAGE.read_text()
@@ -112,6 +113,7 @@ def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.study
+@pytest.mark.apps("programs")
 def test_motions_and_program(site: Path, tmp_path: Path) -> None:
     line = "excite two-link --parametrisation mirrored --harmonics 5 --duration 6 --starts 1"
     (printed,) = call_elsewhere(tmp_path, site, f"{line} --program json --no-report --json")
