@@ -139,7 +139,8 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
 
 def _import_command(name: str, entry: Entry) -> Any:
     """Import a command."""
-    function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
+    within = "" if entry.module.startswith("asbuilt.") else "asbuilt.cli."
+    function = getattr(import_module(within + entry.module), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
         with (

@@ -12,7 +12,7 @@ class Entry:
     Parameters
     ----------
     module
-        Module of `asbuilt.cli` that has the function of the same name; it imports what computes
+        Module of `asbuilt.cli`, or whole name of a module, that has the function of the name; it imports what computes
         after it has read robots and recordings, so that bad input is refused early.
     summary
         First line of its help, at most 66 characters.
@@ -113,6 +113,15 @@ GROUPS: dict[str, dict[str, Entry]] = {
                 "ur10e motion.csv --format urscript --rate 500",
             ),
             "make_program",
+        ),
+        "run": Entry(
+            "asbuilt.apps.run.command",
+            "Move a robot in rounds until its model is proven.",
+            (
+                "ur10e --on virtual:lab",
+                "ur10e --on files:exchange --program urscript --until 3",
+            ),
+            "",
         ),
         "simulate": Entry(
             "recording",

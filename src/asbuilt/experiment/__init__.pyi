@@ -21,6 +21,7 @@ from .signal.samples import Samples as Samples
 from .signal.signal_chain import SignalChain as SignalChain
 from .virtual.sensors import DataLogger as DataLogger
 from .virtual.sensors import SensorNoise as SensorNoise
+from .virtual.settings import with_settings as with_settings
 from .virtual.simulation import FreeMotion as FreeMotion
 from .virtual.simulation import run_free as run_free
 from .virtual.simulation import simulate_recording as simulate_recording

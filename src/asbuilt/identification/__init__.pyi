@@ -26,6 +26,7 @@ from .identify import identify_samples as identify_samples
 from .information.cause_data import CauseData as CauseData
 from .information.square_root_information import SquareRootInformation as SquareRootInformation
 from .result.as_built_parameters import as_built_parameters as as_built_parameters
+from .result.as_built_parameters import known_information as known_information
 from .result.determination import Determination as Determination
 from .result.determination import determination as determination
 from .result.result import IdentificationResult as IdentificationResult
