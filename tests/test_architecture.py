@@ -119,7 +119,7 @@ def foreign_packages(path: Path) -> set[str]:
 
 def test_stages_are_what_the_law_knows() -> None:
     folders = sorted(p.name for p in SOURCE.iterdir() if p.is_dir() and p.name != "__pycache__")
-    assert tuple(folders) == ("cli", *STAGES)
+    assert tuple(folders) == ("apps", "cli", *STAGES)
     assert tuple(sorted(STAGES)) == STAGES
 
 

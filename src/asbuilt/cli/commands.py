@@ -12,8 +12,9 @@ class Entry:
     Parameters
     ----------
     module
-        Module of `asbuilt.cli`, or whole name of a module, that has the function of the name; it imports what computes
-        after it has read robots and recordings, so that bad input is refused early.
+        Module of `asbuilt.cli`, or the whole name of a module of an app, with the function of the
+        same name; it imports what computes after it has read robots and recordings, so that bad
+        input is refused early.
     summary
         First line of its help, at most 66 characters.
     examples

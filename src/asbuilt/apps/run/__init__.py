@@ -3,6 +3,7 @@
 from asbuilt.apps.run.drivers import DRIVERS, Driver, DriverRequest, open_driver
 from asbuilt.apps.run.loop import Loop, Outcome
 from asbuilt.apps.run.options import RunOptions
+from asbuilt.apps.run.prediction import predict_round
 from asbuilt.apps.run.rounds import Round
 
 __all__ = [
@@ -14,4 +15,5 @@ __all__ = [
     "Round",
     "RunOptions",
     "open_driver",
+    "predict_round",
 ]

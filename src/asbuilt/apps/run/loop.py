@@ -105,7 +105,7 @@ class Loop:
         self.files = RunFolder(self.folder)
 
     def __iter__(self) -> Iterator[Round]:
-        while self._choose_ending() is None and not self.stopped():
+        while self.choose_ending() is None and not self.stopped():
             made = self._do_round(len(self.rounds) + 1)
             if made is None:
                 return
@@ -115,7 +115,7 @@ class Loop:
     @property
     def outcome(self) -> Outcome:
         """How the loop ended."""
-        ending = self._choose_ending() or "interrupted"
+        ending = self.choose_ending() or "interrupted"
         study = conclude(self.rounds)
         text = explain_ending(ending, self.rounds, self.options)
         return Outcome(ending, text, study, tuple(self.rounds))
@@ -124,7 +124,7 @@ class Loop:
     def _states(self) -> States:
         return choose_states(self.model, self.motion)
 
-    def _choose_ending(self) -> Ending | None:
+    def choose_ending(self) -> Ending | None:
         """Return how the loop ends; None while it goes on."""
         return choose_ending(self.rounds, self.options)
 
@@ -240,7 +240,7 @@ def _advise(last: Round) -> str:
     findings = [each for each in without_hold_out(last.study) if each.severity != "info"]
     about = [each for each in findings if each.joint == name or name in each.message]
     first = next(iter((*about, *findings)), None)
-    place = f"{share:.0%} of the unexplained squared torque is at {name}."
+    place = f"{format_share(share, 0)} of the unexplained squared torque is at {name}."
     if first is None:
         return (
             f"{place} Record the last motion again: what differs between two logs of one motion is"

@@ -50,11 +50,19 @@ def predict_round(study: Study, recording: Recording, purpose: Purpose) -> Teste
     options = ValidationOptions(checked=False)
     (validation,) = asbuilt.validate(study.result, recording, options=options)
     rollouts: tuple[Rollout, ...] = ()
-    if purpose == "simulator":
+    if is_simulated(study, purpose):
         rollouts = asbuilt.roll_out_result(study.result, recording, [HORIZON], options=options)
     verdict = study_verdict(study.result, without_hold_out(study), (validation,), rollouts)
     error = relate_rollout(rollouts[0]) if rollouts else find_torque_error(validation)
     return Tested(error, validation.metrics_as_built.rms, validation, rollouts, verdict)
+
+
+def is_simulated(study: Study, purpose: Purpose) -> bool:
+    """Return whether errors are of simulated motion: for simulators, and on logs of commands.
+
+    Where commands stand for torques, these are what the law of the servo makes of them.
+    """
+    return purpose == "simulator" or study.result.servo is not None
 
 
 def find_torque_error(validation: Validation) -> float:

@@ -11,7 +11,13 @@ import numpy as np
 import asbuilt
 from asbuilt import Recording, RobotModel, Study, StudyOptions
 from asbuilt.apps.run.options import RunOptions
-from asbuilt.apps.run.prediction import HORIZON, Tested, predict_round, relate_rollout
+from asbuilt.apps.run.prediction import (
+    HORIZON,
+    Tested,
+    is_simulated,
+    predict_round,
+    relate_rollout,
+)
 from asbuilt.apps.run.promise import Promise, promise_error, widen_promises
 from asbuilt.apps.run.purpose import States
 from asbuilt.excitation import Motion
@@ -123,6 +129,12 @@ def learn_round(
         model, recordings, options=StudyOptions(holdout=None, drive=options.drive)
     )
     goal = promise_error(study.result, states, widen_promises(tests))
+    exchange = _find_exchange(study, recordings[-1], options)
+    taught = [
+        *_list_learned(last, study),
+        *_list_surprises(study, promise, tested),
+        *_list_promises(last, goal.error * exchange),
+    ]
     return Round(
         len(recordings),
         *files,
@@ -133,13 +145,13 @@ def learn_round(
         tested,
         study,
         goal,
-        _find_exchange(study, recordings[-1], options),
-        tuple(_list_learned(last, study, goal, promise, tested)),
+        exchange,
+        tuple(taught),
     )
 
 
 def _find_error_of_cad(study: Study, recording: Recording, options: RunOptions) -> float:
-    if options.purpose != "simulator":
+    if not is_simulated(study, options.purpose):
         return float(study.training[0].metrics_cad.relative_error)
     (rollout,) = asbuilt.roll_out_result(study.result, recording, [HORIZON])
     return relate_rollout(rollout, "cad")
@@ -150,25 +162,18 @@ def _find_exchange(study: Study, recording: Recording, options: RunOptions) -> f
 
     Over windows of one length an error of the torque is integrated alike, whatever causes it.
     """
-    if options.purpose != "simulator":
+    if not is_simulated(study, options.purpose):
         return 1.0
     (rollout,) = asbuilt.roll_out_result(study.result, recording, [HORIZON])
     simulated = relate_rollout(rollout, "as_built")
     return simulated / float(study.training[-1].metrics_as_built.relative_error)
 
 
-def _list_learned(
-    last: Round | None,
-    study: Study,
-    goal: Promise,
-    promise: Promise | None,
-    tested: Tested | None,
-) -> Iterator[str]:
-    """Yield what a round taught: parameters, effects, a lower promise, joints that surprised."""
+def _list_learned(last: Round | None, study: Study) -> Iterator[str]:
+    """Yield the parameters and effects that a round added to the model."""
     result = study.result
-    known = (
-        set() if last is None else {(e.effect, e.joint) for e in last.study.effects if e.in_model}
-    )
+    before = () if last is None else last.study.effects
+    known = {(each.effect, each.joint) for each in before if each.in_model}
     if last is None or last.study.result.rank != result.rank:
         yield f"{result.rank} of {result.n_base} parameters"
     for effect in study.effects:
@@ -176,12 +181,21 @@ def _list_learned(
             size = f"{round_significant(effect.estimate, 2)} {effect.unit.removeprefix('1')}"
             at = "" if effect.joint is None else f" at {effect.joint}"
             yield f"{effect.effect.replace('_', ' ')} {size.strip()}{at}"
-    if promise is not None and tested is not None:
-        ratio = tested.joints / promise.joints
-        if np.max(ratio) > PARTED:
-            joint = int(np.argmax(ratio))
-            yield f"{result.model.joint_names[joint]} {ratio[joint]:.1f} times its promise"
+
+
+def _list_surprises(study: Study, promise: Promise | None, tested: Tested | None) -> Iterator[str]:
+    """Yield the joint whose found error exceeds its promise the most, if it does so clearly."""
+    if promise is None or tested is None:
+        return
+    ratio = tested.joints / np.maximum(promise.joints, np.finfo(float).tiny)
+    joint = int(np.argmax(ratio))
+    if ratio[joint] > PARTED:
+        yield f"{study.result.model.joint_names[joint]} {ratio[joint]:.1f} times its promise"
+
+
+def _list_promises(last: Round | None, error: float) -> Iterator[str]:
+    """Yield the promise on the motion that matters, if it is new or lower."""
     if last is None:
-        yield f"promises {format_share(goal.error)}"
-    elif goal.error < BETTER * last.goal.error:
-        yield f"promises {format_share(goal.error)} for {format_share(last.goal.error)}"
+        yield f"promises {format_share(error)}"
+    elif error < BETTER * last.goal_error:
+        yield f"promises {format_share(error)}, before {format_share(last.goal_error)}"
