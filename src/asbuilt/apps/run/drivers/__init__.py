@@ -64,7 +64,7 @@ class DriverRequest:
     def folder(self) -> Path:
         """The argument as a folder; raises `UsageError` without one."""
         if not self.argument:
-            raise UsageError("the driver needs a folder; write files:DIR")
+            raise UsageError("the driver files needs a folder: files:DIR")
         return Path(self.argument)
 
 

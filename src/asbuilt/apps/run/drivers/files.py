@@ -9,7 +9,6 @@ from pathlib import Path
 import asbuilt
 from asbuilt import Recording, writers
 from asbuilt.apps.run.drivers import DRIVERS, DriverRequest
-from asbuilt.errors import UsageError
 from asbuilt.excitation import Motion
 from asbuilt.writing import check_writable
 
@@ -101,10 +100,4 @@ def _is_settled(log: Path) -> bool:
     return sizes[0] > 0 and len(set(sizes)) == 1
 
 
-def _make_driver(request: DriverRequest) -> FilesDriver:
-    if not request.argument:
-        raise UsageError("files needs a folder", available=["files:DIR"])
-    return FilesDriver(request)
-
-
-DRIVERS.register("files", _make_driver)
+DRIVERS.register("files", FilesDriver)
