@@ -32,6 +32,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     is_columns,
     tabulate_columns,
 )
+from asbuilt.experiment.logs.mending import LogMender
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 from asbuilt.experiment.recording import Recording
@@ -93,6 +94,7 @@ def read_recording(
         if len(paths) == 1 and not table.known:
             _refuse_lone_role_file(paths[0], table)
     layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
+    table = LogMender(layout).mend(table)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
