@@ -66,6 +66,12 @@ _DESIRED = {
     "command",
     "commands",
     "commanded",
+    "cmptd",
+    "computed",
+    "planned",
+    "requested",
+    "ff",
+    "feedforward",
     "ref",
     "reference",
     "references",
@@ -79,7 +85,7 @@ _DESIRED = {
     "error",
     "err",
 }
-COMMANDS = {"command", "commands", "commanded", "cmd"}
+COMMANDS = {"command", "commands", "commanded", "cmd", "cmptd"}
 """Words that make a command of a column without another quantity."""
 GOALS = {
     *("ref", "reference", "references", "setpoint", "setpoints", "goal", "goals"),
@@ -131,6 +137,8 @@ _MEASURED = {
 }
 _PREFIXES = _MEASURED - {"hat", "joint", "joints", "j"}
 """Words before a joint's name that do not belong to it."""
+_PROCESSED = {"raw", "filtered", "filt", "meas", "measured"}
+"""Words behind a joint's name that do not belong to it."""
 _MOTOR = {"motor", "motors"}
 _NO_FACTOR = {"percent", "pct", "percentage", "count", "counts", "tick", "ticks"}
 """Units that another quantity, such as the rated torque, has to turn into SI."""
@@ -252,6 +260,8 @@ def _find_joint(
     named = len(numbers) > 1 or any(k not in numbers and words[k] not in _MEASURED for k in rest)
     while named and words[rest[0]] in _PREFIXES and len(rest) > 1:
         rest = rest[1:]
+    while named and words[rest[-1]] in _PROCESSED and len(rest) > 1:
+        rest = rest[:-1]
     whole = [*rest] == [*range(rest[0], rest[-1] + 1)] if rest else False
     if not (
         named or (counts and whole and words[rest[0]] == "joint" and words[rest[-1]].isdigit())
