@@ -13,6 +13,8 @@ from .logs.sheet import RecordingSheet as RecordingSheet
 from .logs.sheet import read_sheet as read_sheet
 from .quality.checks import RecordingCheck as RecordingCheck
 from .quality.checks import check_recording as check_recording
+from .quality.sheet_proposal import SheetProposal as SheetProposal
+from .quality.sheet_proposal import propose_sheet as propose_sheet
 from .recording import Recording as Recording
 from .signal.hold_out import hold_out as hold_out
 from .signal.preparation import prepare_samples as prepare_samples

@@ -92,7 +92,9 @@ def stream_recording(
     for first, columns in stream.chunks(layout.columns, chunk_samples):
         table = mender.mend(replace(stream.header, columns=columns))
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
-        chunk = apply_sheet(replace(chunk, notes=(*notes, *table.notes, *chunk.notes)), sheet, chosen)
+        chunk = apply_sheet(
+            replace(chunk, notes=(*notes, *table.notes, *chunk.notes)), sheet, chosen
+        )
         origin = chunk.started
         start = float(chunk.t[0]) if start is None else start
         inside = sheet.in_windows(chunk.t, start)

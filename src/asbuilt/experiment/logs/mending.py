@@ -251,9 +251,7 @@ def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
             " by time, in which the clock is regular"
         )
     if doubled:
-        notes.append(
-            f"{doubled} of {t.size} rows have the time stamp of another and were left out"
-        )
+        notes.append(f"{doubled} of {t.size} rows have the time stamp of another and were left out")
     return replace(table, columns={k: v[kept] for k, v in table.columns.items()}), notes
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -79,7 +79,7 @@ class Excess:
             "degrees",
             "error",
             f"the positions look like degrees{other}: {self.evidence}{kept}",
-            cure,
+            replace(cure, sheet={} if self.unit is None else {"units": {"position": "deg"}}),
         )
 
 
@@ -180,7 +180,10 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
             f"the positions of {joint.name} look like millimetres: it slides to {furthest:.4g},"
             f" {furthest / bound:.3g} times its limit of {bound:.4g} m, and as millimetres it"
             " keeps it",
-            Cure(f'write [joint_units] {joint.name} = "mm" in a recording sheet'),
+            Cure(
+                f'write [joint_units] {joint.name} = "mm" in a recording sheet',
+                sheet={"joint_units": {joint.name: "mm"}},
+            ),
             joint=joint.name,
         )
 

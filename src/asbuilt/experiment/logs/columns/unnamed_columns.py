@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
 from typing import Any
@@ -58,8 +59,7 @@ def suggest_sheet(
     clearly with its gravity torques at the positions, which are degrees if that correlates better;
     without one, the first of the groups left over. `rate` is the sampling rate that was given [Hz].
     """
-    content, alternatives = draft_sheet(table, model, rate)
-    return format_draft(content, alternatives) if "columns" in content else _format_example(content)
+    return format_draft(*draft_sheet(table, model, rate))
 
 
 def draft_sheet(
@@ -124,16 +124,26 @@ def draft_sheet(
     return content, [spans[k] for k in torques[1:]]
 
 
-def _format_example(content: Mapping[str, Any]) -> str:
-    head = [] if "header" not in content else ["header = false"]
-    if content.get("rate") is not None:
-        head.append(f"rate = {content['rate']:g}")
-    return "\n".join([*head, DRAFT])
+def name_fields(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is certain of a draft as fields of a sheet, {} where it has no columns."""
+    if "columns" not in content:
+        return {}
+    found = {name: value for name, value in content.items() if name != "over" and value is not None}
+    spans = content["columns"].items()
+    return {**found, "columns": {name: _read_span(span) for name, span in spans}}
+
+
+def _read_span(span: Any) -> Any:
+    """Return the column or columns that the text of a span stands for in a sheet."""
+    return json.loads(span) if isinstance(span, str) else span
 
 
 def format_draft(content: Mapping[str, Any], alternatives: Sequence[str]) -> str:
     """Return the text of a sheet that `draft_sheet` found."""
     lines = ["header = false"] if "header" in content else []
+    if "columns" not in content:
+        rate = content.get("rate")
+        return "\n".join([*lines, *([] if rate is None else [f"rate = {rate:g}"]), DRAFT])
     if "rate" in content:
         found = content["rate"]
         timed = "time" in content["columns"]
@@ -324,9 +334,7 @@ def _find_derivative_pair(
     return best[1] if best[0] > FOLLOWS else None
 
 
-def _list_derivatives(
-    t: Array, groups: list[Array], moving: tuple[int, int] | None
-) -> list[int]:
+def _list_derivatives(t: Array, groups: list[Array], moving: tuple[int, int] | None) -> list[int]:
     """Return the groups that follow the derivative of the positions that move."""
     if moving is None:
         return []
