@@ -347,7 +347,7 @@ def _list_turns(values: Array, scale: float) -> list[float]:
 
 
 def _wraps(values: Array, turn: float) -> bool:
-    """Return whether a column stays within a turn, jumps by one, and is smooth without the jumps."""
+    """Return whether a column stays within a turn, jumps by one, and else is smooth."""
     known = values[np.isfinite(values)]
     if known.size < 3 or np.ptp(known) > (1.0 + ZERO) * turn:
         return False

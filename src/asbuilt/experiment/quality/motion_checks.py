@@ -14,11 +14,14 @@ from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
 FAR, KEPT = 2.0, 1.1
 """Multiples of its limit from which a position is far outside, and up to which it is inside."""
+FEWEST_ALIKE = 3
+"""Joints with one and the same limit from which it is a placeholder if the log exceeds it."""
 USUAL_PEAK = 99.5
 """Percentile of the speeds that counts as the largest: single samples may be noise."""
 
@@ -150,7 +153,8 @@ def check_recorded_motion(
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(check_velocities(recording, motion, motion.logged_qd))
+        velocities = list(find_velocity_unit(model, recording, motion, motion.logged_qd))
+        velocities = velocities or list(check_velocities(recording, motion, motion.logged_qd))
     if excess is None:
         yield from _find_millimetres(model, recording)
         yield from _check_limits(model, recording)
@@ -216,6 +220,17 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     if np.median(ratio) <= 1.2:
         return
     k = int(np.argmax(ratio))
+    # Descriptions that are converted from drawings have one number as every limit.
+    if known.size >= FEWEST_ALIKE and np.ptp(limits[known]) == 0.0:
+        yield Finding(
+            "limits_doubted",
+            "info",
+            f"every limit of velocity of {model.name} is {limits[known[0]]:.4g}, and"
+            f" {model.joint_names[known[k]]} moves {ratio[k]:.3g} times as fast: they look like"
+            " placeholders, and say nothing of the log",
+            Cure("write the true limits into the description"),
+        )
+        return
     yield Finding(
         "velocity_limit",
         "warning",

@@ -135,7 +135,7 @@ def propose_sheet(
 
 def head_of_recorded(recording: Recorded) -> Recording:
     """Return a recording in memory, or the beginning of a stream."""
-    assert isinstance(recording, Recording | RecordingStream)  # noqa: S101 - paths were read
+    assert isinstance(recording, Recording | RecordingStream)
     return head_of(recording)
 
 
@@ -254,6 +254,8 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
         if not names or not all(names):
             continue
         columns[quantity] = [name(column) for column in names]
+        if quantity in content.get("units", {}):
+            continue
         unit = _name_unit(quantity, [layout.scales.get(column, 1.0) for column in names])
         if unit is None:
             return {}
@@ -263,9 +265,8 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
         unit = _name_unit("time", [layout.scales.get(layout.time, 1.0)])
         units |= {"time": unit} if unit else {}
     known = content.get("units", {})
-    added = {quantity: unit for quantity, unit in units.items() if quantity not in known}
     found: dict[str, Any] = {"columns": columns}
-    if added:
+    if added := {quantity: unit for quantity, unit in units.items() if quantity not in known}:
         found["units"] = added
     if table.named:
         found["joints"] = list(layout.joint_names)
@@ -301,7 +302,9 @@ def format_sheet(content: Mapping[str, Any]) -> list[str]:
         if entries:
             lines += ["", f"[{name}]"]
             lines += [
-                f"{_format_key(key)} = {_format_value(value)}" for key, value in entries.items()
+                f"{_format_key(key)} = "
+                + ((name == "columns" and _find_span(value)) or _format_value(value))
+                for key, value in entries.items()
             ]
     return lines
 
@@ -312,7 +315,7 @@ def _format_key(key: str) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Return a value as TOML; columns that follow one another become a range."""
+    """Return a value as TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float | int):
@@ -321,29 +324,25 @@ def _format_value(value: Any) -> str:
         inside = ", ".join(f"{_format_key(k)} = {_format_value(v)}" for k, v in value.items())
         return f"{{ {inside} }}"
     if isinstance(value, list | tuple):
-        numbers = [each for each in value if isinstance(each, int)]
-        follows = len(numbers) == len(value) > 1 and value == [*range(value[0], value[-1] + 1)]
-        if follows:
-            return f'"{value[0]}-{value[-1]}"'
-        if span := _find_named_span(value):
-            return span
         return f"[{', '.join(map(_format_value, value))}]"
     return json.dumps(str(value), ensure_ascii=False)
 
 
-def _find_named_span(names: Sequence[Any]) -> str:
-    """Return names that count up as a range, "" if they do not: "q_1-q_6"."""
-    found = [
-        re.fullmatch(r"(\D*?)(0|[1-9]\d*)", name) if isinstance(name, str) else None
-        for name in names
-    ]
+def _find_span(value: Any) -> str:
+    """Return columns that follow one another as a range, "" if they do not.
+
+    >>> _find_span([2, 3, 4]), _find_span(["q_1", "q_2", "q_3"]), _find_span(["q_1", "q_3", "q_4"])
+    ('"2-4"', '"q_1-q_3"', '')
+    """
+    listed = value if isinstance(value, list) else []
+    found = [re.fullmatch(r"(\D*?)(0|[1-9]\d*)", str(name)) for name in listed]
     if len(found) < 3 or None in found:
         return ""
     stems = {each[1] for each in found if each}
     numbers = [int(each[2]) for each in found if each]
     rises = numbers == [*range(numbers[0], numbers[0] + len(numbers))]
-    one = len(stems) == 1 and rises
-    return json.dumps(f"{names[0]}-{names[-1]}", ensure_ascii=False) if one else ""
+    text = f"{listed[0]}-{listed[-1]}"
+    return json.dumps(text, ensure_ascii=False) if len(stems) == 1 and rises else ""
 
 
 def _fold(text: str, width: int = 76) -> list[str]:

@@ -21,7 +21,7 @@ SMOOTHED_WORDS = {"filtered", "filt", "lpf", "smooth", "smoothed"}
 ALIKE = 0.8
 """Share of the best correlation with gravity from which channels count alike."""
 SAME_SCALE = 0.2
-"""Difference of the spreads of two channels, relative to one, up to which their unit is the same."""
+"""Difference of the spreads of two channels, relative to one, up to which they share a unit."""
 EXACT = 1e-9
 """Spread of a joint's torque relative to the largest, below which it was computed: no sensor is
 that quiet."""

@@ -154,6 +154,8 @@ _UNITS: dict[str, float] = {
     **dict.fromkeys(("ncm", "n cm"), 1e-2),
     "ns": 1e-9,
 }
+_COUNTED = re.compile(r"(\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?)(?:/(\d+(?:\.\d*)?))?\s+([^\d\s].*)")
+"""A unit with a number before it, or a part of one: "0.229 rpm", "1/4096 turn"."""
 _TIMES = {"s", "sec", "ms", "us", "µs", "ns"}
 _ANGLES = ("rad", "deg", "degree", "degrees", "grad", "°", "mrad", "rev", "turn")
 _QUANTITY_OF_UNIT: dict[tuple[str, int], Quantity] = {
@@ -197,8 +199,16 @@ def parse_unit_scale(unit: str) -> float | None:
     --------
     >>> parse_unit_scale("mNm"), parse_unit_scale("rad/s"), parse_unit_scale("furlong")
     (0.001, 1.0, None)
+    >>> round(parse_unit_scale("1/4096 turn") * 4096, 6), round(parse_unit_scale("0.229 rpm"), 6)
+    (6.283185, 0.023981)
     """
-    return _UNITS.get(unit.strip().split("/")[0].strip().lower())
+    counted = _COUNTED.fullmatch(unit.strip())
+    if counted is None:
+        return _UNITS.get(unit.strip().split("/")[0].strip().lower())
+    number, part, of_what = counted.groups()
+    scale = _UNITS.get(of_what.split("/")[0].strip().lower())
+    factor = float(number) / float(part or 1.0) if float(part or 1.0) else 0.0
+    return None if scale is None or not 0.0 < factor < 1e12 else factor * scale
 
 
 def recognise(name: str) -> Role | None:
