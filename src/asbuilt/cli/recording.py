@@ -80,7 +80,7 @@ def check(
     try:
         model, (recordings,) = read_robot_and_recordings(described, reading, log)
     except RecordingError as problem:
-        if not proposals:
+        if not proposals and problem.cure is not None and problem.cure.sheet:
             _add_sheet(problem, _propose_sheets(described, log, reading))
         raise
 
