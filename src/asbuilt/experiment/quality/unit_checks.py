@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
-from asbuilt.experiment.gravity_load import LARGEST_RADIANS
+from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.findings import Cure, Finding, join_names
@@ -27,6 +27,8 @@ MOST_ROWS = 800
 ALIKE = 0.05
 """Difference of the velocities' factors of joints, relative to one, up to which they are one unit;
 also of a factor and a known unit's."""
+DEGREES_WITHIN = 0.2
+"""Difference of a factor and a degree, relative to it, up to which `check_velocities` names it."""
 FOLLOW = 0.95
 """Correlation of velocities with the derivative of the positions from which only units differ."""
 KNOWN_VELOCITIES = {
@@ -168,7 +170,8 @@ def find_velocity_unit(
     alike = [float(np.corrcoef(logged[:, k], slope[:, k])[0, 1]) for k in moving]
     middle = float(np.median(gains))
     one = middle > 0.0 and bool(np.all(np.abs(gains / middle - 1.0) < ALIKE))
-    if not one or min(alike) < FOLLOW or abs(middle - 1.0) < 3.0 * ALIKE:
+    degrees = any(abs(middle / each - 1.0) < DEGREES_WITHIN for each in (DEGREE, 1.0 / DEGREE))
+    if not one or min(alike) < FOLLOW or abs(middle - 1.0) < 3.0 * ALIKE or degrees:
         return
     factor = 1.0 / middle
     named = [name for name, each in KNOWN_VELOCITIES.items() if abs(factor / each - 1.0) < ALIKE]
