@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
+from asbuilt.experiment.signal.hold_out import RECORDINGS, Blocks, parse_rule
 from asbuilt.findings import join_names
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.tables import Table, format_share, round_significant, stack_tables, wrap_text
@@ -359,11 +359,15 @@ def recording_name(source: str) -> str:
     'a.csv, b.csv'
     >>> recording_name("data/a.csv, held out blocks:3.3s:3")
     'a.csv (every third 3.3 s)'
+    >>> recording_name("data/a.csv, held out recordings")
+    'a.csv (left out)'
     """
     whole, _, rule = source.partition(HELD_OUT)
     names = ", ".join(PurePath(part).name or part for part in whole.split(", "))
     if not rule:
         return names
+    if rule == RECORDINGS:
+        return f"{names} (left out)"
     part = parse_rule(rule)
     if isinstance(part, Blocks):
         ordinal = {2: "second", 3: "third"}.get(part.every, f"{part.every}th")

@@ -355,7 +355,7 @@
     const held = answer.validation[0] || answer.train;
     const verdict = answer.verdict || { use: "", text: `Predicts ${answer.validation.length ? "what was held out" : "the recording itself"} to ${percent(held.relative_error)} of the torque (CAD ${percent(answer.cad && answer.cad.relative_error)}).` };
     element("verdict").textContent = verdict.text;
-    element("verdict").className = "verdict " + ({ yes: "yes", no: "no", "with care": "care" }[verdict.use] || "");
+    element("verdict").className = "verdict " + ({ yes: "yes", no: "no", "with care": "care", untested: "care" }[verdict.use] || "");
     const cards = element("cards");
     cards.textContent = "";
     const card = (figure, label) => { const node = make(cards, "div", { class: "card" }); make(node, "div", { class: "figure" }, figure); make(node, "div", { class: "label" }, label); };
