@@ -66,6 +66,8 @@ class Finding:
         None: unknown.
     link
         Name of the link concerned.
+    effect
+        Key of the effect that it is about, which a list of effects names too.
     """
 
     code: str
@@ -76,6 +78,7 @@ class Finding:
     time: float | None = None
     torque: float | None = None
     link: str | None = None
+    effect: str | None = None
 
     def __str__(self) -> str:
         return self.as_line()
@@ -128,6 +131,7 @@ class Finding:
             "link": self.link,
             "time": self.time,
             "torque": self.torque,
+            "effect": self.effect,
         }
 
 

@@ -161,6 +161,8 @@ def conclude_study(
         *report_springs(result),
         *leg_findings(result, fits.samples),
     )
+    modelled = {(each.effect, each.joint) for each in result.effects if each.in_model}
+    findings = tuple(each for each in findings if (each.effect, each.joint) not in modelled)
     shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
     return Conclusion(
         result, consolidate_findings(findings, shares), trained, validations, attribution
