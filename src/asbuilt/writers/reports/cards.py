@@ -72,5 +72,5 @@ def make_determination_card(found: Determination) -> Card:
 
 def make_difference_card(comparison: Comparison) -> Card:
     """Return how many parameters differ from CAD."""
-    label = f"parameters differ from CAD{comparison.relevance()}"
+    label = f"base parameters contradict CAD{comparison.relevance()}"
     return Card("neutral", f"{comparison.n_differing} of {comparison.n_compared}", label)
