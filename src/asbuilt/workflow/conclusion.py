@@ -88,13 +88,15 @@ def conclude_study(
     validations = predict_held_out(fits)
     cause_data, too_short = _build_cause_data(fits, options.block_seconds)
     train, train_cad = _merge_metrics(fits, trained)
+    # As in the verdict, the recording that is predicted worst decides.
+    decisive = max(validations, key=lambda each: each.metrics_as_built.relative_error, default=None)
     named = tuple(
         each for each in fits.effects.found if options.wanted_effects.named or each.in_model
     )
     conclude = partial(
         Fit.concluded,
         train=train,
-        cad=validations[0].metrics_cad if validations else train_cad,
+        cad=train_cad if decisive is None else decisive.metrics_cad,
         validation=[each.metrics_as_built for each in validations],
         cause_data=cause_data,
         chain=prepared.chain,

@@ -390,6 +390,8 @@ def _pair_metrics(
         return tuple((item.metrics_cad, item.metrics_as_built) for item in several)
     measured = result.validation or (result.train,)
     if cad is None:
+        # The recording on which CAD is measured comes first.
+        measured = tuple(sorted(measured, key=lambda each: each.source != result.cad.source))
         return tuple(
             (result.cad if metrics.source == result.cad.source else None, metrics)
             for metrics in measured

@@ -223,10 +223,10 @@ def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
         return
     if names := non_passive_drives(result.base, result.estimates):
         yield Reason(
-            "non_passive_drives", f"negative {join_names(names, 3)}, which no simulator takes"
+            "non_passive_drives", f"negative {join_names(names, 3)}, which no simulator takes", True
         )
     else:
-        yield Reason("inconsistent", "physically inconsistent, so that no simulator takes it")
+        yield Reason("inconsistent", "physically inconsistent, so that no simulator takes it", True)
 
 
 def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
@@ -240,7 +240,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     known = all(link.inertia_known for link in links) and total > 0.0
     if known and not 1.0 / RULES.far <= built / total <= RULES.far:
         text = f"{round_significant(built)} kg for {round_significant(total)} of CAD"
-        yield Reason("link_mass_differs", text)
+        yield Reason("link_mass_differs", text, forbids=True)
         return
     off = [
         (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
@@ -254,6 +254,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
         yield Reason(
             "link_mass_differs",
             f"{name} has {round_significant(mass)} kg for {round_significant(cad)} of CAD",
+            forbids=not 1.0 / RULES.material <= mass / cad <= RULES.material,
         )
 
 
@@ -295,6 +296,8 @@ class VerdictRules:
     far
         Ratio of a mass to its CAD mass, or its inverse, that no tolerance of CAD explains: covers,
         cables and motors which CAD omits are less than half of a robot.
+    material
+        The same for a single link that was drawn in another material: steel to aluminium.
     heavier
         Share of the mass of all links by which a link far from CAD is heavier or lighter, beyond
         which its body imitates something that is not in the model. Light links of a wrist may be
@@ -307,6 +310,7 @@ class VerdictRules:
     weak: float = 0.3
     behind_cad: float = 1.25
     far: float = 1.5
+    material: float = 2.9
     heavier: float = 0.1
     named: int = 2
 

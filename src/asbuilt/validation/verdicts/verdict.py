@@ -127,6 +127,7 @@ def study_verdict(
         outcome = f"simulates {motion} to {_word_rollout(result, simulated, error)}"
     reasons = list_reasons_against(result, findings, validations, simulated, error, measure, joints)
     of_bodies = list_reasons_against_bodies(result)
+    bodies = _decide_bodies(of_bodies)
     use: Use = "with care" if reasons or of_bodies else "yes"
     if any(each.forbids for each in reasons):
         use = "no"
@@ -137,17 +138,24 @@ def study_verdict(
         error = VerdictError(None, None, error.cad)
     return Verdict(
         use,
-        _write_verdict(use, reasons, of_bodies, outcome, _word_mass(result)),
+        _write_verdict(use, reasons, bodies, outcome, _word_mass(result)),
         error,
         measure,
         tuple(dict.fromkeys(each.code for each in (*reasons, *of_bodies))),
         joints,
-        BodiesUse("no", of_bodies[0].text) if of_bodies else BodiesUse("yes"),
+        bodies,
     )
 
 
+def _decide_bodies(reasons: Sequence[Reason]) -> BodiesUse:
+    if not reasons:
+        return BodiesUse("yes")
+    forbidden = any(each.forbids for each in reasons)
+    return BodiesUse("no" if forbidden else "with care", reasons[0].text)
+
+
 def _write_verdict(
-    use: Use, reasons: Sequence[Reason], of_bodies: Sequence[Reason], outcome: str, mass: str
+    use: Use, reasons: Sequence[Reason], bodies: BodiesUse, outcome: str, mass: str
 ) -> str:
     """Return the sentence: the use of the torque, reasons and number, then the use as bodies."""
     opening = "USE for torque" if use == "with care" and not reasons else OPENING[use]
@@ -157,8 +165,9 @@ def _write_verdict(
         mass = ""
     texts = list(dict.fromkeys(each.text for each in reasons))
     against = f"{join_names(texts[: RULES.named])}; " if texts else ""
-    bodies = f"; DO NOT USE as bodies: {of_bodies[0].text}" if of_bodies else mass
-    return f"{opening}: {against}{outcome}{mass if use == 'no' else bodies}."
+    if bodies.text and use != "no":
+        mass = f"; {OPENING[bodies.use]} as bodies: {bodies.text}"
+    return f"{opening}: {against}{outcome}{mass}."
 
 
 def _word_motion(
