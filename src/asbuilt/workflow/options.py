@@ -96,7 +96,8 @@ HOLDOUT = {
 HOLDOUT_AND_REFIT = HOLDOUT | {
     "help": (
         "hold out for validation: auto (recordings in turn, or a third of one; the final fit is to"
-        " everything; nothing if other recordings validate), none, blocks:5s:3 (every third 5 s block) or last:0.3"
+        " everything; nothing if other recordings validate), none, blocks:5s:3 (every third 5 s"
+        " block) or last:0.3"
     ),
 }
 
