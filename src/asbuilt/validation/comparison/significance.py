@@ -12,6 +12,10 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.identification.errors.block_scatter import effective_rank, student_probability
 from asbuilt.tables import round_significant
 
+RESOLUTION = 0.1
+"""Difference, relative to its size, up to which a number is as claimed whatever its standard error:
+filters and delays of a log bias by several percent, and tuned numbers claim no more; own choice.
+Numbers of a description and sums of them (base parameters) are tested by it alike."""
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of a correlation matrix, relative to the largest, that counts as zero."""
 
