@@ -28,6 +28,8 @@ from .information.square_root_information import SquareRootInformation as Square
 from .result.as_built_parameters import as_built_parameters as as_built_parameters
 from .result.determination import Determination as Determination
 from .result.determination import determination as determination
+from .result.feasible import FeasibleInterval as FeasibleInterval
+from .result.feasible import feasible_intervals as feasible_intervals
 from .result.result import IdentificationResult as IdentificationResult
 from .result.result import IdentifiedParameter as IdentifiedParameter
 from .result.summary import summarise as summarise
