@@ -180,6 +180,15 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "compare",
             surplus="two results are compared by asbuilt compare RESULT --with RESULT2",
         ),
+        "feasible": Entry(
+            "validation",
+            "Bound masses, centres, inertias, armatures by what bodies allow.",
+            (
+                "study/result.json",
+                "study/result.json mass:link_3 com:link_3 armature --prior cad",
+            ),
+            "feasible_intervals",
+        ),
         "review": Entry(
             "validation",
             "Judge the numbers that a description claims by recordings.",

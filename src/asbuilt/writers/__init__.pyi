@@ -65,6 +65,7 @@ from .tables.fleet_tables import addition_text as addition_text
 from .tables.fleet_tables import drift_text as drift_text
 from .tables.fleet_tables import overview_text as overview_text
 from .tables.mass_tables import exported_masses as exported_masses
+from .tables.mass_tables import feasible_table as feasible_table
 from .tables.mass_tables import mass_table as mass_table
 from .tables.mass_tables import masses_document as masses_document
 from .tables.mass_tables import masses_table as masses_table

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.cad.solids import read_solids
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import UsageError
+from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior
 
 Bound = tuple[Mapping[int, float], float, str]
@@ -142,6 +143,11 @@ def _bound_by_shapes(prior: CadPrior, model: RobotModel) -> BodyBounds:
             second[first + (0, 3, 5)[axis]] = -0.5
             spread = {place: -part for place, part in second.items()}
             bounds.append((spread | {moment: low + high, m: -low * high}, 0.0, label))
+    if not bounds:
+        raise DescriptionError(
+            f"no link of {model.name} has shapes with a size, so geometry bounds nothing",
+            cure=Cure("leave geometry out, or place the meshes next to the URDF"),
+        )
     return _join_bounds(prior, bounds)
 
 

@@ -214,12 +214,12 @@ class ConicProblem:
         """Return the least `value @ chi / divisor @ chi` over consistent chi near the data.
 
         Over all chi within the bounds with `|R K chi - z| <= radius` and, if there is a `divisor`
-        (n_standard,), with `divisor @ chi > 0`; minus infinity if there is none.
+        (n_standard,), with `divisor @ chi > 0`; minus infinity if there is none, or the solver finds none.
         With `chi = x / t` the program is linear in (x, t) and its constraints are cones: `divisor @
         x = 1`, or `t = 1` without one (Charnes & Cooper, Naval Research Logistics 9, 1962). t = 0
         is a limit that bodies come arbitrarily near to.
 
-        Raises `IdentifiabilityError` if no chi meets the constraints or the solver fails.
+        Raises `IdentifiabilityError` if no chi meets the constraints.
         """
         z, n = factor[:-1, -1], len(self.q0)
         p = len(z)
@@ -254,13 +254,14 @@ class ConicProblem:
             solution = solve_cone_program(nothing, towards, whole, right, cones, **settings)
             if solution.is_solved or "PrimalInfeasible" in solution.status:
                 break
-        if not solution.is_solved:
-            reason = "the bounds contradict" if "Infeasible" in solution.status else "it failed at"
+        if "PrimalInfeasible" in solution.status:
             raise IdentifiabilityError(
-                f"no bound over the physically consistent bodies of {self.prior.robot}: {reason}"
-                f" the estimate (solver status {solution.status})",
+                f"no physically consistent bodies of {self.prior.robot} within the bounds have"
+                " these torques",
                 cure=Cure("state wider bounds, or none"),
             )
+        if not solution.is_solved:
+            return -np.inf
         found = float(goal @ solution.x[:n])
         return found if found > -OPEN * size * farthest else -np.inf
 

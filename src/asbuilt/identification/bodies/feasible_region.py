@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linprog
+from scipy.special import chdtri
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.bodies.conic_fit import ConicProblem, scale_near_one
@@ -19,6 +22,8 @@ from asbuilt.identification.information.triangular import factor_distance
 ROUNDING = 1e-5
 """Value, relative to its size in CAD, that the solver does not distinguish from zero; and part of a
 quantity beyond the directions that the data determine."""
+LEAST_CHANCE = 1e-3
+"""Probability below which stated bounds contradict the estimate."""
 LEAST_SHARE = 1e-3
 """Least part of a confounding relation, relative to the largest, that is named."""
 
@@ -69,10 +74,32 @@ class FeasibleRegion:
         return float(np.sum((self.root @ (self.base.regrouping @ nearest - self.beta)) ** 2))
 
     @cached_property
+    def scale(self) -> float:
+        """The factor s on squared errors by what the model misses."""
+        return max(1.0, self.distance / max(len(self.root), 1))
+
+    @cached_property
     def radius(self) -> float:
         """The largest `|R (K chi - beta)|`."""
-        scale = max(1.0, self.distance / max(len(self.root), 1))
-        return float(np.sqrt(self.distance + scale * self.quantile))
+        return float(np.sqrt(self.distance + self.scale * self.quantile))
+
+    def within(self, stated: BodyBounds) -> FeasibleRegion:
+        """Return the part of the region within further bounds.
+
+        Raises `UsageError` if these contradict the estimate: no bodies within them lie in the
+        region in which all quantities together hold.
+        """
+        part = replace(self, bounds=self.bounds.and_also(stated))
+        together = chdtri(len(self.root), LEAST_CHANCE) * self.scale
+        if part.distance > self.distance + together:
+            raise UsageError(
+                f"the stated bounds contradict the log of {self.prior.robot}: its torques are"
+                f" {np.sqrt(part.distance):.3g} standard errors from the nearest bodies within them,"
+                f" {np.sqrt(self.distance):.3g} from any",
+                cure=Cure("state wider bounds, or none"),
+            )
+        vars(part)["scale"] = self.scale
+        return part
 
     @use_one_blas_thread()
     def find_interval(self, value: Array, divisor: Array | None = None) -> tuple[float, float]:

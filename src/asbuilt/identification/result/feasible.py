@@ -123,6 +123,8 @@ class FeasibleInterval:
         """Why the recordings do not determine it; empty if they do."""
         if self.determined:
             return ""
+        if not self.confounded_with and not self.without_effect:
+            return "bounded by physical consistency"
         if not self.confounded_with:
             return f"no torque depends on {join_names(self.without_effect, 4)}"
         return f"confounded with {join_names(self.confounded_with, 4)}"
@@ -216,7 +218,12 @@ def feasible_intervals(
         If the description has no shapes.
     """
     found = [each for text in quantities or _default(result) for each in _parse(result, text)]
-    allowed = _find_region(result, prior, tolerance, geometry, region)
+    allowed = _find_region(result, region)
+    if prior is not None or geometry:
+        near = None if prior is None else tolerance
+        allowed = allowed.within(
+            bound_stated(allowed.prior, result.model, near, geometry=geometry)
+        )
     chosen = _find_chosen(result)
     cad = _read_cad(result)
     return tuple(_bound(each, allowed, chosen, cad) for each in found)
@@ -247,8 +254,11 @@ def _bound(
     if quantity.divisor is not None and alone is not None:
         alone = _divide(alone, region.find_estimate(quantity.divisor))
         undetermined = quantity.divisor
-    estimate, error = (None, None) if alone is None else alone
     others, own = region.find_confounded(undetermined) if alone is None else ((), ())
+    # Where bodies are consistent only far from the estimate, they say more than it does.
+    if alone is not None and not least <= alone[0] <= greatest:
+        alone = None
+    estimate, error = (None, None) if alone is None else alone
     return FeasibleInterval(
         quantity.name,
         quantity.unit,
@@ -274,29 +284,20 @@ def _divide(
 
 
 @lru_cache(maxsize=8)
-def _find_region(
-    result: IdentificationResult,
-    prior: Literal["cad"] | None,
-    tolerance: float,
-    geometry: bool,
-    region: Region,
-) -> FeasibleRegion:
-    """Return the region of a result, within stated bounds."""
-    cad, base = build_cad_prior(result.model, result.base.drive), result.base
-    bounds = bound_with_certainty(cad)
-    if prior is not None or geometry:
-        bounds = bounds.and_also(
-            bound_stated(cad, result.model, tolerance if prior else None, geometry=geometry)
-        )
-    free = result.free
-    beta = result.estimates if free is None else free.estimates
+def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion:
+    """Return the region of a result, with passive drives and masses that are known."""
+    cad, base, free = build_cad_prior(result.model, result.base.drive), result.base, result.free
     covariance = np.array(result.covariance if free is None else free.covariance)
     size = np.abs(base.regrouping) @ np.abs(cad.parameters)
     covariance[np.diag_indices_from(covariance)] += (RESOLUTION * size) ** 2
     root = find_estimable_root(result, covariance)
-    freedom = 1 if region == "each" else len(root)
     return FeasibleRegion(
-        cad, base, beta, root, bounds, float(chdtri(freedom, 1.0 - USUAL_LEVEL))
+        cad,
+        base,
+        result.estimates if free is None else free.estimates,
+        root,
+        bound_with_certainty(cad),
+        float(chdtri(1 if region == "each" else len(root), 1.0 - USUAL_LEVEL)),
     )
 
 
@@ -332,7 +333,7 @@ def _of_links(result: IdentificationResult, kind: str) -> tuple[str, ...]:
 def _parse(result: IdentificationResult, text: str) -> tuple[_Quantity, ...]:
     """Return the quantities that a text names."""
     kind, colon, places = text.strip().partition(":")
-    kind = {"m": "mass", "com": "com"}.get(kind, kind)
+    kind = "mass" if kind == "m" else kind
     symbols = {symbol: term.key for term in result.base.drive.terms for symbol in term.symbols}
     if kind == "mass" and not colon:
         return (_sum_of_links(result, "mass", "m", result.model.link_names),)

@@ -62,7 +62,7 @@ def study_text(
         return text if payload is None else f"{text}\n{tabulate_payload(payload).as_text()}"
     summary, masses = study.summary(), exported_masses(study.result)
     if masses is not None:
-        summary = summary.with_mass((masses.total_cad, masses.total_as_built), masses.links)
+        summary = summary.with_mass(masses.total, masses.links)
     result, cutoffs, refined = study.result, study.cutoffs, study.refined
     motors = motor_side_parameters(result) if gear_ratios(result.model) else None
     parts = [
