@@ -356,11 +356,8 @@ def feasible(
     Over all physically consistent bodies whose base parameters lie within the 95 % region of the
     estimate, with what was chosen for the exported robot, and what each is confounded with.
     """
-    stated = {}
     if prior is not None:
         require_known_value("--prior", prior, ("cad",))
-        if cad_tolerance is not None:
-            stated["tolerance"] = validation.CadTolerance.parse(cad_tolerance).mass
     else:
         refuse_idle(
             "--cad-tolerance goes with --prior cad", {"--cad-tolerance": cad_tolerance is not None}
@@ -370,8 +367,8 @@ def feasible(
         identified,
         quantity or (),
         prior="cad" if prior else None,
+        tolerance=validation.CadTolerance.parse(cad_tolerance or "20%").mass,
         geometry=geometry,
-        **stated,
     )
     answer(
         as_json,

@@ -214,7 +214,8 @@ class ConicProblem:
         """Return the least `value @ chi / divisor @ chi` over consistent chi near the data.
 
         Over all chi within the bounds with `|R K chi - z| <= radius` and, if there is a `divisor`
-        (n_standard,), with `divisor @ chi > 0`; minus infinity if there is none, or the solver finds none.
+        (n_standard,), with `divisor @ chi > 0`. Minus infinity if there is no least one, or the
+        solver finds none.
         With `chi = x / t` the program is linear in (x, t) and its constraints are cones: `divisor @
         x = 1`, or `t = 1` without one (Charnes & Cooper, Naval Research Logistics 9, 1962). t = 0
         is a limit that bodies come arbitrarily near to.
@@ -238,7 +239,8 @@ class ConicProblem:
         ball[1:, n:-1] = -np.eye(p)
         constraints = self._fill_pattern(factor[:-1, :-1] @ self.torque)
         of_t = sparse.csc_matrix(-np.concatenate([z, self.limits])[:, None])
-        whole = sparse.vstack([sparse.hstack([constraints, of_t]), rows, ball], format="csc")
+        further = sparse.csc_matrix(np.vstack([rows, ball]))
+        whole = sparse.csc_matrix(sparse.vstack([sparse.hstack([constraints, of_t]), further]))
         right = np.zeros(whole.shape[0])
         right[constraints.shape[0]] = 1.0
         right[constraints.shape[0] + 2] = farthest

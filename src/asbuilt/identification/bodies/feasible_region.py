@@ -1,4 +1,4 @@
-"""Least and greatest values of quantities over the physically consistent bodies near an estimate."""
+"""Least and greatest values of quantities over physically consistent bodies near an estimate."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FeasibleRegion:
 
     @cached_property
     def distance(self) -> float:
-        """The least `|R (K chi - beta)|^2` of consistent bodies: 0 if the estimate is consistent."""
+        """The least `|R (K chi - beta)|^2` of consistent bodies: 0 of a consistent estimate."""
         nearest = self._problem.fit(self._factor)
         return float(np.sum((self.root @ (self.base.regrouping @ nearest - self.beta)) ** 2))
 
@@ -93,9 +93,9 @@ class FeasibleRegion:
         together = chdtri(len(self.root), LEAST_CHANCE) * self.scale
         if part.distance > self.distance + together:
             raise UsageError(
-                f"the stated bounds contradict the log of {self.prior.robot}: its torques are"
-                f" {np.sqrt(part.distance):.3g} standard errors from the nearest bodies within them,"
-                f" {np.sqrt(self.distance):.3g} from any",
+                f"the stated bounds contradict the log of {self.prior.robot}: the nearest bodies"
+                f" within them are {np.sqrt(part.distance):.3g} standard errors from its torques,"
+                f" the nearest of all {np.sqrt(self.distance):.3g}",
                 cure=Cure("state wider bounds, or none"),
             )
         vars(part)["scale"] = self.scale

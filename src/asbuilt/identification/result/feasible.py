@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -14,26 +14,28 @@ from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.formats.xml import close_match
 from asbuilt.description.inertia import PARAMETER_NAMES
-from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import join_names
 from asbuilt.identification.bodies.body_bounds import bound_stated, bound_with_certainty
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.feasible_region import FeasibleRegion
+from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     find_estimable_root,
 )
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.statistics import USUAL_LEVEL
-from asbuilt.tables import format_plus_minus, round_significant
+from asbuilt.tables import format_plus_minus, format_range, round_significant
 
 Region = Literal["each", "joint"]
 """Whether an interval holds with 95 % by itself, or all intervals together do."""
 NARROW = 0.1
 """Half width, relative to the chosen value, up to which a value is stated without its interval."""
 CENTRES = ("cx", "cy", "cz")
+BODIES = ("payload", "link_mass")
+"""Effects whose size is a mass of a link beyond CAD's."""
 RESOLUTION = 1e-8
 """Least standard error of a base parameter, in its size by CAD: the solver resolves no less."""
 RANK = 1e-10
@@ -96,15 +98,7 @@ class FeasibleInterval:
     @property
     def text(self) -> str:
         """The interval with its unit, such as `3.9 kg or more`."""
-        least, greatest = (round_significant(x, 3) for x in (self.least, self.greatest))
-        unit = f" {self.unit}".rstrip()
-        if all(self.open_ends):
-            return "any value"
-        if self.open_ends[1]:
-            return f"{least}{unit} or more"
-        if self.open_ends[0]:
-            return f"{greatest}{unit} or less"
-        return f"{least} to {greatest}{unit}"
+        return format_range(self.least, self.greatest, self.unit)
 
     @property
     def sentence(self) -> str:
@@ -221,9 +215,7 @@ def feasible_intervals(
     allowed = _find_region(result, region)
     if prior is not None or geometry:
         near = None if prior is None else tolerance
-        allowed = allowed.within(
-            bound_stated(allowed.prior, result.model, near, geometry=geometry)
-        )
+        allowed = allowed.within(bound_stated(allowed.prior, result.model, near, geometry=geometry))
     chosen = _find_chosen(result)
     cad = _read_cad(result)
     return tuple(_bound(each, allowed, chosen, cad) for each in found)
@@ -244,6 +236,60 @@ def feasible_interval(
         )
     (found,) = feasible_intervals(result, (text,), **stated)
     return found
+
+
+def bound_effects(
+    result: IdentificationResult, effects: Iterable[FoundEffect]
+) -> tuple[FoundEffect, ...]:
+    """Return effects with feasible intervals in place of errors where a size is undetermined.
+
+    Of drive terms in the model, and of bodies beyond CAD: a payload, and another mass of a link.
+    Their size is the chosen one.
+    """
+    found = []
+    for each in effects:
+        own = _name_quantity(result, each)
+        interval = None if own is None else feasible_interval(result, own[0])
+        if own is None or interval is None or interval.determined:
+            found.append(each)
+            continue
+        least, greatest = interval.least - own[1], interval.greatest - own[1]
+        if each.effect == "payload":
+            least = max(least, 0.0)  # what is added has a mass
+        chosen = each.estimate if each.effect in BODIES else interval.chosen or 0.0
+        title, beyond = EFFECTS[each.effect].title, " beyond CAD" * (each.effect == "link_mass")
+        where = f"{title} at {each.joint}" if each.joint else title
+        found.append(
+            replace(
+                each,
+                estimate=chosen,
+                std_error=None,
+                feasible=(least, greatest),
+                confounded_with=interval.confounded_with or interval.without_effect,
+                text=(
+                    f"{where} {format_range(least, greatest, each.unit)}{beyond}, chosen"
+                    f" {round_significant(chosen)}, {interval.why}: {each.improvement}"
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[str, float] | None:
+    """Return the quantity that has the size of an effect, and what CAD has of it; None if none."""
+    model = result.model
+    if effect.effect in BODIES:
+        link = model.tool_link
+        if effect.joint is not None:
+            link = result.base.link_joints.index(model.joint_names.index(effect.joint))
+        return f"mass:{model.link_names[link]}", float(model.links[link].inertia.mass)
+    term = next((each for each in result.base.drive.terms if each.key == effect.effect), None)
+    if not effect.in_model or effect.joint is None or term is None:
+        return None
+    symbol, k = term.symbols[0], model.joint_names.index(effect.joint)
+    place = result.base.standard_names.index(f"{symbol}{k + 1}")
+    seen = bool(np.any(result.base.regrouping[:, place]))
+    return (f"{symbol}:{effect.joint}", 0.0) if seen else None
 
 
 def _bound(

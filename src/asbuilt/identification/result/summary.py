@@ -136,9 +136,7 @@ class Summary:
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
 
-    def with_mass(
-        self, total: FeasibleInterval, links: Sequence[FeasibleInterval] = ()
-    ) -> Summary:
+    def with_mass(self, total: FeasibleInterval, links: Sequence[FeasibleInterval] = ()) -> Summary:
         """Return the summary with masses: of all links together, and of each of `links`."""
         of_links = "; ".join(
             f"{each.quantity.partition(':')[2]} {_format_mass(each)}" for each in links

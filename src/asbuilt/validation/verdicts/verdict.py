@@ -135,7 +135,7 @@ def _word_rollout(result: IdentificationResult, simulated: Rollout, error: Verdi
 
 def _word_mass(result: IdentificationResult) -> str:
     """Return that nothing can be exported, or the mass of links and CAD's if that is determined."""
-    found, links = find_as_built(result), result.model.links
+    found = find_as_built(result)
     if found is None:
         return ", and no robot can be exported"
     if not found.consistent:

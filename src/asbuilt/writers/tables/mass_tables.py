@@ -17,7 +17,6 @@ from asbuilt.tables import Column, Table, round_significant
 from asbuilt.workflow import LinkMass, LinkMasses
 from asbuilt.writers.models.as_built import as_built
 
-
 MOST_NAMED = 3
 """Confounded parameters that a row names."""
 
