@@ -221,6 +221,18 @@ def feasible_intervals(
     return tuple(_bound(each, allowed, chosen, cad) for each in found)
 
 
+def evaluate_quantities(
+    result: IdentificationResult, quantities: Iterable[str], parameters: Array
+) -> dict[str, float]:
+    """Return the value of each quantity at standard parameters (n_standard,), where it has one."""
+    each_value = {
+        each.name: each.of(np.asarray(parameters))
+        for text in quantities
+        for each in _parse(result, text)
+    }
+    return {name: value for name, value in each_value.items() if value is not None}
+
+
 def feasible_interval(
     result: IdentificationResult, quantity: str, of: str | None = None, **stated: Any
 ) -> FeasibleInterval:

@@ -30,9 +30,10 @@ TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1,
 def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, tuple[str, ...]]:
     """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
-    All other bytes are kept, and a comment says which masses are a choice. The identified inertia of a moving link includes everything fixed to
-    it: links behind fixed joints keep their inertials and the moving link gets the remainder if
-    that is physically consistent; else it gets the whole and theirs are removed, with a note.
+    All other bytes are kept, and a comment says which masses are a choice. The identified inertia
+    of a moving link includes everything fixed to it: links behind fixed joints keep their inertials
+    and the moving link gets the remainder if that is physically consistent; else it gets the whole
+    and theirs are removed, with a note.
     Inertials are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values that
     the model does not have stay as they are.
 
