@@ -6,8 +6,8 @@
 43
 """
 
-import lazy_loader
+from asbuilt.faces import attach_face
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_face(__name__, __file__)
 
 __version__ = "0.1.0"

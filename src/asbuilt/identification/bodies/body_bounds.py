@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.solids import read_solids
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.registry import Registry
 
 Bound = tuple[Mapping[int, float], float, str]
 """Coefficients of standard parameters by place, an offset, and a label."""
@@ -81,6 +81,10 @@ def bound_with_certainty(prior: CadPrior) -> BodyBounds:
     return bound_passive_drives(prior).and_also(bound_known_masses(prior))
 
 
+LINK_SHAPES: Registry[Callable[[RobotModel], Mapping[int, tuple[Array, Array]]]] = Registry(
+    "reader of link shapes", None, "asbuilt.link_shapes"
+)
+"""Functions that give the corners (3,) of the box around each link that has shapes, by number."""
 STEEL = 7850.0
 """Density of steel [kg/m^3], the heaviest material of which links are made throughout."""
 
@@ -124,14 +128,9 @@ def bound_stated(
 
 def _bound_by_shapes(prior: CadPrior, model: RobotModel) -> BodyBounds:
     """Return the bounds of links by the shapes of their description."""
-    solids, bounds = read_solids(model), list[Bound]()
-    for k, link in enumerate(model.links):
-        own = [each for each in solids if each.link == k and len(each.corners)]
-        if not own or any(each.missing for each in own):
-            continue
-        corners = np.concatenate([each.corners for each in own])
-        lower, upper = corners.min(axis=0), corners.max(axis=0)
-        first, m = 10 * k, 10 * k + 9
+    bounds = list[Bound]()
+    for k, (lower, upper) in LINK_SHAPES.find("urdf")(model).items():
+        link, first, m = model.links[k], 10 * k, 10 * k + 9
         heaviest = STEEL * float(np.prod(upper - lower))
         bounds.append(({m: -1.0}, heaviest, f"m{k + 1} <= {heaviest:.3g} kg (steel)"))
         for axis, low, high in zip(range(3), lower.tolist(), upper.tolist(), strict=True):
