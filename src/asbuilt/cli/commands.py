@@ -129,7 +129,7 @@ TABLE: dict[str, dict[str, Entry | str]] = {
             surplus="two results are compared by asbuilt compare RESULT --with RESULT2",
         ),
         "feasible": Entry(
-            "validation",
+            "cli.validation",
             "Bound masses, centres, inertias, armatures by what bodies allow.",
             (
                 "study/result.json",

@@ -26,7 +26,7 @@ from asbuilt.identification.result.as_built_parameters import (
     find_estimable_root,
 )
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.statistics import USUAL_LEVEL
+from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.tables import format_plus_minus, format_range, round_significant
 
 Region = Literal["each", "joint"]
@@ -355,7 +355,7 @@ def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion
         result.estimates if free is None else free.estimates,
         root,
         bound_with_certainty(cad),
-        float(chdtri(1 if region == "each" else len(root), 1.0 - USUAL_LEVEL)),
+        float(chdtri(1 if region == "each" else len(root), USUAL_ALPHA)),
     )
 
 
