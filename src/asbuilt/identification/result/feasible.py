@@ -20,7 +20,7 @@ from asbuilt.findings import join_names
 from asbuilt.identification.bodies.body_bounds import bound_stated, bound_with_certainty
 from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.feasible_region import FeasibleRegion
-from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
+from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
     find_estimable_root,
@@ -269,8 +269,9 @@ def bound_effects(
         if each.effect == "payload":
             least = max(least, 0.0)  # what is added has a mass
         chosen = each.estimate if each.effect in BODIES else interval.chosen or 0.0
-        title, beyond = EFFECTS[each.effect].title, " beyond CAD" * (each.effect == "link_mass")
-        where = f"{title} at {each.joint}" if each.joint else title
+        before = f"{format_plus_minus(each.estimate, each.std_error)} {each.unit}"
+        size = f"{format_range(least, greatest, each.unit)}, chosen {round_significant(chosen)}"
+        end = f": {each.improvement}"
         found.append(
             replace(
                 each,
@@ -278,10 +279,7 @@ def bound_effects(
                 std_error=None,
                 feasible=(least, greatest),
                 confounded_with=interval.confounded_with or interval.without_effect,
-                text=(
-                    f"{where} {format_range(least, greatest, each.unit)}{beyond}, chosen"
-                    f" {round_significant(chosen)}, {interval.why}: {each.improvement}"
-                ),
+                text=each.text.replace(before, size).replace(end, f", {interval.why}{end}"),
             )
         )
     return tuple(found)
