@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asbuilt.identification import FeasibleInterval
 from asbuilt.identification.effects.groups import name_group
 from asbuilt.tables import round_significant
 from asbuilt.validation import Attribution, Claim, Comparison, Drift, Review
@@ -43,47 +41,6 @@ PALE = "#D5D9DE"
 CUT = 3.0
 """Share at which the axis ends: at a joint with almost no error the causes cancel, and their shares
 have no bound."""
-
-
-ROOM = 2.5
-"""Length of the axis in the largest known value: an interval that goes on has an arrow."""
-
-
-def draw_intervals(
-    intervals: Sequence[FeasibleInterval], truth: Mapping[str, float], title: str
-) -> Figure:
-    """Draw a bar for each feasible interval, with CAD, the chosen value and the truth if known.
-
-    Quantities have one unit; bars beyond the axis end in arrows.
-    """
-    shown = [
-        x for e in intervals for x in (e.cad, e.chosen, truth.get(e.quantity)) if x is not None
-    ]
-    high = ROOM * max((abs(x) for x in shown), default=1.0)
-    low = min(0.0, 1.2 * min(shown, default=0.0))
-    with open_figure(7.2, 0.3 * len(intervals) + 1.1, title) as (figure, (axis,)):
-        for place, each in enumerate(intervals):
-            left, right = max(each.least, low), min(each.greatest, high)
-            axis.barh(place, right - left, left=left, height=0.5, color=PALE, label="feasible")
-            if each.greatest > high:
-                axis.plot(high, place, ">", color=GREY, clip_on=False)
-            if each.least < low:
-                axis.plot(low, place, "<", color=GREY, clip_on=False)
-            marks = (
-                ("chosen", each.chosen, "o", AS_BUILT, 6),
-                ("CAD", each.cad, "|", INK, 14),
-                ("truth", truth.get(each.quantity), "x", BLUE, 7),
-            )
-            for label, value, mark, colour, size in marks:
-                if value is not None:
-                    axis.plot(
-                        value, place, mark, color=colour, label=label, markersize=size, linestyle=""
-                    )
-        names = [break_name(e.quantity.partition(":")[2] or "all links", 24) for e in intervals]
-        axis.set_yticks(range(len(names)), names)
-        axis.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5), xlabel=f"[{intervals[0].unit}]")
-        label_once(figure, [axis], loc="outside right upper")
-    return figure
 
 
 def draw_attribution(attribution: Attribution) -> Figure:

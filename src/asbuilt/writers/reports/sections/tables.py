@@ -9,11 +9,9 @@ import numpy as np
 from asbuilt.identification import feasible_intervals
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.tables import Column, Table, format_plus_minus, round_significant
-from asbuilt.writers.figures.comparison_figures import draw_intervals
-from asbuilt.writers.figures.figure_style import encode_figure
 from asbuilt.writers.reports.compare_files import draw_shares
+from asbuilt.writers.reports.interval_bars import draw_intervals
 from asbuilt.writers.reports.page import (
-    image_markup,
     list_markup,
     paragraph_markup,
     table_markup,
@@ -49,13 +47,7 @@ def _collect_masses(report: Report) -> dict[str, Any] | None:
         tables["armature-table"] = feasible_table(bars["Armatures"])
     if recovery is not None:
         tables["truth-table"] = recovery.interval_table()
-    drawn = [
-        image_markup(
-            encode_figure(draw_intervals(each, truth, title)),
-            f"{title}: a bar for each feasible interval; the numbers are in the table below",
-        )
-        for title, each in bars.items()
-    ]
+    drawn = [draw_intervals(each, truth, title) for title, each in bars.items()]
     return _collect_parts(tables, *drawn)
 
 
