@@ -129,6 +129,15 @@ TABLE: dict[str, dict[str, Entry | str]] = {
             "compare",
             surplus="two results are compared by asbuilt compare RESULT --with RESULT2",
         ),
+        "feasible": Entry(
+            "cli.validation",
+            "Bound masses, centres, inertias, armatures by what bodies allow.",
+            (
+                "study/result.json",
+                "study/result.json mass:link_3 com:link_3 armature --prior cad",
+            ),
+            "feasible_intervals",
+        ),
         "review": Entry(
             "cli.validation",
             "Judge the numbers that a description claims by recordings.",

@@ -88,6 +88,7 @@ from .tables.drive_tables import drives_text as drives_text
 from .tables.drive_tables import gains_document as gains_document
 from .tables.drive_tables import gains_text as gains_text
 from .tables.mass_tables import exported_masses as exported_masses
+from .tables.mass_tables import feasible_table as feasible_table
 from .tables.mass_tables import mass_table as mass_table
 from .tables.payload_tables import moments_document as moments_document
 from .tables.payload_tables import moments_table as moments_table
