@@ -46,6 +46,7 @@ LEAVES = (
     "isolation",
     "ranges",
     "registry",
+    "scaled",
     "tables",
     "untrusted",
     "writing",

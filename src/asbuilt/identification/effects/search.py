@@ -30,6 +30,7 @@ from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +242,7 @@ class _Search:
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
         own = selection.own(removed.candidate.at)
         values, covariance = _select_acting(removed, selection), selection.values_of([own])[1]
-        square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+        square = Scaled(covariance).square(values)
         possible = own.effect.is_possible(removed.values, None, selection.equations.robot)
         return possible and float(chdtrc(len(values), square)) < RULES.level
 
