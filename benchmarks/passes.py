@@ -1,9 +1,9 @@
 """Walks over the samples and modules executed by a plain `identify`, on five recordings.
 
-A walk evaluates the regressor rows of as many samples as the log has, or reads rows that were kept
-once more: ten walks over a tenth of the samples count as one. Predictions count the same way the
-samples whose torque is predicted by inverse dynamics. A module is executed if one of its functions
-is called; import alone is none.
+A walk evaluates the regressor rows of as many samples as are fitted: ten walks over a tenth of them
+count as one. Rows that were kept and are read once more, and samples whose torque is predicted by
+inverse dynamics, count in the same way, each by itself. A module is executed if one of its
+functions is called; import alone is none.
 
     python benchmarks/passes.py [NAME ...] [--modules]
 """
@@ -26,11 +26,17 @@ from typing import Any
 import asbuilt
 from asbuilt.cli.app import main as run_command
 from asbuilt.dynamics import newton_euler
-from asbuilt.identification.information import rows
+from asbuilt.identification.information import rows, square_root_information
 
 PACKAGE = Path(asbuilt.__file__).resolve().parent
 SHARED = Path(__file__).resolve().parents[2] / "shared"
-WALKING = {"rows.py", "square_root_information.py", "newton_euler.py", "torque_prediction.py"}
+WALKING = {
+    "rows.py",
+    "square_root_information.py",
+    "newton_euler.py",
+    "torque_prediction.py",
+    "blas.py",
+}
 """Modules that walk for others; a walk belongs to the module that asks them to."""
 UR10E_SHEET = """header = false
 torque_source = "current"
@@ -51,7 +57,7 @@ COMMANDS = {
         "$MODELS/lbrstack_med7.urdf $DATA/lbr_med7/measurements_with_ext_tau_1_dgr.csv"
         " --rate 100 --flip-torque"
     ),
-    "go2": "$MODELS/go2/go2.urdf $DATA/go2_hung/traj_0.pt --fixed-base",
+    "go2": "$MODELS/go2/go2.xml $DATA/go2_hung/traj_0.pt --fixed-base --kp 20 --kd 1.5",
 }
 """The recordings, as `asbuilt identify` reads them."""
 
@@ -61,6 +67,7 @@ class Passes:
     """Count samples walked over and predicted, by the module that asked, and modules executed."""
 
     walked: Counter[str] = field(default_factory=Counter)
+    read: Counter[str] = field(default_factory=Counter)
     predicted: Counter[str] = field(default_factory=Counter)
     modules: set[str] = field(default_factory=set)
     rows: int = 1
@@ -71,6 +78,10 @@ class Passes:
     def walks(self) -> dict[str, float]:
         """Return the walks of each module, in units of the samples that are fitted."""
         return {name: count / self.rows for name, count in self.walked.most_common()}
+
+    def readings(self) -> dict[str, float]:
+        """Return how often each module reads rows that were kept, in the same unit."""
+        return {name: count / self.rows for name, count in self.read.most_common()}
 
     def predictions(self) -> dict[str, float]:
         """Return the predictions of each module, in the same unit."""
@@ -92,28 +103,49 @@ def _find_asker() -> str:
 def count_passes() -> Iterator[Passes]:
     """Count what runs inside."""
     found = Passes()
-    divide, iterate, evaluate = (
-        rows.divide_into_blocks,
-        rows.Rows.__iter__,
-        newton_euler._evaluate_torques,
-    )
+    divide = rows.divide_into_blocks
+    chunks = rows.SampleBlock.chunks
+    iterate = rows.Rows.__iter__
+    parts = rows.Rows.parts
+    evaluate = newton_euler._evaluate_torques
+    accumulate = square_root_information.accumulate_stream
+    threads: list[str] = []
+    """Who asked for what the threads of a pool do."""
+
+    def accumulated(*given: Any, **named: Any) -> Any:
+        threads.append(_find_asker())
+        try:
+            return accumulate(*given, **named)
+        finally:
+            threads.pop()
 
     def divided(*given: Any, **named: Any) -> Iterator[Any]:
-        asker, count, samples = _find_asker(), 0, dict[int, int]()
+        count, samples = 0, dict[int, int]()
         for part in divide(*given, **named):
             count += part.n_outputs
             samples[id(part.samples)] = part.samples.n_samples
-            found.walked[asker] += part.n_outputs
             found.rows = max(found.rows, count)
             found.samples = max(found.samples, sum(samples.values()))
             yield part
 
+    def chunked(self: rows.SampleBlock, *given: Any, **named: Any) -> Iterator[Any]:
+        asker = _find_asker()
+        found.walked[threads[-1] if asker == "?" and threads else asker] += self.n_outputs
+        yield from chunks(self, *given, **named)
+
     def iterated(self: rows.Rows) -> Iterator[Any]:
-        kept, asker = self._held is not None, _find_asker()
+        kept, asker = self.are_kept, _find_asker()
         for block in iterate(self):
             if kept:
-                found.walked[asker] += block.time.n_samples
+                found.read[asker] += block.time.n_samples
             yield block
+
+    def divided_again(self: rows.Rows) -> Iterator[Any]:
+        asker, known = _find_asker(), self._parts is not None
+        for part in parts(self):
+            if known:
+                found.read[asker] += part[0].shape[1]
+            yield part
 
     def evaluated(model: Any, q: Any, *further: Any) -> Any:
         found.predicted[_find_asker()] += len(q)
@@ -126,7 +158,10 @@ def count_passes() -> Iterator[Passes]:
 
     _replace_everywhere(divide, divided)
     _replace_everywhere(evaluate, evaluated)
+    _replace_everywhere(accumulate, accumulated)
+    rows.SampleBlock.chunks = chunked  # type: ignore[method-assign]
     rows.Rows.__iter__ = iterated  # type: ignore[method-assign]
+    rows.Rows.parts = divided_again  # type: ignore[method-assign]
     threading.setprofile(record)
     sys.setprofile(record)
     try:
@@ -136,7 +171,10 @@ def count_passes() -> Iterator[Passes]:
         threading.setprofile(None)  # type: ignore[arg-type]
         _replace_everywhere(divided, divide)
         _replace_everywhere(evaluated, evaluate)
+        _replace_everywhere(accumulated, accumulate)
+        rows.SampleBlock.chunks = chunks  # type: ignore[method-assign]
         rows.Rows.__iter__ = iterate  # type: ignore[method-assign]
+        rows.Rows.parts = parts  # type: ignore[method-assign]
         found.modules = {each for each in found.modules if each.startswith(str(PACKAGE))}
 
 
@@ -188,6 +226,7 @@ def measure() -> dict[str, float]:
             continue
         found = run(name, command)
         numbers[f"{name}_walks"] = sum(found.walks().values())
+        numbers[f"{name}_readings"] = sum(found.readings().values())
         numbers[f"{name}_predictions"] = sum(found.predictions().values())
         numbers[f"{name}_modules"] = len(found.modules)
     return numbers
@@ -201,12 +240,17 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in arguments.names or COMMANDS:
         found = run(name, COMMANDS[name])
-        walks, predictions = found.walks(), found.predictions()
+        kinds = {
+            "walks": found.walks(),
+            "readings": found.readings(),
+            "predictions": found.predictions(),
+        }
+        sums = ", ".join(f"{sum(each.values()):.1f} {kind}" for kind, each in kinds.items())
         print(
-            f"{name}: {sum(walks.values()):.1f} walks, {sum(predictions.values()):.1f} predictions"
-            f" over {found.samples} samples ({found.rows} filtered), {len(found.modules)} modules"
+            f"{name}: {sums} over {found.samples} samples ({found.rows} filtered),"
+            f" {len(found.modules)} modules"
         )
-        for kind, each in (("walks", walks), ("predictions", predictions)):
+        for kind, each in kinds.items():
             print(f"  {kind}:")
             for module, count in each.items():
                 print(f"    {count:6.2f}  {module}")

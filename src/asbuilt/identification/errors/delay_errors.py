@@ -224,24 +224,22 @@ def build_delay_columns(
     root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints
     r = root.shape[1]
     every_normal, places, blocks = list[Array](), list[int](), list[TimeBlock]()
-    every = iter(rows)
+    every = zip(rows, rows.grams(), strict=True)
     for place, batch in enumerate(samples):
         rates = _derive_torque_rates(model, base, estimate.beta, batch)
         for part in divide_into_blocks(model, [batch], block_seconds):
             late = np.array([part.filtered(rate.__getitem__) for rate in rates])
             normal = np.zeros((r + 2 * n + 1,) * 2)
-            for k, (columns, support) in enumerate(
-                zip(next(every).rows, rows.support, strict=True)
-            ):
-                x = root[support].T @ columns[:-1] * weights[k]
+            block, grams = next(every)
+            for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                own = weights[k] * root[support].T
                 c = -weights[k] * late[:, k]
                 e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
                 both = slice(r + k, -1, n)
-                normal[:r, :r] += x @ x.T
-                normal[:r, both] += x @ c.T
+                normal[:r, :r] += own @ grams[k] @ own.T
+                normal[:r, [r + k, r + n + k, -1]] += own @ (columns[:-1] @ np.vstack([c, e]).T)
                 normal[both, both] += c @ c.T
                 normal[both, -1] += c @ e
-                normal[:r, -1] += x @ e
             every_normal.append(normal)
             places.append(place)
             blocks.append(part.time)

@@ -235,6 +235,7 @@ class Rows:
         self._every = every
         self._held: list[RowBlock] | None = None
         self._parts: list[tuple[Array, ...]] | None = None
+        self._grams: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
 
     def take_torque(self, samples: Sequence[Samples]) -> bool:
@@ -259,6 +260,19 @@ class Rows:
         """Return the time blocks that are used."""
         blocks = divide_into_blocks(self._plan.model, samples, self._block_seconds)
         return islice(blocks, 0, None, self._every)
+
+    @property
+    def are_kept(self) -> bool:
+        """Whether the rows are held in memory, as they are after a first pass if they are few."""
+        return self._held is not None
+
+    def grams(self) -> list[tuple[Array, ...]]:
+        """Return `W_k W_k^T` of every block and joint, which outlast another torque."""
+        if self._grams is None:
+            self._grams = [
+                tuple(rows[:-1] @ rows[:-1].T for rows in block) for block in self.by_block()
+            ]
+        return self._grams
 
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
