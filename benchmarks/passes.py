@@ -31,11 +31,11 @@ from asbuilt.identification.information import rows, square_root_information
 PACKAGE = Path(asbuilt.__file__).resolve().parent
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 WALKING = {
+    "blas.py",
+    "newton_euler.py",
     "rows.py",
     "square_root_information.py",
-    "newton_euler.py",
     "torque_prediction.py",
-    "blas.py",
 }
 """Modules that walk for others; a walk belongs to the module that asks them to."""
 UR10E_SHEET = """header = false
