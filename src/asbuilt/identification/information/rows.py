@@ -9,7 +9,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics import BaseParameters, gravity_torque
@@ -114,6 +114,14 @@ class SampleBlock:
         return TimeBlock(
             self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs
         )
+
+    def rests_on(self, keep: Mask) -> Mask:
+        """Return which filtered samples (n_outputs,) are of samples to `keep` (N,) alone."""
+        parallel = self.samples.parallel
+        step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        left_out = np.concatenate([[0], np.cumsum(~keep)])
+        begin = self.start + step * np.arange(self.first, self.last)
+        return np.asarray(left_out[begin + width] == left_out[begin])
 
     def filtered(self, values: Callable[[slice], Array]) -> Array:
         """Return filtered values (n, n_outputs) of what is given (m, n) on a span of samples.
