@@ -19,7 +19,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.cad.table import read_cad_table
+from asbuilt.apps.fleet.ledger.ledger import open_ledger
+from asbuilt.apps.masses.cad.table import read_cad_table
+from asbuilt.apps.watch.watched_log import format_thresholds, read_thresholds
+from asbuilt.apps.watch.watching import watch
 from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
 from asbuilt.excitation.collision.capsules import build_surroundings
@@ -28,11 +31,8 @@ from asbuilt.experiment.logs.formats.isolated import read_guarded
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
-from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.result_files import read_result
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.watch import watch
-from asbuilt.workflow.watching.watched_log import format_thresholds, read_thresholds
 from fleet_logs import MODEL, recording
 from robustness import corpus
 

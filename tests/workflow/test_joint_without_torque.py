@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asbuilt.apps.watch.watching import watch
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -25,7 +26,6 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study, identify
-from asbuilt.workflow.watching.watch import watch
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

@@ -263,7 +263,7 @@ def export(
         toml=toml,
         c=c,
         observer=observer,
-        thresholds=None if thresholds is None else asbuilt.read_thresholds(thresholds),
+        thresholds=thresholds,
         original=original,
         nearest=nearest,
         force=force,

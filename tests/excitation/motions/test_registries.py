@@ -55,7 +55,7 @@ PARAMETRISATIONS.register(Mirrored.key, Mirrored)
 JSON_FORMAT = """
 import json
 
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 
 
 class JsonFormat(ProgramFormat):

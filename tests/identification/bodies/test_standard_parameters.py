@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.cli.hayat2015.facts import read_paper
+from asbuilt.apps.paper.facts import read_paper
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.load import load_robot

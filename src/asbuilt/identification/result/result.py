@@ -44,7 +44,7 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.statistics import USUAL_LEVEL, confidence_intervals
+from asbuilt.identification.statistics import USUAL_ALPHA, confidence_intervals
 from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
@@ -327,23 +327,24 @@ class IdentificationResult:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.estimates / self.std_errors)
 
-    def conf_int(self, level: float = USUAL_LEVEL) -> Array:
+    def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
         """Return confidence intervals, shape (p, 2), by Student's distribution.
 
-        Its `degrees_of_freedom` belong to the standard errors. NaN for dropped parameters.
-        Raises `UsageError` unless `level` lies between 0 and 1.
+        An interval misses the truth with probability `alpha`, as in statsmodels: 0.05 for 95 %.
+        The `degrees_of_freedom` belong to the standard errors. NaN for dropped parameters.
+        Raises `UsageError` unless `alpha` lies between 0 and 0.5.
         """
-        return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, level)
+        return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, alpha)
 
-    def to_frame(self, level: float = USUAL_LEVEL) -> pl.DataFrame:
+    def to_frame(self, alpha: float = USUAL_ALPHA) -> pl.DataFrame:
         """Return a polars frame with a row per base parameter.
 
         Its columns are the fields of `IdentifiedParameter`, `t_value`, and the ends `lower` and
-        `upper` of the confidence interval of this level.
+        `upper` of the confidence interval, which misses the truth with probability `alpha`.
         """
         import polars as pl  # noqa: PLC0415 - slow
 
-        lower, upper = self.conf_int(level).T
+        lower, upper = self.conf_int(alpha).T
         return pl.DataFrame([asdict(each) for each in self.parameters]).with_columns(
             t_value=self.tvalues, lower=lower, upper=upper
         )
