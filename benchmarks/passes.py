@@ -130,7 +130,10 @@ def count_passes() -> Iterator[Passes]:
 
     def chunked(self: rows.SampleBlock, *given: Any, **named: Any) -> Iterator[Any]:
         asker = _find_asker()
-        found.walked[threads[-1] if asker == "?" and threads else asker] += self.n_outputs
+        if asker == "?" and threads:
+            asker = threads[-1]
+        known = None if self.kept is None else self.kept.find(given[0], self.samples)
+        (found.walked if known is None else found.read)[asker] += self.n_outputs
         yield from chunks(self, *given, **named)
 
     def iterated(self: rows.Rows) -> Iterator[Any]:

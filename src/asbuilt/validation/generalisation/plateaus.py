@@ -19,7 +19,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.rows import Rows, divide_into_blocks
+from asbuilt.identification.information.rows import KeptRows, Rows, divide_into_blocks
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     reduce_rows,
@@ -87,14 +87,17 @@ def find_plateaus(
     drive: DriveSet,
     training: Sequence[Samples],
     block_seconds: float | None = None,
+    kept: KeptRows | None = None,
 ) -> tuple[Plateau, ...]:
     """Return the torques that saturate, both signs of a joint as two, in the order of joints.
+
+    Rows are shared with others by `kept`.
 
     None where the samples cannot be fitted.
     """
     base = find_base_parameters(model, drive)
     try:
-        fits = _Fits(model, base, training, block_seconds)
+        fits = _Fits(model, base, training, block_seconds, kept)
         values = fits.fit()
     except (AsbuiltError, np.linalg.LinAlgError):
         return ()
@@ -205,8 +208,9 @@ class _Fits:
         base: BaseParameters,
         training: Sequence[Samples],
         block_seconds: float | None,
+        kept: KeptRows | None,
     ) -> None:
-        self._rows = Rows(model, base, training, block_seconds)
+        self._rows = Rows(model, base, training, block_seconds, kept=kept)
         self._blocks = list(divide_into_blocks(model, training, block_seconds))
         support = self._rows.support
         whole = reduce_rows(base, model.joint_names, support, self._rows)
