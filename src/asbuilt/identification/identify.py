@@ -39,6 +39,7 @@ from asbuilt.identification.estimators.least_squares import (
 )
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate, EstimationData, Undetermined
+from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
@@ -234,16 +235,19 @@ def fit_samples(
     threads: int | None = None,
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
     expected: ExpectedScores | None = None,
+    kept: KeptRows | None = None,
 ) -> Fit:
     """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
-    Scores that are expected of the true parameters are taken away (`expected`).
+    Scores that are expected of the true parameters are taken away (`expected`). Rows are shared
+    with others by `kept`.
     """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
     if not samples:
         raise UsageError(f"no samples are given to identify {model.name} from; give at least one")
     estimator = methods.find(method)
+    kept = kept or KeptRows()
     fitted: NonlinearFit | None = None
     if base is None and not drive.is_linear:
         fitted = fit_nonlinear(model, drive, samples)
@@ -253,7 +257,7 @@ def fit_samples(
 
     def accumulate(loading: RobotModel) -> SquareRootInformation:
         return accumulate_stream(
-            loading, base, samples, block_seconds=block_seconds, threads=threads
+            loading, base, samples, block_seconds=block_seconds, threads=threads, kept=kept
         )
 
     seen = accumulate(model)
@@ -273,6 +277,7 @@ def fit_samples(
             block_seconds,
             loading=loading,
             less=less,
+            kept=kept,
         )
 
     data = reduce(seen)

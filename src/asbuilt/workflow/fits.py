@@ -30,6 +30,7 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.options import StudyOptions
@@ -210,7 +211,8 @@ def _fit_all(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    model, choice, effects, flat = _add_effects(model, prepared, options)
+    kept = KeptRows()
+    model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -224,6 +226,7 @@ def _fit_all(
             threads=options.threads,
             fitted_nonlinear=choice.fitted,
             expected=None if servo is None else servo.expected,
+            kept=kept,
         )
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)
@@ -275,7 +278,7 @@ def _leave_out(
 
 
 def _add_effects(
-    model: RobotModel, prepared: Prepared, options: StudyOptions
+    model: RobotModel, prepared: Prepared, options: StudyOptions, kept: KeptRows
 ) -> tuple[RobotModel, DriveChoice, Effects, tuple[Plateau, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
 
@@ -293,7 +296,9 @@ def _add_effects(
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
     open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
     if fixed and (open_to_all or stated):
-        flat = find_plateaus(model, drive, samples, options.block_seconds) if open_to_all else ()
+        flat = (
+            find_plateaus(model, drive, samples, options.block_seconds, kept) if open_to_all else ()
+        )
         effects = find_effects(
             model,
             drive,
@@ -301,6 +306,7 @@ def _add_effects(
             keys=None if open_to_all else stated,
             applied=_list_open_effects(model, options) | stated,
             stated=stated,
+            kept=kept,
         ).beside_plateaus({model.joint_names[each.joint] for each in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
     choice = replace(choice, fitted=(*effects.fitted, *choice.fitted))
