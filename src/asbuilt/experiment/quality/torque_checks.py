@@ -10,7 +10,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.quality.conventions import check_conventions, check_gravity
+from asbuilt.experiment.quality.conventions import check_conventions
+from asbuilt.experiment.quality.gravity_checks import check_gravity
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import (

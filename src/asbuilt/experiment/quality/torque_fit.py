@@ -9,6 +9,7 @@ from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.appearance import link_solids, stretched_length
@@ -86,6 +87,54 @@ class TorqueFit:
         q, qd, qdd = (x[rows] * scale for x in (motion.q, motion.qd, motion.qdd))
         friction = friction_bases(qd, spring_columns(model, q))
         return cls(model, q, qd, qdd, motion.tau[rows], friction, order, order)
+
+    def within(self, rows: slice) -> TorqueFit:
+        """Return the comparison on some of the samples."""
+        q, qd, qdd, tau = (x[rows] for x in (self.q, self.qd, self.qdd, self.tau))
+        friction = friction_bases(qd, spring_columns(self.model, q))
+        return replace(self, q=q, qd=qd, qdd=qdd, tau=tau, friction=friction)
+
+    def halves(self) -> tuple[TorqueFit, TorqueFit]:
+        """Return the comparisons on the first and on the second half of the samples."""
+        middle = len(self.q) // 2
+        return self.within(slice(middle)), self.within(slice(middle, None))
+
+    def observe(self, gravity: ArrayLike) -> Array:
+        """Return the columns (N, n, p) of base parameters, friction and offsets under a gravity.
+
+        They belong to the base parameters under the description's gravity.
+        """
+        drive = DriveSet.parse("viscous,offset")
+        base = find_base_parameters(self.model, drive)
+        samples, n = self.q.shape
+        W = np.zeros((samples, n, base.n_base + n))
+        W[:, :, : base.n_base] = observation_matrix(
+            self.model.with_gravity(gravity),
+            *(self.q, self.qd, self.qdd),
+            drive=drive,
+            columns=base.columns,
+        ).reshape(samples, n, -1)
+        W[:, range(n), range(base.n_base, base.n_base + n)] = np.tanh(self.qd / BREAKAWAY)
+        return W
+
+    def normal_equations(self, W: Array) -> NormalEquations:
+        """Return the normal equations of columns (N, n, p), torques scaled to unit variance."""
+        # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
+        y = np.asfortranarray(self.tau)
+        y = y - y.mean(axis=0)
+        spread = _replace_zeros(y.std(axis=0))
+        y = y / spread
+        return NormalEquations(
+            W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
+            y.T @ W.transpose(1, 0, 2),
+            np.mean(y**2, axis=0),
+            spread,
+            len(self.q),
+        )
+
+    def unexplained(self, W: Array) -> Array:
+        """Return the share (n,) of the torques' variance that columns (N, n, p) leave."""
+        return self.normal_equations(W).unexplained(tuple(range(self.model.n_joints)))
 
     @cached_property
     def _residuals(self) -> tuple[Array, Array]:
@@ -259,28 +308,11 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     where friction exceeds the rigid-body torque, are checked too.
     """
     samples, n = fit.q.shape
-    base = find_base_parameters(fit.model, DriveSet.parse("viscous,offset"))
-    p = base.n_base + n
+    W = fit.observe(fit.model.gravity)
     # 3: torques per parameter below which any order is explained.
-    if samples * n < 3 * p:
+    if samples * n < 3 * W.shape[2]:
         return None
-    W = np.zeros((samples, n, p))
-    W[:, :, : base.n_base] = observation_matrix(
-        fit.model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns
-    ).reshape(samples, n, -1)
-    W[:, range(n), range(base.n_base, p)] = np.tanh(fit.qd / BREAKAWAY)
-    # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
-    y = np.asfortranarray(fit.tau)
-    y = y - y.mean(axis=0)
-    spread = _replace_zeros(y.std(axis=0))
-    y = y / spread
-    normal = _NormalEquations(
-        W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
-        y.T @ W.transpose(1, 0, 2),
-        np.mean(y**2, axis=0),
-        spread,
-        samples,
-    )
+    normal = fit.normal_equations(W)
     logged = tuple(range(n))
     # A sum of logarithms that falls by 4: both unexplained shares fall to an eighth.
     found = choose_decisive_change(logged, list_swaps(logged), normal.cost, 4.0)
@@ -292,7 +324,7 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _NormalEquations:
+class NormalEquations:
     """The normal equations of each joint's rows with each joint's torque.
 
     `grams` (n, p, p), `sides` (n, n, p) for torques of unit variance, `power` and `spread` (n,) of
