@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import sign_by_command
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.columns.layout import Layout
@@ -93,20 +93,17 @@ def _match_rows(
         return dict.fromkeys(parts, slice(None)), ()
     common, shortest = reduce(np.intersect1d, times.values(), first), min(lengths.values())
     listing = ", ".join(f"{name}: {length}" for name, length in lengths.items())
-    refuse(
-        RecordingError,
-        (
-            len(times) < len(parts),
+    if len(times) < len(parts):
+        raise RecordingError(
             "files of one recording have different lengths and not all have time stamps to join"
-            f" them by ({listing})",
-        ),
-        (
-            common.size < 0.5 * shortest,
+            f" them by ({listing})"
+        )
+    if common.size < 0.5 * shortest:
+        raise RecordingError(
             f"files of one recording do not share a clock: {common.size} of {shortest} time stamps"
             f" are equal ({', '.join(lengths)})",
-            {"cure": Cure("resample them to one clock, or log all quantities together")},
-        ),
-    )
+            cure=Cure("resample them to one clock, or log all quantities together"),
+        )
     rows = {
         name: np.intersect1d(t, common, return_indices=True)[1].astype(np.intp)
         for name, t in times.items()

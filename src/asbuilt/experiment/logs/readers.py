@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.columns import add_base_coordinates, with_base_columns
 from asbuilt.experiment.logs.assembly import (
     FILE_QUANTITIES,
@@ -237,19 +237,16 @@ def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
     missing = [str(path) for path in files.values() if not path.exists()]
     groups = [] if files else group_files(paths)
     listing = "; ".join(", ".join(path.name for path in group) for group in groups)
-    refuse(
-        RecordingError,
-        (
-            missing,
+    if missing:
+        raise RecordingError(
             f"the recording sheet names {(*missing, '')[0]}, which does not exist",
-            {"file": (*missing, "")[0]},
-        ),
-        (
-            len(groups) > 1,
+            file=(*missing, "")[0],
+        )
+    if len(groups) > 1:
+        raise RecordingError(
             f"{len(paths)} files are {len(groups)} recordings, not one: {listing}",
-            {"cure": Cure("read them one by one, or together", call="read_recordings")},
-        ),
-    )
+            cure=Cure("read them one by one, or together", call="read_recordings"),
+        )
     if len(groups) == 1 and len(paths) == 1:
         return choose_log_format(paths[0]).read(paths[0], sheet)
     files = files or {path.name: path for path in paths}

@@ -13,7 +13,7 @@ from asbuilt.description.joint_matching import (
     split_words,
 )
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import (
     GOALS,
     Role,
@@ -308,28 +308,28 @@ def find_column(table: LogTable, what: str, column: ColumnName) -> str:
     name = counted[int(column) - 1] if inside else str(column)
     given = f"{source}: the sheet gives column {column!r}"
     listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
-    refuse(
-        RecordingError,
-        (
-            numbered and not inside,
+    if numbered and not inside:
+        raise RecordingError(
             f"{given} for {what}, but columns run from 1 to {len(counted)}",
-            {"file": source, "value": column, "lower": 1, "upper": len(counted)},
-        ),
-        (
-            numbered and name not in names,
+            file=source,
+            value=column,
+            lower=1,
+            upper=len(counted),
+        )
+    if numbered and name not in names:
+        raise RecordingError(
             f"{given} ({name!r}) for {what}, which holds text in place of numbers",
-            {
-                "cure": Cure("count the columns of the file from 1, text columns too"),
-                "file": source,
-                "value": column,
-            },
-        ),
-        (
-            name not in names,
+            cure=Cure("count the columns of the file from 1, text columns too"),
+            file=source,
+            value=column,
+        )
+    if name not in names:
+        raise RecordingError(
             f"{given} for {what}, which the log does not have; it has {listing}",
-            {"file": source, "value": column, "available": list(names)},
-        ),
-    )
+            file=source,
+            value=column,
+            available=list(names),
+        )
     return name
 
 
@@ -340,20 +340,20 @@ def _group_listed_columns(
     found, source = [find_column(table, what, column) for column in columns], table.source
     repeated = next((name for name in found if found.count(name) > 1), None)
     labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
-    refuse(
-        RecordingError,
-        (
-            repeated is not None,
+    if repeated is not None:
+        raise RecordingError(
             f"{source}: the sheet gives column {repeated!r} twice for {what}",
-            {"file": source, "value": repeated},
-        ),
-        (
-            len(labels) != len(found),
+            file=source,
+            value=repeated,
+        )
+    if len(labels) != len(found):
+        raise RecordingError(
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
             f" {what}",
-            {"file": source, "value": len(found), "expected": len(labels)},
-        ),
-    )
+            file=source,
+            value=len(found),
+            expected=len(labels),
+        )
     quantity = what if what in QUANTITIES else "torque"
     return [
         Role(quantity, label, k, column=name)  # type: ignore[arg-type]
@@ -393,41 +393,36 @@ def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingShee
     whole = range(int(0 not in numbers), max(numbers) + 1) if len(numbers) == len(group) else ()
     missing = [k for k in whole if k not in numbers and not named]
     columns = ", ".join(_list_columns(group))
-    refuse(
-        RecordingError,
-        (
-            named and listed is not None and differ,
+    if named and listed is not None and differ:
+        raise RecordingError(
             f"{source}: the sheet lists the joints {', '.join(listed or ())}, but the {quantity}"
             f" columns name theirs, {', '.join(labels)}",
-            {
-                "cure": Cure(
-                    "give the robot's name of each joint of the log in its place: [joints] with"
-                    f' "{labels[0]}" = "..." and so on'
-                ),
-                "file": source,
-                "value": listed,
-                "expected": labels,
-            },
-        ),
-        (
-            missing,
+            cure=Cure(
+                "give the robot's name of each joint of the log in its place: [joints] with"
+                f' "{labels[0]}" = "..." and so on'
+            ),
+            file=source,
+            value=listed,
+            expected=labels,
+        )
+    if missing:
+        raise RecordingError(
             f"{source}: the {quantity} column of joint number {(*missing, 0)[0]} is missing; there"
             f" are {columns}",
-            {
-                "cure": Cure(
-                    f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
-                ),
-                "file": source,
-                "available": _list_columns(group),
-            },
-        ),
-        (
-            not named and listed is not None and len(listed) != len(group),
+            cure=Cure(
+                f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
+            ),
+            file=source,
+            available=_list_columns(group),
+        )
+    if not named and listed is not None and len(listed) != len(group):
+        raise RecordingError(
             f"{source}: the sheet names {len(listed or ())} joints but the log has {len(group)}"
             f" {quantity} columns",
-            {"file": source, "value": len(group), "expected": len(listed or ())},
-        ),
-    )
+            file=source,
+            value=len(group),
+            expected=len(listed or ()),
+        )
     return labels if named else listed or [f"joint_{k}" for k in range(1, len(group) + 1)]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
     hold_last,
@@ -140,34 +140,27 @@ def _select_commands(
     sizes = {each.position.size for each in commands if not each.names}
     count = ", ".join(map(str, sorted(sizes)))
     distinct = set(listed or ())
-    refuse(
-        RecordingError,
-        (
-            sizes and listed is None,
+    if sizes and listed is None:
+        raise RecordingError(
             f"{path}: the messages of {topics.commands}"
             f" ({topics.types.get(str(topics.commands))}) hold {count} numbers without the names of"
             " their joints",
-            {
-                "cure": Cure(
-                    "list the joints in the order of the controller's parameter `joints`, in a"
-                    ' recording sheet: command_joints = ["...", "..."]'
-                ),
-                "file": str(path),
-                "value": topics.commands,
-            },
-        ),
-        (
-            sizes and (sizes != {len(listed or ())} or len(distinct) < len(listed or ())),
+            cure=Cure(
+                "list the joints in the order of the controller's parameter `joints`, in a"
+                ' recording sheet: command_joints = ["...", "..."]'
+            ),
+            file=str(path),
+            value=topics.commands,
+        )
+    if sizes and (sizes != {len(listed or ())} or len(distinct) < len(listed or ())):
+        raise RecordingError(
             f"{path}: the sheet lists {len(distinct)} command_joints, but the messages of"
             f" {topics.commands} hold {count} numbers",
-            {
-                "cure": Cure("list one joint for each number, in their order"),
-                "file": str(path),
-                "value": len(listed or ()),
-                "expected": sorted(sizes),
-            },
-        ),
-    )
+            cure=Cure("list one joint for each number, in their order"),
+            file=str(path),
+            value=len(listed or ()),
+            expected=sorted(sizes),
+        )
     commands = [
         each if each.names else replace(each, names=tuple(listed or ())) for each in commands
     ]
@@ -252,33 +245,26 @@ def order_commands(
             "record the state of the controller, whose reference is what it commanded, such as"
             " /joint_trajectory_controller/controller_state"
         )
-        refuse(
-            RecordingError,
-            (
-                gap > SPARSE * period,
+        if gap > SPARSE * period:
+            raise RecordingError(
                 f"{topics.path}: points of the trajectories of {topics.commands} come"
                 f" {gap * 1e-9:.3g} s after the one before, and the states every"
                 f" {period * 1e-9:.3g} s; the way between the points is the controller's own and"
                 " not in the log",
-                {
-                    "cure": cure,
-                    "file": str(topics.path),
-                    "value": gap * 1e-9,
-                    "upper": SPARSE * period * 1e-9,
-                },
-            ),
-            (
-                2 * kept.size < len(commands),
+                cure=cure,
+                file=str(topics.path),
+                value=gap * 1e-9,
+                upper=SPARSE * period * 1e-9,
+            )
+        if 2 * kept.size < len(commands):
+            raise RecordingError(
                 f"{topics.path}: {len(commands) - kept.size} of {len(commands)} points of the"
                 f" trajectories of {topics.commands} were replaced by the next trajectory before"
                 " their time; the way toward them is the controller's own and not in the log",
-                {
-                    "cure": cure,
-                    "file": str(topics.path),
-                    "value": len(commands) - int(kept.size),
-                },
-            ),
-        )
+                cure=cure,
+                file=str(topics.path),
+                value=len(commands) - int(kept.size),
+            )
         sent, commands = sent[kept], [commands[k] for k in kept]
     order = np.argsort(sent, kind="stable")
     return sent[order], [commands[k] for k in order]
