@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Indices
 from asbuilt.experiment.quality.passes import position_limits
-from asbuilt.experiment.quality.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
 from asbuilt.findings import Cure, Finding, join_names
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
@@ -77,11 +77,14 @@ class Conventions:
         return join_names(sentences)
 
 
-def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
+def check_conventions(
+    fit: TorqueFit, *, believed: bool = False
+) -> tuple[Finding, TorqueFit] | None:
     """Return a finding, and the fit that it explains, if other conventions fit the torques.
 
     Directions, and zeros by quarters of a turn, are tried for one joint more as long as the misfit
-    falls decisively, and positions keep their limits. Small errors of a zero are left to
+    falls decisively, and positions keep their limits. An error needs that any masses, too, fit
+    better so; `believed` conventions are stated in a sheet. Small errors of a zero are left to
     `asbuilt.identification.effects`.
     """
     if not np.any(np.abs(fit.correlation[fit.decides]) < DOUBTFUL):
@@ -104,13 +107,17 @@ def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     if best is logged or not fallen.size:
         return None
     before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
-    if after <= CLEAR:
+    # What 1 lacks must fall to half: a convention changes the sign or the form of a torque.
+    if after <= CLEAR or 1.0 - after > 0.5 * (1.0 - before):
+        return None
+    by_masses = compare_by_any_masses(fit, best.fit)
+    if by_masses < 0:
         return None
     others = f"; {len(near)} more fit about as well, such as: {near[0]}" if near else ""
     return (
         Finding(
             "joint_convention",
-            "error",
+            "error" if by_masses > 0 and not believed else "warning",
             f"the log follows another convention than the description: {best}"
             f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
             f"{others}",

@@ -15,7 +15,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.quality.conventions import CLEAR, DOUBTFUL, FALL
-from asbuilt.experiment.quality.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque_fit import BETTER, TorqueFit, measure_any_masses
 from asbuilt.findings import Cure, Finding
 
 FREE_FALL = float(np.linalg.norm(USUAL_GRAVITY))
@@ -28,11 +28,13 @@ ABSENT, PARTIAL = 0.1, 0.8
 """Share of gravity by the masses of CAD, in that of accelerations, below which a log has none, and
 below which it may have a part. Armatures and gains change both: the share is 0.45 to 2 in 35 logs
 of nine real robots whose torques these masses explain, and 0.01 in logs without gravity."""
-BETTER = 0.1
-"""Fall of the logarithm of the unexplained variance, mean over joints, from which any masses fit
-better with another share of gravity: 5 % of the torque error."""
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of gravity that are tried with any masses."""
+
+
+def measure_gravity_share(fit: TorqueFit) -> float:
+    """Return the share of gravity by CAD in that of accelerations; NaN if it is not clear."""
+    return _TorqueParts.of(fit).gravity_share()
 
 
 def check_gravity(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
@@ -50,7 +52,7 @@ def _check_share(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     their accelerations decide. Both halves of the log must agree; an error needs both roads.
     """
     parts = (*fit.halves(), fit)
-    of_cad = [_TorqueParts.of(part).gravity_share() for part in parts]
+    of_cad = [measure_gravity_share(part) for part in parts]
     if any(share >= PARTIAL for share in of_cad):
         return None
     absent = all(share < ABSENT for share in of_cad)
@@ -74,11 +76,7 @@ def _measure_costs(fit: TorqueFit) -> list[float]:
     """Return the mean logarithm of what any masses leave unexplained, by share of gravity."""
     weightless = fit.observe(np.zeros(3))
     of_gravity = fit.observe(np.array(fit.model.gravity)) - weightless
-    # 1e-4: unexplained share below which a better fit does not count.
-    return [
-        float(np.mean(np.log(fit.unexplained(weightless + share * of_gravity) + 1e-4)))
-        for share in SHARES
-    ]
+    return [measure_any_masses(fit, weightless + share * of_gravity) for share in SHARES]
 
 
 def _report_absent(fit: TorqueFit, *, absent: bool, fits: bool, measured: float) -> Finding:
@@ -140,7 +138,7 @@ def _check_direction(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     if not along.any():
         return None
     mounted = replace(fit, model=fit.model.with_gravity(along))
-    sign = _find_friction_sign(mounted)
+    sign = find_friction_sign(mounted)
     parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
     if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - FALL)):
         return None
@@ -160,7 +158,7 @@ def _check_direction(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     return finding, replace(fit, model=fit.model.with_gravity(gravity))
 
 
-def _find_friction_sign(fit: TorqueFit) -> float:
+def find_friction_sign(fit: TorqueFit) -> float:
     """Return the sign of the torques that friction of most joints shows, 0 if it shows none."""
     friction = fit.friction_correlation
     shown = friction[friction != 0.0]

@@ -136,6 +136,33 @@ class TorqueFit:
         """Return the share (n,) of the torques' variance that columns (N, n, p) leave."""
         return self.normal_equations(W).unexplained(tuple(range(self.model.n_joints)))
 
+    def with_signs(self, signs: ArrayLike) -> TorqueFit:
+        """Return the comparison with the torques times signs (n,)."""
+        return replace(self, tau=self.tau * np.asarray(signs))
+
+    @property
+    def kinetic_sign(self) -> float:
+        """Sign of the kinetic energy of the masses that fit best, 0 where halves disagree.
+
+        `2 T = qd^T M(q) qd` is the power along `qd` of the torques that accelerate by `qd` from
+        rest without gravity: linear in the masses, and positive for any that can exist.
+        """
+        signs = {np.sign(part._mean_energy()) for part in (self, *self.halves())}
+        return float(signs.pop()) if len(signs) == 1 else 0.0
+
+    def _mean_energy(self) -> float:
+        """Return twice the mean kinetic energy of the masses that fit best [J]."""
+        W = self.observe(self.model.gravity)
+        n = self.model.n_joints
+        beta = self.normal_equations(W).solve(tuple(range(n)))
+        rest = np.zeros_like(self.qd)
+        moved = replace(self, qd=rest, qdd=self.qd).observe(np.zeros(3))
+        # The last columns are friction, and viscous friction and offsets have no part in energy.
+        base = find_base_parameters(self.model, DriveSet.parse("viscous,offset"))
+        bodies = base.columns < 10 * base.n_links
+        torque = moved[:, :, : base.n_base][:, :, bodies] @ beta[: base.n_base][bodies]
+        return float(np.mean(np.sum(self.qd * torque, axis=1)))
+
     @cached_property
     def _residuals(self) -> tuple[Array, Array]:
         x = inverse_dynamics(self.model, self.q, self.qd, self.qdd, threads=1)
@@ -247,6 +274,35 @@ class TorqueFit:
                 yield replace(self, **motion)
 
 
+BETTER = 0.1
+"""Fall of the logarithm of the unexplained variance, mean over joints, from which any masses fit
+better: 5 % of the torque error."""
+
+
+def measure_any_masses(fit: TorqueFit, W: Array | None = None) -> float:
+    """Return the mean logarithm of the share that any masses and friction leave unexplained.
+
+    `W` (N, n, p) are the columns, by default those under the description's gravity.
+    """
+    left = fit.unexplained(fit.observe(fit.model.gravity) if W is None else W)
+    # 1e-4: unexplained share below which a better fit does not count.
+    return float(np.mean(np.log(left + 1e-4)))
+
+
+def compare_by_any_masses(fit: TorqueFit, other: TorqueFit) -> int:
+    """Return 1 if any masses fit the other log better, -1 if worse, 0 if that is not clear.
+
+    The whole log and both halves must agree. The masses of CAD, which may be wrong, do not count.
+    """
+    falls = [
+        measure_any_masses(one) - measure_any_masses(two)
+        for one, two in zip((fit, *fit.halves()), (other, *other.halves()), strict=True)
+    ]
+    if abs(falls[0]) < BETTER or min(falls) < 0.0 < max(falls):
+        return 0
+    return 1 if falls[0] > 0.0 else -1
+
+
 def _replace_zeros(x: Array) -> Array:
     """Return sizes (n,) with 1 in place of 0, to divide by."""
     return np.where(x > 0.0, x, 1.0)
@@ -348,8 +404,8 @@ class NormalEquations:
                 return np.inf
         return float(np.sum(np.log(shares)))
 
-    def unexplained(self, torque_of: tuple[int, ...]) -> Array:
-        """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
+    def solve(self, torque_of: tuple[int, ...]) -> Array:
+        """Return the parameters (p,) that fit best if joint k has `torque_of[k]`."""
         order = list(torque_of)
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
@@ -359,7 +415,13 @@ class NormalEquations:
         # Relative eigenvalue of the scaled equations of a direction that is not excited.
         excited = eigenvalues > 1e-10 * eigenvalues[-1]
         axes = axes[:, excited] / size[:, None]
-        beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited])
+        return np.asarray(axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited]))
+
+    def unexplained(self, torque_of: tuple[int, ...]) -> Array:
+        """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
+        order, beta = list(torque_of), self.solve(torque_of)
+        scale = 1.0 / self.spread[order]
+        side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         explained = scale**2 * (self.grams @ beta @ beta)
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))
