@@ -27,11 +27,14 @@ class Cure:
         cures, such as `{"flip_torque": True}`; a caller adds the spelling of its own interface.
     call
         Name of the public function that helps, such as `"find_gains"`; empty if none does.
+    sheet
+        Fields of a recording sheet that cure, such as `{"units": {"time": "ms"}}`.
     """
 
     text: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     call: str = ""
+    sheet: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.text

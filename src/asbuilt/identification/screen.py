@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
-from asbuilt.tables import WIDTH, Table, format_plus_minus, round_significant, wrap_text
+from asbuilt.tables import (
+    WIDTH,
+    Table,
+    format_plus_minus,
+    format_range,
+    round_significant,
+    wrap_text,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +116,18 @@ def format_effect(each: FoundEffect) -> str:
     title = EFFECTS[each.effect].title if each.effect in EFFECTS else each.effect
     where = f"{title} at {each.joint}" if each.joint else title
     unit = "" if each.unit == "1" else each.unit
-    sizes = (format_plus_minus(each.estimate, each.std_error), round_significant(each.estimate, 2))
-    texts = [f"{where} {size} {unit}".rstrip() for size in sizes]
-    return next((text for text in texts if len(text) <= RULES.effect_width), texts[-1])
+    short = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
+    texts = [f"{where} {size}" for size in (format_size(each), short)]
+    return texts[0] if each.feasible or len(texts[0]) <= RULES.effect_width else texts[1]
+
+
+def format_size(each: FoundEffect) -> str:
+    """Return the size of an effect with its standard error, or its interval and what was chosen."""
+    unit = "" if each.unit == "1" else each.unit
+    if each.feasible is None:
+        return f"{format_plus_minus(each.estimate, each.std_error)} {unit}".rstrip()
+    chosen = round_significant(each.estimate)
+    return f"{format_range(*each.feasible, unit)}, chosen {chosen}"
 
 
 def format_effect_errors(each: FoundEffect) -> str:

@@ -23,6 +23,7 @@ from asbuilt.identification.errors.bias import report_position_noise
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
+from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
@@ -120,7 +121,7 @@ def conclude_study(
         *(as_identified(each, result) for each in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
-    result = replace(result, effects=effects)
+    result = replace(result, effects=bound_effects(result, effects))
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
     if attribution and options.wanted_effects.named:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.description.model import MassRange
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
@@ -58,10 +59,15 @@ def test_the_error_is_that_of_the_robot_file(
     assert study.verdict.error.exported == pytest.approx(written, rel=1e-9)
 
 
-def test_masses_are_those_of_the_robot_file(study: Study) -> None:
-    links = as_built(study.result).model.links
-    mass = sum(float(link.inertia.mass) for link in links)
-    assert f"{mass:.3g} kg for " in study.verdict.text
+def test_a_mass_that_torques_do_not_determine_is_not_in_the_first_line(study: Study) -> None:
+    """Nothing bounds the mass of all links; a scale does, and then it is the robot file's."""
+    assert study.result.feasible("mass").open_ends[1]
+    assert " kg" not in study.verdict.text
+    mass = sum(float(link.inertia.mass) for link in as_built(study.result).model.links)
+    limits = MassRange(study.result.model.link_names, 0.99 * mass, 1.01 * mass)
+    weighed = replace(study.result.model, mass_ranges=(limits,))
+    text = study_verdict(replace(study.result, model=weighed), (), study.validations).text
+    assert f", {mass:.3g} kg for " in text
 
 
 def test_training_data_alone_are_no_test(logs: list[Recording]) -> None:

@@ -123,7 +123,9 @@ def test_verdict_shouts_when_the_fit_is_worse_than_the_design(example: Any) -> N
     assert cards[1].mood == "good"
     study = Study(example.result, ())
     good = make_study_cards(study)
-    assert study.verdict.text.endswith("; DO NOT USE as bodies: physically inconsistent, so that no simulator takes it.")
+    assert study.verdict.text.endswith(
+        "; DO NOT USE as bodies: physically inconsistent, so that no simulator takes it."
+    )
     assert good[1].mood == "bad"
 
 

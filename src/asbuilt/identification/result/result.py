@@ -54,6 +54,8 @@ FIGURES: Registry[Any] = Registry("figure", "asbuilt.writers.figures.kinds", "as
 """Functions of a result, a prediction or None, and axes or None, that draw and return the axes."""
 SUMMARY = "asbuilt.identification.result.summary"
 """Module that summarises results; it imports this one for its types, so it is loaded late."""
+FEASIBLE = "asbuilt.identification.result.feasible"
+"""Module of feasible intervals, loaded late for the same reason."""
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
@@ -362,6 +364,15 @@ class IdentificationResult:
     def summary(self) -> Any:
         """Summarise the result as text, HTML or CSV: the `Summary` of `summarise`."""
         return import_module(SUMMARY).summarise(self)
+
+    def feasible(self, quantity: str, of: str | None = None, **stated: Any) -> Any:
+        """Return the least and greatest value of a quantity: a `FeasibleInterval`.
+
+        Over all physically consistent bodies that the recordings allow, such as
+        `feasible("mass")`, `feasible("mass:link_3")` or `feasible("armature", "joint_2")`. `stated`
+        are keywords of `feasible_intervals`, such as `prior="cad"`.
+        """
+        return import_module(FEASIBLE).feasible_interval(self, quantity, of, **stated)
 
     def plot(self, kind: str = "parameters", of: Any = None, axes: Any = None) -> Array:
         """Draw a figure with matplotlib.

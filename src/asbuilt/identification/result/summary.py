@@ -16,6 +16,7 @@ from asbuilt.identification.calibration.encoders import describe_encoders
 from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
+from asbuilt.identification.result.feasible import FeasibleInterval
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.screen import compose_screen
 from asbuilt.tables import (
@@ -136,19 +137,14 @@ class Summary:
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
 
-    def with_mass(
-        self,
-        totals: tuple[float | None, float],
-        links: Sequence[tuple[str, float | None, float]] = (),
-    ) -> Summary:
-        """Return the summary with masses by CAD and as built [kg]: total, and each of `links`."""
-        cad, built = (round_significant(mass) for mass in totals)
+    def with_mass(self, total: FeasibleInterval, links: Sequence[FeasibleInterval] = ()) -> Summary:
+        """Return the summary with masses: of all links together, and of each of `links`."""
         of_links = "; ".join(
-            f"{name} {_format_mass(cad)} -> {_format_mass(built)}" for name, cad, built in links
+            f"{each.quantity.partition(':')[2]} {_format_mass(each)}" for each in links
         )
         more = (("each link [kg]", of_links),) if len(links) > 1 else ()
-        mass = ("mass of links", f"CAD {cad} kg, as built {built} kg")
-        return replace(self, heading=(*self.heading, mass, *more))
+        whole = ("mass of links", _format_mass(total, " kg"))
+        return replace(self, heading=(*self.heading, whole, *more))
 
     def as_csv(self) -> str:
         """Return the table of parameters as CSV, numbers in full."""
@@ -195,8 +191,10 @@ def summarise(
     )
 
 
-def _format_mass(mass: float | None) -> str:
-    return "?" if mass is None else round_significant(mass)
+def _format_mass(mass: FeasibleInterval, unit: str = "") -> str:
+    """Return the interval of a mass, what was chosen in it, and CAD."""
+    cad, chosen = round_significant(mass.cad), round_significant(mass.chosen)
+    return f"{mass.text.replace(' kg', unit)}, chosen {chosen}{unit} (CAD {cad}{unit})"
 
 
 def format_ranked_findings(

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
+from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.hold_out import RECORDINGS
 from asbuilt.findings import Finding, join_names
-from asbuilt.identification import IdentificationResult
+from asbuilt.identification import FeasibleInterval, IdentificationResult
 from asbuilt.tables import format_share, round_significant
 from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.prediction import Validation
@@ -213,15 +212,23 @@ def _word_rollout(result: IdentificationResult, simulated: Rollout, error: Verdi
 
 
 def _word_mass(result: IdentificationResult) -> str:
-    """Return the exported robot's mass of links compared with CAD's; empty without an export."""
-    found, links = find_as_built(result), result.model.links
+    """Return that nothing can be exported, or the mass of links and CAD's if that is determined."""
+    found = find_as_built(result)
     if found is None:
         return ", and no robot can be exported"
     if not found.consistent:
         return ""
-    built = float(np.sum(found.parameters[9 : 10 * len(links) : 10]))
-    cad = sum(float(link.inertia.mass) for link in links)
-    known = all(link.inertia_known for link in links) and cad > 0.0
-    return f", {round_significant(built)} kg" + (
-        f" for {round_significant(cad)} of CAD" if known else ""
-    )
+    mass = read_stated_mass(result)
+    if mass is None:
+        return ""
+    cad = "" if mass.cad is None else f" for {round_significant(mass.cad)} of CAD"
+    return f", {round_significant(mass.chosen)} kg{cad}"
+
+
+def read_stated_mass(result: IdentificationResult) -> FeasibleInterval | None:
+    """Return the mass of all links if its feasible interval lets one number stand for it."""
+    try:
+        mass: FeasibleInterval = result.feasible("mass")
+    except IdentifiabilityError:
+        return None
+    return mass if mass.is_narrow else None
