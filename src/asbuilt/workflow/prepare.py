@@ -264,7 +264,7 @@ def find_unseeing(
 
     The rule is None if they have seen nothing of it, or all.
     """
-    if result.holdout is None or not is_trained_on(result, item):
+    if isinstance(item, Samples) or result.holdout is None or not is_trained_on(result, item):
         return result, None
     if result.holdout == RECORDINGS:
         number = result.digests.index(digest_recording(head_of(item)))
