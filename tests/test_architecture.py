@@ -48,6 +48,7 @@ LEAVES = (
     "isolation",
     "ranges",
     "registry",
+    "scaled",
     "tables",
     "untrusted",
     "writing",
@@ -296,7 +297,11 @@ def is_installed(module: str) -> bool:
 def test_public_names_load_from_the_modules_of_the_stub(package: str) -> None:
     loaded, names = import_module(package), public_names(package)
     names = {name: home for name, home in names.items() if is_installed(home)}
-    assert loaded.__all__ == sorted(names)
+    if package == "asbuilt":
+        assert set(loaded.__all__) < set(names)  # what one needs; the rest is in the stages
+        assert set(loaded.__all__) <= set(dir(loaded))
+    else:
+        assert loaded.__all__ == sorted(names)
     for name, home in names.items():
         value = getattr(loaded, name)
         assert getattr(import_module(home), name) is value

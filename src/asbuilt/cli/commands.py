@@ -68,6 +68,7 @@ TABLE: dict[str, dict[str, Entry | str]] = {
             "design_motion",
         ),
         "program": "programs",
+        "run": "run",
         "simulate": Entry(
             "cli.recording",
             "Record a virtual robot, or simulate its free motion.",

@@ -67,6 +67,7 @@ from .information.triangular import solve_factor as solve_factor
 from .information.triangular import triangular_factor as triangular_factor
 from .information.triangular import widen_factor as widen_factor
 from .result.as_built_parameters import as_built_parameters as as_built_parameters
+from .result.as_built_parameters import known_information as known_information
 from .result.conclusion import conclude as conclude
 from .result.determination import Determination as Determination
 from .result.determination import determination as determination

@@ -46,6 +46,7 @@ from .recording_files import free_motion_text as free_motion_text
 from .recording_files import simulate_document as simulate_document
 from .recording_files import simulation_text as simulation_text
 from .recording_files import write_free_motion as write_free_motion
+from .recording_files import write_log as write_log
 from .recording_files import write_motion as write_motion
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation

@@ -9,6 +9,7 @@ from pathlib import PurePath
 
 import numpy as np
 
+from asbuilt.experiment.signal.hold_out import RECORDINGS
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.calibration.encoders import describe_encoders
@@ -304,10 +305,12 @@ def _build_joint_table(result: IdentificationResult) -> Table:
     kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
     mixed = len(set(kinds)) > 1
     unit = "" if mixed else kinds[0]
-    shown = result.validation[0] if result.validation else result.train
+    # The recording on which CAD is measured, which the verdict goes by, comes first.
+    held_out = sorted(result.validation, key=lambda each: each.source != result.cad.source)
+    shown = held_out[0] if held_out else result.train
     errors = {
         "training": result.train,
-        **{f"as built {i}" if i > 1 else AS_BUILT: e for i, e in enumerate(result.validation, 1)},
+        **{f"as built {i}" if i > 1 else AS_BUILT: e for i, e in enumerate(held_out, 1)},
         "CAD": result.cad,
     }
     first = AS_BUILT if result.validation else "training"
@@ -328,6 +331,7 @@ def _build_joint_table(result: IdentificationResult) -> Table:
         )
         for k, name in enumerate(result.joint_names)
     )
-    whole, _, held = shown.source.partition(", held out ")
-    source = f"{PurePath(whole).name}{', held out' if held else ''}"
+    whole, _, rule = shown.source.partition(", held out ")
+    held = ", left out" if rule == RECORDINGS else ", held out" if rule else ""
+    source = f"{PurePath(whole).name}{held}"
     return Table(columns, tuple(rows), title=f"RMS torque error on {source}")
