@@ -53,8 +53,8 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     sources = ", ".join(result.sources)
     notes = (
         *result.model.notes,
+        *(note_feasible(result) if found.consistent else ()),
         f"identified ({result.method}) from {sources}; {found.verdict}",
-        *note_feasible(result),
     )
     return AsBuilt(found, replace(robot, notes=notes, source=f"identified from {sources}"))
 
