@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -100,9 +99,8 @@ def choose_channel(
 
 def _strip_channel(role: Role, channels: Mapping[str, Sequence[Role]]) -> str:
     """Return the joint of a column of one channel, "" where its name is the channel's."""
-    joints = {each.joint for channel in channels.values() for each in channel}
-    stems = {re.sub(r"\d+$", "", joint) for joint in joints}
-    return role.joint if len(stems) == 1 and role.index is None else ""
+    joints = {frozenset(each.joint for each in channel) for channel in channels.values()}
+    return role.joint if len(joints) == 1 or role.index is None else ""
 
 
 def _stack(channel: Sequence[Role], columns: Mapping[str, Array]) -> Array:
