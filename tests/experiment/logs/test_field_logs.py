@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import call
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
@@ -341,3 +343,27 @@ def test_raw_and_filtered_columns_and_a_spare_velocity(
     said = " ".join(recording.notes)
     assert "2 channels of torque" in said
     assert "columns of velocity do not match" in said
+
+
+def test_check_writes_the_sheet_beside_the_log(
+    clean: dict[str, Array], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = tmp_path / "trio.urdf"
+    robot.write_text(URDF)
+    columns = named(clean, t=1e3 * clean["t"], q=np.mod(clean["q"], 2.0 * np.pi), tau=-clean["tau"])
+    log = write(tmp_path / "run.csv", columns)
+    asked = ("check", robot, log, "--no-information", "--json")
+    status, out, _ = call(capsys, *asked)
+    before = json.loads(out)
+    assert status == 1
+    assert not before["ok"]
+    assert "sign = -1" in before["sheets"][str(log)]
+    assert not (tmp_path / "run.csv.toml").exists()
+    assert call(capsys, *asked, "--write-sheet")[0] == 0
+    written = parse_toml((tmp_path / "run.csv.toml").read_text())
+    assert written["units"] == {"time": "ms"}
+    assert written["sign"] == -1
+    # What a person wrote into it is kept.
+    (tmp_path / "run.csv.toml").write_text("sign = 1\n")
+    assert call(capsys, *asked, "--write-sheet")[0] == 1
+    assert (tmp_path / "run.csv.toml").read_text() == "sign = 1\n"
