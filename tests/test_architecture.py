@@ -48,6 +48,7 @@ LEAVES = (
     "isolation",
     "ranges",
     "registry",
+    "scaled",
     "tables",
     "untrusted",
     "writing",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.writing import _OWNER, remove_leftovers, atomic_write, file_set
+from asbuilt.writing import _OWNER, atomic_write, file_set, remove_leftovers
 
 MEMBERS = ("result.json", "robot.toml", "robot.urdf")
 

@@ -69,6 +69,8 @@ class Finding:
         None: unknown.
     link
         Name of the link concerned.
+    effect
+        Key of the effect that it is about, which a list of effects names too.
     """
 
     code: str
@@ -79,6 +81,7 @@ class Finding:
     time: float | None = None
     torque: float | None = None
     link: str | None = None
+    effect: str | None = None
 
     def __str__(self) -> str:
         return self.as_line()
@@ -131,6 +134,7 @@ class Finding:
             "link": self.link,
             "time": self.time,
             "torque": self.torque,
+            "effect": self.effect,
         }
 
 

@@ -47,6 +47,7 @@ from .signal.signal_chain import SignalChain as SignalChain
 from .virtual.sensors import PERFECT_SENSORS as PERFECT_SENSORS
 from .virtual.sensors import DataLogger as DataLogger
 from .virtual.sensors import SensorNoise as SensorNoise
+from .virtual.settings import with_settings as with_settings
 from .virtual.simulation import FreeMotion as FreeMotion
 from .virtual.simulation import run_free as run_free
 from .virtual.simulation import simulate_recording as simulate_recording

@@ -8,20 +8,25 @@ import shlex
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from chromium import chromium
+from PIL import Image
 
 from asbuilt.workflow.result_files import read_result
 from command_line import call, document
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 
+ActionChains = pytest.importorskip("selenium.webdriver").ActionChains
 pytestmark = pytest.mark.study
+SVG = "{http://www.w3.org/2000/svg}"
 LONGEST = 240.0
 """Seconds of a step, on a machine that does more than this."""
 GAINS = "--gain 14.87,13.26,11.13,10.62,11.03,11.47"
@@ -325,3 +330,71 @@ def test_a_hostile_file_is_one_error(open_page: Callable[..., Page], tmp_path: P
     )
     assert page.run("return document.querySelectorAll('main section:not(#start) img').length") == 0
     assert "<img" in page.text("log-list")
+
+
+def test_curves_are_zoomed_and_saved_and_a_job_survives_a_reload(
+    open_page: Callable[..., Page], browser: Any, tmp_path: Path
+) -> None:
+    page = open_page()
+    page.settle()
+    assert page.run("return document.getElementById('start').hidden") is False
+    page.click("sample")
+    page.wait_until_drawn()
+    page.settle()
+    page.click("identify-button")
+    time.sleep(0.3)
+    browser.refresh()
+    page.wait_until_drawn()
+    assert page.run("return document.getElementById('start').hidden") is True
+    page.settle("identify")
+    assert page.text("verdict").startswith("USE")
+    saved = tmp_path / "saved"
+    where = {"behavior": "allow", "downloadPath": str(saved)}
+    browser.execute_cdp_cmd("Browser.setDownloadBehavior", where)
+    whole = page.run("return document.querySelector('#torque-plot svg').textContent")
+    page.click("zoom-in")
+    assert page.run("return document.querySelector('#torque-plot svg').textContent") != whole
+    page.click("zoom-all")
+    assert page.run("return document.querySelector('#torque-plot svg').textContent") == whole
+    colours = page.run(
+        """return [...document.querySelectorAll("#torque-plot path.trace")]
+            .map((path) => getComputedStyle(path).stroke);"""
+    )
+    assert len(set(colours)) == 5
+    for kind in ("svg", "png"):
+        page.click(f"save-{kind}")
+    end = time.monotonic() + 20.0
+    paths = [saved / f"torque_shoulder_pan_joint.{kind}" for kind in ("svg", "png")]
+    while not all(path.is_file() for path in paths) and time.monotonic() < end:
+        time.sleep(0.1)
+    drawing = ElementTree.parse(paths[0]).getroot()
+    assert all(path.get("stroke", "").startswith("rgb") for path in drawing.iter(f"{SVG}path"))
+    with Image.open(paths[1]) as picture:
+        shown = page.run("return document.getElementById('torque-plot').clientWidth")
+        assert picture.width == 2 * shown
+
+
+def test_columns_are_matched_by_the_mouse(
+    virtual: tuple[Path, Path], open_page: Callable[..., Page], browser: Any
+) -> None:
+    robot, log = virtual
+    lines = log.read_text().splitlines()
+    head = lines[0].split(",")
+    places = [head.index(name) for name in head if name.startswith("tau")]
+    head[places[0]], head[places[1]] = head[places[1]], head[places[0]]
+    log.write_text("\n".join([",".join(head), *lines[1:]]) + "\n")
+    page = open_page(str(robot), str(log))
+    page.settle()
+    page.run("document.getElementById('columns-all').open = true")
+    chips = browser.find_elements("css selector", "#places tbody tr td:last-child .chip")[-2:]
+    names = [chip.text for chip in chips]
+    place = browser.find_elements("css selector", "#places tbody tr td:last-child")[-1]
+    ActionChains(browser).drag_and_drop(chips[0], place).perform()
+    time.sleep(0.5)
+    moved = browser.find_elements("css selector", "#places tbody tr td:last-child .chip")[-2:]
+    assert [chip.text for chip in moved] == names[::-1]
+    page.click("assign")
+    page.wait_until_drawn()
+    page.settle()
+    (sheet,) = page.folder.glob("*.sheet.toml")
+    assert tomllib.loads(sheet.read_text())["columns"]["torque"] == names[::-1]

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import re
 import resource
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -311,6 +315,35 @@ def test_uploads_that_are_cut_off_by_the_end_leave_nothing(server: PageServer) -
     assert [*folder.iterdir()] == []
     for connection in begun:
         connection.close()
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_browser_is_started_without_the_secret_and_nothing_is_left(
+    tmp_path: Path, number: int
+) -> None:
+    browser = tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > "{tmp_path}/told"\n')
+    browser.chmod(0o700)
+    folder = tmp_path / "study"
+    command = (sys.executable, "-m", "asbuilt", "open", "--port", "0", "--json", "-o", str(folder))
+    environment = os.environ | {"BROWSER": f"{browser} %s", "PYTHONPATH": os.pathsep.join(sys.path)}
+    program = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
+    end = time.monotonic() + 60.0
+    while not (tmp_path / "told").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert (folder / "open-in-browser.html").stat().st_mode & 0o777 == 0o600
+    time.sleep(0.5)
+    program.send_signal(number)
+    out, err = program.communicate(timeout=60)
+    secret = json.loads(out)["url"].split("/")[-2]
+    told = (tmp_path / "told").read_text()
+    assert told.startswith("file://")
+    assert secret not in told
+    assert (program.returncode, err) == (0, "")
+    assert [*folder.iterdir()] == []
 
 
 def test_the_page_names_no_other_server() -> None:

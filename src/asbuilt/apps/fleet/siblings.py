@@ -29,6 +29,7 @@ from asbuilt.identification import (
     triangular_factor,
     widening,
 )
+from asbuilt.scaled import Scaled
 
 SIBLINGS = "siblings"
 """Name of the method of the estimate."""
@@ -175,14 +176,10 @@ def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
         kept = np.linalg.solve(A + inverse, inverse)  # what the spread leaves of the data
         K += A @ kept
         k += kept.T @ a
-    scale = 1.0 / np.sqrt(np.diag(T))
-    values, axes = np.linalg.eigh(K / np.outer(scale, scale))
-    root = np.sqrt(np.maximum(values, 0.0))
-    usable = values > RULES.smallest * values[-1]
-    R = (axes * root).T * scale
-    z = np.where(usable, axes.T @ (k / scale) / np.where(usable, root, 1.0), 0.0)
+    own, none = Scaled(K), np.zeros((1, len(T) + 1))
     assert pooled.refit is not None  # the consistent fit is not linear in the torque
-    return pooled.refit(triangular_factor(np.column_stack([R, z])))
+    rows = np.column_stack([own.root, own.whiten(k)])
+    return pooled.refit(triangular_factor(np.vstack([rows, none])))
 
 
 def estimate_with_siblings(

@@ -12,6 +12,7 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description import RobotModel
 from asbuilt.dynamics import DriveSet, observation_matrix
 from asbuilt.identification import IdentificationResult
+from asbuilt.scaled import Scaled
 
 CHUNK = 2000
 """Samples of a regressor that are held at once."""
@@ -40,14 +41,11 @@ class ModelError:
         if not isinstance(robot, IdentificationResult):
             empty = np.empty((0, 0))
             return cls(getattr(robot, "model", robot), DriveSet(()), np.empty(0, int), empty)
-        values, vectors = np.linalg.eigh(robot.covariance)
-        # Share of the largest eigenvalue below which a direction of the covariance is rounding.
-        kept = values > 1e-12 * max(float(values[-1]), 0.0)
         return cls(
             robot.model,
             robot.base.drive,
             robot.base.columns,
-            np.ascontiguousarray(vectors[:, kept] * np.sqrt(values[kept])),
+            np.ascontiguousarray(Scaled(np.array(robot.covariance)).root.T),
         )
 
     @property

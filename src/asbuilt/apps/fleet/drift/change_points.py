@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array
+from asbuilt.scaled import Scaled
 
 DRAWS = 4000
 """Simulated histories without a change."""
@@ -147,7 +148,7 @@ def scan(
     b = np.linalg.solve(A, score[..., None])[..., 0]
     N1, b1 = np.cumsum(P, axis=0)[candidates - 1], np.cumsum(b, axis=0)[candidates - 1]
     N, total = P.sum(axis=0), b.sum(axis=0)
-    inverse = np.linalg.pinv(N, hermitian=True)
+    inverse = Scaled(N).pseudo_inverse
     u = b1 - N1 @ (inverse @ total)
     C = N1 - N1 @ inverse @ N1
     C = (C + np.swapaxes(C, 1, 2)) / 2.0 + 1e-9 * np.trace(N) / r * np.eye(r)

@@ -10,6 +10,7 @@ import numpy as np
 from asbuilt.apps.fleet.drift.columns import Day, FleetColumns, sum_days
 from asbuilt.arrays import Array
 from asbuilt.identification import LINKS, TILT, locate_drive_parameters
+from asbuilt.scaled import Scaled
 
 GAIN, PAYLOAD = "gain", "payload"
 """Keys of effects of a robot, as in `EFFECTS`."""
@@ -178,10 +179,7 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
         J += columns.information(grams, values, weights)[:-1, :-1] / n_days
     J += 1e-12 * np.diag(np.diag(J))
     changes = derive_usual_changes(columns, J, beta)
-    length = np.sqrt(np.maximum(np.diag(J), 1e-300))
-    values, axes = np.linalg.eigh(J / np.outer(length, length))
-    root = (axes * np.sqrt(np.maximum(values, 0.0))).T * length
-    _, sizes, right = np.linalg.svd(root @ changes, full_matrices=False)
+    _, sizes, right = np.linalg.svd(Scaled(J).root @ changes, full_matrices=False)
     most = min(RULES.most, max(3, int(n_days / RULES.days_each)))
     kept = np.flatnonzero(sizes >= min(RULES.weakest, sizes[0]))[:most]
     return Directions(columns, weights, changes @ right[kept].T / sizes[kept], beta)

@@ -13,20 +13,20 @@ from asbuilt.apps.fleet.drift.directions import PAYLOAD, Directions, Source, lis
 from asbuilt.apps.fleet.drift.variation import Variation
 from asbuilt.arrays import Array
 from asbuilt.identification import EFFECTS, LINKS, FoundEffect, evaluate_worth, name_group
+from asbuilt.scaled import Scaled
 from asbuilt.tables import format_plus_minus, round_significant
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeRules:
-    """Say how many effects of a change are named, and what determines nothing.
+    """Say how many effects of a change are named.
 
-    `weakest` is the eigenvalue of scaled information, relative to the largest; what the worth of
-    two effects differs by less than `same` of it is rounding. Chance takes any but the first with
-    probability `level`, over all candidates, and an effect explains `named` of the change at least.
+    What the worth of two effects differs by less than `same` of it is rounding. Chance takes any
+    but the first with probability `level`, over all candidates, and an effect explains `named` of
+    the change at least.
     """
 
     most: int = 3
-    weakest: float = 1e-8
     same: float = 1e-6
     level: float = 0.05
     named: float = 0.06
@@ -45,13 +45,9 @@ class _Stepping:
     def fit(self, design: Array) -> tuple[float, Array, Array, int]:
         """Return the statistic of a step along a design, its parameters, covariance and rank."""
         N, u = design.T @ self.information @ design, design.T @ self.score
-        size = np.sqrt(np.maximum(np.diag(N), 1e-300))
-        values, axes = np.linalg.eigh(N / np.outer(size, size))
-        kept = values > CHANGE.weakest * max(values[-1], 1e-300)
-        root = axes[:, kept] / np.sqrt(values[kept]) / size[:, None]
-        covariance = root @ root.T
-        found = covariance @ u
-        return float(u @ found), found, covariance, int(kept.sum())
+        own = Scaled(N)
+        found = own.solve(u)
+        return float(u @ found), found, own.pseudo_inverse, own.rank
 
 
 def explain_change(
@@ -138,7 +134,7 @@ def _accumulate_stepping(
             A += P
             b += score
             C += Q.T @ P
-    across = C.T @ np.linalg.pinv(D, hermitian=True)
+    across = C.T @ Scaled(D).pseudo_inverse
     return _Stepping(A - across @ C, b - across @ d)
 
 

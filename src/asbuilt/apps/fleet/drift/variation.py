@@ -15,6 +15,7 @@ from asbuilt.apps.fleet.drift.change_points import (
     scan_probability,
 )
 from asbuilt.arrays import Array
+from asbuilt.scaled import Scaled
 
 CLEAR = 1e-3
 """Probability of a scan below which a robot's history is cut for the estimate of variation."""
@@ -175,7 +176,7 @@ def _estimate_first(histories: Sequence[History]) -> Array:
         return np.zeros((r, r))
     S = np.diag(np.maximum(1.4826 * np.median(np.abs(steps), axis=0), 1e-12) ** 2)
     for _ in range(3):
-        far = np.einsum("ni,ij,nj->n", steps, np.linalg.pinv(S, hermitian=True), steps)
+        far = np.sum(Scaled(S).whiten(steps.T) ** 2, axis=0)
         weight = np.minimum(1.0, float(chdtri(r, OUTLYING)) / np.maximum(far, 1e-300))
         S = (steps * weight[:, None]).T @ steps / weight.sum()
         # Shrunk to its diagonal, the more the fewer steps there are.
@@ -197,7 +198,7 @@ def _weigh_about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     """Return the weights P_t of the days and `P_t (y_t - mu)`."""
     A = np.eye(len(V)) + J @ V
     P, b = np.linalg.solve(A, J), np.linalg.solve(A, s[..., None])[..., 0]
-    mean = np.linalg.pinv(P.sum(axis=0), hermitian=True) @ b.sum(axis=0)
+    mean = Scaled(P.sum(axis=0)).solve(b.sum(axis=0))
     return np.asarray(P), np.asarray(b - P @ mean)
 
 
@@ -216,9 +217,7 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
         far = np.sum(u * np.linalg.solve(P + weak, u[..., None])[..., 0], axis=1)
         u = u * np.sqrt(np.minimum(1.0, limit / np.maximum(far, 1e-300)))[:, None]
         total = P.sum(axis=0)
-        spent = np.einsum(
-            "tij,jk,tkl->il", P, np.linalg.pinv(total, hermitian=True), P, optimize=True
-        )
+        spent = np.einsum("tij,jk,tkl->il", P, Scaled(total).pseudo_inverse, P, optimize=True)
         U, A, n = U + u.T @ u, A + total - spent, n + len(s)
     values, axes = np.linalg.eigh((A + A.T) / 2.0)
     root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))

@@ -33,11 +33,17 @@ function say(text, bad) {
 
 function sentence() {
   if (answer.error) return errorText(answer);
-  if (!answer.ok) return answer.problem;
+  if (!answer.ok) return shortProblem();
   const used = answer.columns.filter((column) => column.quantity);
   const names = [...new Set(used.map((column) => column.quantity))].sort((one, two) => rank(one) - rank(two));
   const counted = names.map((name) => `${used.filter((column) => column.quantity === name).length} ${name.replace(/_/g, " ")}`);
   return `${used.length} of ${answer.columns.length} columns are used: ${counted.join(", ")}.`;
+}
+
+/* A draft is shown as places; its text, which the command prints, is not repeated here. */
+function shortProblem() {
+  if (!answer.problem.includes("\n") || !answer.columns.some((column) => column.quantity)) return answer.problem;
+  return answer.problem.split(/[;\n]/)[0] + ". The places below are a guess from the values: mend what is wrong, then read the log by them.";
 }
 
 const rank = (quantity) => (usual.includes(quantity) ? usual.indexOf(quantity) : usual.length) || usual.length + 1;

@@ -1,8 +1,6 @@
 /* Findings and errors, each with a button for the option that cures it. */
-import { make } from "./parts.js";
+import { make, upper } from "./parts.js";
 import { page, setOption } from "./talk.js";
-
-const upper = (text) => (text ? text[0].toUpperCase() + text.slice(1) : "");
 
 export function drawFindings(list, findings, curable = true) {
   list.textContent = "";

@@ -1,5 +1,5 @@
 /* The page of `asbuilt open`: every section is drawn from one state (talk.js). */
-import { digits, element, errorText, fileName, make, mark } from "./parts.js";
+import { digits, element, errorText, fileName, make, mark, upper } from "./parts.js";
 import { choose, current, onChange, page, post, refresh, setOption, upload } from "./talk.js";
 import { drawColumns } from "./columns.js";
 import { addCures, drawFindings } from "./findings.js";
@@ -148,8 +148,9 @@ function drawCheck() {
   const count = (severity) => findings.filter((finding) => finding.severity === severity).length;
   const bad = failed || count("error") > 0;
   mark("check", bad ? "not yet" : answer ? "done" : "", bad ? "bad" : "good");
-  if (drawnCheck === answer) return;
-  drawnCheck = answer;
+  const signature = answer && [answer, current("columns")];
+  if (drawnCheck && signature && drawnCheck.every((part, k) => part === signature[k])) return;
+  drawnCheck = signature;
   const minor = findings.filter((finding) => finding.severity === "info");
   drawFindings(element("check-findings"), findings.filter((finding) => finding.severity !== "info"));
   drawFindings(element("check-minor"), minor);
@@ -158,8 +159,11 @@ function drawCheck() {
   element("check-more").firstElementChild.textContent = `${minor.length} more, good to know`;
   const place = element("check-answer");
   place.className = "answer" + (bad ? " bad" : "");
-  place.textContent = answer ? (failed ? errorText(answer) : summary(answer, count("error"), count("warning"))) : "";
-  if (failed) addCures(place, answer.error.hint || answer.error.message);
+  const matched = current("columns");
+  const isTold = failed && matched && matched.problem && matched.problem.startsWith(answer.error.message.slice(0, 60));
+  if (isTold) place.textContent = "Match the columns of the log first, in step 3.";
+  else place.textContent = answer ? (failed ? errorText(answer) : summary(answer, count("error"), count("warning"))) : "";
+  if (failed && !isTold) addCures(place, answer.error.hint || answer.error.message);
 }
 
 function nameFindings(recording, several) {
@@ -193,7 +197,7 @@ function drawWritten(step) {
   const failed = Boolean(answer && answer.error);
   element(step + "-button").disabled = Boolean(why || job);
   element(step + "-refusal").textContent = why ? "Not yet: " + why + "." : "";
-  element(step + "-answer").textContent = failed ? errorText(answer) : answer && step === "export" ? answer.verdict || "" : "";
+  element(step + "-answer").textContent = failed ? errorText(answer) : answer && step === "export" ? upper(answer.verdict || "") : "";
   element(step + "-answer").className = "answer" + (failed ? " bad" : "");
   mark(step, failed ? "failed" : answer ? "done" : "", failed ? "bad" : "good");
   return failed ? null : answer;

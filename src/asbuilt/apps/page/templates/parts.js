@@ -38,3 +38,4 @@ export function span(low, high) {
 }
 
 export const fileName = (path) => path.split("/").pop();
+export const upper = (text) => (text ? text[0].toUpperCase() + text.slice(1) : "");

@@ -26,7 +26,7 @@ export function drawResult() {
   if (!visible) { shown = null; return; }
   const verdict = answer.verdict || { use: "", text: describeFit(answer) };
   element("verdict").textContent = verdict.text;
-  element("verdict").className = "verdict " + (isOld ? "" : { yes: "yes", no: "no", "with care": "care" }[verdict.use] || "");
+  element("verdict").className = "verdict " + (isOld ? "" : { yes: "yes", no: "no", "with care": "care", untested: "care" }[verdict.use] || "");
   drawEffects(answer, isOld);
   if (shown === answer) return;
   shown = answer;
