@@ -23,6 +23,11 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.recording_files import write_recording
 
+pytestmark = pytest.mark.apps(
+    *("estimators", "fleet", "masses", "page", "paper", "programs", "simulators", "watch")
+)
+"""The documentation and the examples are of the whole distribution."""
+
 HOUSE = Path(__file__).resolve().parents[1]
 PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]
 GROUP: Any = typer.main.get_command(app)

@@ -68,6 +68,8 @@ from .identification.ensembles.ensemble import Ensemble as Ensemble
 from .identification.ensembles.ensemble import draw_ensemble as draw_ensemble
 from .identification.estimators.recursive import RecursiveIdentification as RecursiveIdentification
 from .identification.identify import identify_samples as identify_samples
+from .identification.result.feasible import FeasibleInterval as FeasibleInterval
+from .identification.result.feasible import feasible_intervals as feasible_intervals
 from .identification.result.result import IdentificationResult as IdentificationResult
 from .identification.result.summary import summarise as summarise
 from .validation.attribution.attribute import attribute as attribute

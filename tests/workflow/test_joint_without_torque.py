@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.watch.watching import watch
+import asbuilt
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -198,8 +198,9 @@ def test_a_sliding_joint_in_millimetres_is_named_with_its_cure() -> None:
     assert "millimetres" not in check_recording(model, log).codes
 
 
+@pytest.mark.apps("watch")
 def test_an_observer_needs_the_torque_of_every_joint(recording: Recording) -> None:
     model = load_robot("kuka-iiwa7-r800")
     result = identify_samples(model, prepare_samples(recording, SignalChain(cutoff=6.0)))
     with pytest.raises(RecordingError, match=model.joint_names[DEAD]):
-        watch(result, with_channel(recording, DEAD, np.nan))
+        asbuilt.watch(result, with_channel(recording, DEAD, np.nan))

@@ -1,8 +1,10 @@
 from .answers import answer as answer
 from .answers import describe_cure as describe_cure
 from .answers import list_files as list_files
+from .answers import print_text as print_text
 from .answers import serve_page as serve_page
 from .answers import show_progress as show_progress
+from .answers import summarise_files as summarise_files
 from .answers import tell_progress as tell_progress
 from .app import main as main
 from .arguments.options import AsJson as AsJson

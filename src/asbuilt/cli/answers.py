@@ -155,6 +155,15 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
     sys.stdout.flush()
 
 
+def print_text(text: str) -> None:
+    """Print a part of a text on stdout at once, unless the command is quiet."""
+    screen = _screen.get() or Screen()
+    screen.close()
+    if not screen.quiet:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+
+
 def serve_page(url: str, serve: Callable[[], None], *, browser: bool) -> None:
     """Serve a page until Ctrl-C, and open it in the browser if that is wanted."""
     if browser:

@@ -68,6 +68,7 @@ TABLE: dict[str, dict[str, Entry | str]] = {
             "design_motion",
         ),
         "program": "programs",
+        "run": "run",
         "simulate": Entry(
             "cli.recording",
             "Record a virtual robot, or simulate its free motion.",
@@ -127,6 +128,15 @@ TABLE: dict[str, dict[str, Entry | str]] = {
             ("study/result.json", "before.json --with after.json -o changes"),
             "compare",
             surplus="two results are compared by asbuilt compare RESULT --with RESULT2",
+        ),
+        "feasible": Entry(
+            "cli.validation",
+            "Bound masses, centres, inertias, armatures by what bodies allow.",
+            (
+                "study/result.json",
+                "study/result.json mass:link_3 com:link_3 armature --prior cad",
+            ),
+            "feasible_intervals",
         ),
         "review": Entry(
             "cli.validation",

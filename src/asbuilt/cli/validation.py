@@ -45,7 +45,7 @@ from asbuilt.cli.arguments.options import (
     require_writable_file,
     share_workers,
 )
-from asbuilt.cli.arguments.spread import find_given_options
+from asbuilt.cli.arguments.spread import find_given_options, require_known_value
 from asbuilt.tables import wrap_text
 from asbuilt.workflow.options import (
     BLOCKS,
@@ -311,6 +311,67 @@ def compare(
         as_json,
         lambda: writers.with_files(verdict.as_document(), files),
         lambda: verdict.as_text(full) + list_files(files),
+    )
+
+
+def feasible(
+    result: Result,
+    quantity: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[QUANTITY]...",
+            help=(
+                "mass, mass:LINK, com:LINK, Ixx:LINK, armature:JOINT, ..., without a place of all"
+                " links or joints [default: masses and armatures]"
+            ),
+        ),
+    ] = None,
+    *,
+    prior: Annotated[
+        str | None,
+        typer.Option("--prior", metavar="cad", help="masses of links are near CAD"),
+    ] = None,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--cad-tolerance",
+            metavar="20%",
+            help="how near CAD the masses are, with --prior cad [default: 20%]",
+        ),
+    ] = None,
+    geometry: Annotated[
+        bool,
+        typer.Option(
+            "--geometry",
+            help="links lie within the boxes around their shapes in the URDF, no denser than steel",
+        ),
+    ] = False,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the least and greatest value of quantities that torques need not determine.
+
+    Over all physically consistent bodies whose base parameters lie within the 95 % region of the
+    estimate, with what was chosen for the exported robot, and what each is confounded with.
+    """
+    if prior is not None:
+        require_known_value("--prior", prior, ("cad",))
+    else:
+        refuse_idle(
+            "--cad-tolerance goes with --prior cad", {"--cad-tolerance": cad_tolerance is not None}
+        )
+    identified = asbuilt.read_result(result)
+    found = asbuilt.feasible_intervals(
+        identified,
+        quantity or (),
+        prior="cad" if prior else None,
+        tolerance=validation.CadTolerance.parse(cad_tolerance or "20%").mass,
+        geometry=geometry,
+    )
+    answer(
+        as_json,
+        lambda: {"robot": identified.robot, "quantities": [each.as_dict() for each in found]},
+        lambda: writers.feasible_table(found).as_text(full),
     )
 
 

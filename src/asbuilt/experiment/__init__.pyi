@@ -29,6 +29,8 @@ from .logs.sheet import read_sheet as read_sheet
 from .quality.checks import TOO_LITTLE as TOO_LITTLE
 from .quality.checks import RecordingCheck as RecordingCheck
 from .quality.checks import check_recording as check_recording
+from .quality.sheet_proposal import SheetProposal as SheetProposal
+from .quality.sheet_proposal import propose_sheet as propose_sheet
 from .recording import Recording as Recording
 from .recording import TorqueSource as TorqueSource
 from .recording import find_advancing_rows as find_advancing_rows
@@ -45,6 +47,7 @@ from .signal.signal_chain import SignalChain as SignalChain
 from .virtual.sensors import PERFECT_SENSORS as PERFECT_SENSORS
 from .virtual.sensors import DataLogger as DataLogger
 from .virtual.sensors import SensorNoise as SensorNoise
+from .virtual.settings import with_settings as with_settings
 from .virtual.simulation import FreeMotion as FreeMotion
 from .virtual.simulation import run_free as run_free
 from .virtual.simulation import simulate_recording as simulate_recording

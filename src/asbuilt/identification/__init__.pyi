@@ -1,3 +1,4 @@
+from .bodies.body_bounds import LINK_SHAPES as LINK_SHAPES
 from .bodies.cad_prior import build_cad_prior as build_cad_prior
 from .bodies.cad_prior import design_values as design_values
 from .bodies.cad_prior import with_drive_rows as with_drive_rows
@@ -66,9 +67,12 @@ from .information.triangular import solve_factor as solve_factor
 from .information.triangular import triangular_factor as triangular_factor
 from .information.triangular import widen_factor as widen_factor
 from .result.as_built_parameters import as_built_parameters as as_built_parameters
+from .result.as_built_parameters import known_information as known_information
 from .result.conclusion import conclude as conclude
 from .result.determination import Determination as Determination
 from .result.determination import determination as determination
+from .result.feasible import FeasibleInterval as FeasibleInterval
+from .result.feasible import feasible_intervals as feasible_intervals
 from .result.result import IdentificationResult as IdentificationResult
 from .result.result import IdentifiedParameter as IdentifiedParameter
 from .result.summary import summarise as summarise

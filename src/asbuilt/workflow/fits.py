@@ -61,6 +61,9 @@ class Fits:
     final, validated
         The fit whose values are the result, and the fit that validation data are predicted by; one
         and the same unless the final one has seen what was held out.
+    left_out
+        Where whole recordings are left out in turn, the base parameters (m, p) without each; None
+        otherwise.
     choice
         The drive terms, chosen on the training part.
     mounting
@@ -85,6 +88,7 @@ class Fits:
     servo: ServoEstimate | None
     refined: Refined | None
     encoders: tuple[EncoderPair, ...] = ()
+    left_out: Array | None = None
 
     @property
     def samples(self) -> tuple[Samples, ...]:
@@ -143,20 +147,20 @@ def fit_study(
 
 def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared) -> Fits:
     """Fit without what was held out by default, if that leaves enough."""
-    if prepared.whole:
+    if prepared.whole or prepared.motions:
         try:
             return fitted(prepared)
         except IdentifiabilityError:
+            training = prepared.whole or prepared.training
             prepared = replace(
-                prepared, training=prepared.whole, held_out=(), whole=(), holdout=None
+                prepared, training=training, held_out=(), whole=(), motions=(), holdout=None
             )
     return fitted(prepared)
 
 
 def _measure_torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
-    samples = fits.prepared.held_out or fits.prepared.training
-    predicted = predict_samples(fits.validated, samples)
+    predicted = predict_held_out(fits) or predict_samples(fits.validated, fits.prepared.training)
     return float(np.mean([each.metrics_as_built.relative_error**2 for each in predicted]))
 
 
@@ -230,7 +234,10 @@ def _fit_all(
     if options.refine is None or parts is None:
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
-        return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
+        left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
+        return Fits(
+            model, prepared, final, validated, choice, effects, flat, servo, None, left_out=left_out
+        )
     from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
     final, servo, refined, drive = refine_study(
@@ -248,6 +255,26 @@ def _fit_all(
         late = tuple((each.source, each.digest) for each in prepared.delay)
         prepared = replace(prepared, delay=make_recording_delays(servo, late))
     return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
+
+
+def _leave_out(
+    final: Fit,
+    prepared: Prepared,
+    options: StudyOptions,
+    fitted: Callable[[Sequence[Samples]], Fit],
+) -> Array | None:
+    """Return the base parameters (m, p) without each recording, and others of its motion."""
+    if not prepared.motions:
+        return None
+    rows = np.zeros((len(prepared.training), len(final.estimate.beta)))
+    for motion in prepared.motions:
+        left = {prepared.training[number].source for number in motion}
+        beta = final.without(left, options.undetermined)
+        if beta is None:
+            others = [each for each in prepared.training if each.source not in left]
+            beta = fitted(others).estimate.beta
+        rows[list(motion)] = beta
+    return rows
 
 
 def _add_effects(
@@ -297,6 +324,19 @@ def _list_open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     if stated or not (every or options.drive):
         keys -= set(list_drive_effects(by_construction=True))
     return keys
+
+
+def predict_held_out(fits: Fits) -> tuple[Validation, ...]:
+    """Predict what was held out by values that have not seen it, then other recordings."""
+    held, others = fits.prepared.held_out, fits.prepared.validation
+    if fits.left_out is None:
+        return predict_samples(fits.validated, (*held, *others))
+    fit = fits.final
+    left_out = tuple(
+        predict_both(fit.model, fit.base, beta, fit.design, each)
+        for beta, each in zip(fits.left_out, held, strict=True)
+    )
+    return (*left_out, *predict_samples(fit, others))
 
 
 def predict_samples(fit: Fit, samples: Sequence[Samples]) -> tuple[Validation, ...]:

@@ -366,6 +366,8 @@ def _prepare_recordings(
         settle=settle if options.sweep_cutoff else None,
         estimate_delay=servo is None,
         filters=filters,
+        # Simulated windows are cut from a part of each recording.
+        in_turn=servo is None and not options.rollout,
         progress=report,
     )
     prepared = drop_unexplained(prepared, trained, servo)

@@ -46,6 +46,7 @@ from .recording_files import free_motion_text as free_motion_text
 from .recording_files import simulate_document as simulate_document
 from .recording_files import simulation_text as simulation_text
 from .recording_files import write_free_motion as write_free_motion
+from .recording_files import write_log as write_log
 from .recording_files import write_motion as write_motion
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation
@@ -87,6 +88,7 @@ from .tables.drive_tables import drives_text as drives_text
 from .tables.drive_tables import gains_document as gains_document
 from .tables.drive_tables import gains_text as gains_text
 from .tables.mass_tables import exported_masses as exported_masses
+from .tables.mass_tables import feasible_table as feasible_table
 from .tables.mass_tables import mass_table as mass_table
 from .tables.payload_tables import moments_document as moments_document
 from .tables.payload_tables import moments_table as moments_table

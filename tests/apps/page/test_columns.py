@@ -141,3 +141,29 @@ def test_a_log_that_fits_is_shown_whole(capsys: pytest.CaptureFixture[str], log:
     assert status == 0
     assert "temperature" not in out
     assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        None,
+        {},
+        "t",
+        [None],
+        [[]],
+        [{}],
+        [{"name": "t"}],
+        [{"name": "t", "quantity": "time", "joint": None}],
+        [{"name": "x", "quantity": "time", "joint": ""}],
+        [{"name": "t", "quantity": "mass", "joint": ""}],
+        [{"name": "alpha_torque", "quantity": "torque", "joint": "alpha"}],
+        2 * [{"name": "t", "quantity": "time", "joint": ""}],
+    ],
+)
+def test_what_is_no_list_of_columns_is_refused(
+    capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path, wanted: Any
+) -> None:
+    found = columns_of(capsys, "two-link", log)
+    with pytest.raises(UsageError, match="column"):
+        write_sheet(tmp_path / "s.toml", log, None, found, wanted)
+    assert not (tmp_path / "s.toml").exists()

@@ -8,21 +8,25 @@ import shlex
 import subprocess
 import sys
 import time
-import urllib.request
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from chromium import chromium
+from PIL import Image
 
 from asbuilt.workflow.result_files import read_result
 from command_line import call, document
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 
+ActionChains = pytest.importorskip("selenium.webdriver").ActionChains
 pytestmark = pytest.mark.study
+SVG = "{http://www.w3.org/2000/svg}"
 LONGEST = 240.0
 """Seconds of a step, on a machine that does more than this."""
 GAINS = "--gain 14.87,13.26,11.13,10.62,11.03,11.47"
@@ -89,22 +93,34 @@ class Page:
     folder: Path
 
     def state(self) -> dict[str, Any]:
-        with urllib.request.urlopen(self.url + "state") as reply:
-            return dict(json.load(reply))
+        script = """const done = arguments[0];
+            fetch("state").then((reply) => reply.json()).then(done);"""
+        return dict(self.browser.execute_async_script(script))
 
     def settle(self, *steps: str) -> dict[str, Any]:
         """Wait until nothing runs, and the first steps and those named are answered and shown."""
         end = time.monotonic() + LONGEST
+        told: dict[str, Any] = {}
         while time.monotonic() < end:
-            time.sleep(0.3)
             state = self.state()
             told = state["steps"]
             first = all(told[each]["refusal"] or told[each]["current"] for each in
                         ("show", "columns", "check"))  # fmt: skip
             if state["job"] is None and first and all(told[each]["current"] for each in steps):
-                time.sleep(2.0)
+                self.run("window.dispatchEvent(new Event('focus'))")
+                self.wait_until_drawn()
                 return state
-        pytest.fail(f"{steps} were not answered: {state['job']}, {told}")
+            time.sleep(0.3)
+        pytest.fail(f"{steps} were not answered: {told}")
+
+    def wait_until_drawn(self) -> None:
+        """Wait until the page shows all that the server knows."""
+        end, calm = time.monotonic() + LONGEST, 0
+        script = "return document.getElementById('main').getAttribute('aria-busy')"
+        while calm < 3 and time.monotonic() < end:
+            calm = calm + 1 if self.run(script) == "false" else 0
+            time.sleep(0.1)
+        assert calm == 3
 
     def text(self, name: str) -> str:
         return str(self.run("return document.getElementById(arguments[0]).textContent", name))
@@ -153,7 +169,10 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Page]]:
         for log in ("performance", "browser"):
             browser.get_log(log)  # those of the page before
         browser.get(url)
-        return Page(browser, url, folder)
+        end = time.monotonic() + LONGEST
+        while not browser.find_elements("id", "main") and time.monotonic() < end:
+            time.sleep(0.05)
+        return Page(browser, browser.current_url, folder)
 
     yield begin
     browser.get("about:blank")
@@ -213,8 +232,8 @@ def test_from_files_to_an_exported_model(
     page.click("export-button")
     page.settle("export")
     assert (page.folder / "robot_as_built.urdf").is_file() or "URDF" in page.text("export-answer")
-    foreign = {url for url in requests(browser) if not url.startswith(page.url)}
-    assert foreign == set()
+    origin = page.url.rsplit("/", 2)[0]
+    assert {url for url in requests(browser) if not url.startswith(f"{origin}/")} == set()
     assert [each for each in browser.get_log("browser") if each["level"] == "SEVERE"] == []
 
 
@@ -238,8 +257,8 @@ def test_files_are_uploaded_identification_is_cancelled_and_an_effect_is_switche
         time.sleep(1.0)
         page.settle()
     uploaded = page.folder / "uploads"
-    assert (uploaded / "my_log.csv").read_bytes() == log.read_bytes()
-    assert page.state()["choices"]["robot"] == str(uploaded / "my_robot.toml")
+    assert (uploaded / "2" / "my_log.csv").read_bytes() == log.read_bytes()
+    assert page.state()["choices"]["robot"] == str(uploaded / "1" / "my_robot.toml")
     page.click("identify-button")
     time.sleep(0.2)
     page.click("cancel")
@@ -275,7 +294,8 @@ def test_the_robot_moves_in_3d_inside_its_frame(
         time.sleep(0.5)
     assert browser.find_elements("css selector", "canvas")
     browser.switch_to.default_content()
-    assert {url for url in requests(browser) if not url.startswith(page.url)} == set()
+    origin = page.url.rsplit("/", 2)[0]
+    assert {url for url in requests(browser) if not url.startswith(f"{origin}/")} == set()
 
 
 @pytest.mark.parametrize("width", [400, 1300])
@@ -308,5 +328,73 @@ def test_a_hostile_file_is_one_error(open_page: Callable[..., Page], tmp_path: P
     assert "is not a recording" in page.text("check-answer") or "bomb.npz" in page.text(
         "check-answer"
     )
-    assert page.run("return document.querySelectorAll('img').length") == 0
+    assert page.run("return document.querySelectorAll('main section:not(#start) img').length") == 0
     assert "<img" in page.text("log-list")
+
+
+def test_curves_are_zoomed_and_saved_and_a_job_survives_a_reload(
+    open_page: Callable[..., Page], browser: Any, tmp_path: Path
+) -> None:
+    page = open_page()
+    page.settle()
+    assert page.run("return document.getElementById('start').hidden") is False
+    page.click("sample")
+    page.wait_until_drawn()
+    page.settle()
+    page.click("identify-button")
+    time.sleep(0.3)
+    browser.refresh()
+    page.wait_until_drawn()
+    assert page.run("return document.getElementById('start').hidden") is True
+    page.settle("identify")
+    assert page.text("verdict").startswith("USE")
+    saved = tmp_path / "saved"
+    where = {"behavior": "allow", "downloadPath": str(saved)}
+    browser.execute_cdp_cmd("Browser.setDownloadBehavior", where)
+    whole = page.run("return document.querySelector('#torque-plot svg').textContent")
+    page.click("zoom-in")
+    assert page.run("return document.querySelector('#torque-plot svg').textContent") != whole
+    page.click("zoom-all")
+    assert page.run("return document.querySelector('#torque-plot svg').textContent") == whole
+    colours = page.run(
+        """return [...document.querySelectorAll("#torque-plot path.trace")]
+            .map((path) => getComputedStyle(path).stroke);"""
+    )
+    assert len(set(colours)) == 5
+    for kind in ("svg", "png"):
+        page.click(f"save-{kind}")
+    end = time.monotonic() + 20.0
+    paths = [saved / f"torque_shoulder_pan_joint.{kind}" for kind in ("svg", "png")]
+    while not all(path.is_file() for path in paths) and time.monotonic() < end:
+        time.sleep(0.1)
+    drawing = ElementTree.parse(paths[0]).getroot()
+    assert all(path.get("stroke", "").startswith("rgb") for path in drawing.iter(f"{SVG}path"))
+    with Image.open(paths[1]) as picture:
+        shown = page.run("return document.getElementById('torque-plot').clientWidth")
+        assert picture.width == 2 * shown
+
+
+def test_columns_are_matched_by_the_mouse(
+    virtual: tuple[Path, Path], open_page: Callable[..., Page], browser: Any
+) -> None:
+    robot, log = virtual
+    lines = log.read_text().splitlines()
+    head = lines[0].split(",")
+    places = [head.index(name) for name in head if name.startswith("tau")]
+    head[places[0]], head[places[1]] = head[places[1]], head[places[0]]
+    log.write_text("\n".join([",".join(head), *lines[1:]]) + "\n")
+    page = open_page(str(robot), str(log))
+    page.settle()
+    page.run("document.getElementById('columns-all').open = true")
+    chips = browser.find_elements("css selector", "#places tbody tr td:last-child .chip")[-2:]
+    names = [chip.text for chip in chips]
+    place = browser.find_elements("css selector", "#places tbody tr td:last-child")[-1]
+    ActionChains(browser).drag_and_drop(chips[0], place).perform()
+    time.sleep(0.5)
+    moved = browser.find_elements("css selector", "#places tbody tr td:last-child .chip")[-2:]
+    assert [chip.text for chip in moved] == names[::-1]
+    page.click("assign")
+    page.wait_until_drawn()
+    page.settle()
+    (sheet,) = page.folder.glob("*.sheet.toml")
+    assert tomllib.loads(sheet.read_text())["columns"]["torque"] == names[::-1]

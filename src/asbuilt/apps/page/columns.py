@@ -226,6 +226,8 @@ def _list_values(values: Array) -> list[float | None]:
 
 UNITS = ("deg", "mrad", "mm", "rpm", "mN m", "kN m", "mA", "ms", "us", "ns")
 """Units other than SI that a column may have been found to be in."""
+ENTRY = ("name", "quantity", "joint")
+COLUMN_ENTRIES = "a list of objects with name, quantity and joint, each a text"
 SAME_UNIT = 1e-6
 """Relative difference of the factors of one unit."""
 
@@ -235,7 +237,7 @@ def write_sheet(
     log: Path,
     given: str | None,
     document: Mapping[str, Any],
-    chosen: Sequence[Mapping[str, Any]],
+    chosen: Any,
 ) -> Path:
     """Write the sheet that reads a log by the columns chosen.
 
@@ -256,9 +258,10 @@ def write_sheet(
     Raises
     ------
     UsageError
-        If a joint has two columns of one quantity or a quantity has columns of some joints only,
-        or if the sheet lists files.
+        If what is chosen is no list of columns of the log, if a joint has two columns of one
+        quantity or a quantity has columns of some joints only, or if the sheet lists files.
     """
+    _check_columns(document, chosen)
     sheet, _ = find_sheet(log, given)
     content = sheet.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
     if "files" in content:
@@ -294,6 +297,31 @@ def write_sheet(
     if source not in (None, "unknown"):
         content.setdefault("torque_source", source)
     return atomic_write(path, tomli_w.dumps(content))
+
+
+def _check_columns(document: Mapping[str, Any], chosen: Any) -> None:
+    """Raise `UsageError` unless each entry gives a column of the log a quantity and a joint."""
+    if not isinstance(chosen, list):
+        raise UsageError(f"columns are {COLUMN_ENTRIES}")
+    known = {column["name"] for column in document["columns"]}
+    quantities = {"", "time", *QUANTITIES, *(each["quantity"] for each in document["columns"])}
+    for entry in chosen:
+        texts = [entry.get(key) for key in ENTRY] if isinstance(entry, dict) else [None]
+        if not all(isinstance(text, str) for text in texts):
+            raise UsageError(f"columns are {COLUMN_ENTRIES}")
+        name, quantity, joint = map(str, texts)
+        place = f"column {name[:80]!r}"
+        if name not in known:
+            raise UsageError(f"{place} is given twice, or is none of the log", value=name[:80])
+        known.remove(name)
+        if quantity not in quantities:
+            raise UsageError(f"{place}: {quantity[:80]!r} is no quantity", available=[*QUANTITIES])
+        if quantity in QUANTITIES and joint not in document["joints"]:
+            raise UsageError(
+                f"{place}: {joint[:80]!r} is no joint of {document['robot']}",
+                cure=Cure("choose a joint of the robot, or no quantity"),
+                available=document["joints"],
+            )
 
 
 def _order_columns(

@@ -29,6 +29,7 @@ from asbuilt import (
 from asbuilt.description import bundled_robot
 from asbuilt.excitation import Motion, SearchProgress
 from asbuilt.experiment import PERFECT_SENSORS, DataLogger, SimulatedRecording, VirtualRobot
+from asbuilt.findings import join_names
 from asbuilt.tables import Column, Table, format_share, round_significant, wrap_text
 from asbuilt.validation import Attribution, Recovery, attribute, compare_with_truth
 from asbuilt.writers import (
@@ -116,13 +117,14 @@ def run_demo(
         options=StudyOptions(drive=drive, method="auto"),
         progress=report,
     )
+    recovery = _compare_with_truth(model, study)
     report("write", 0.0)
     files = {
         "motion": write_motion(folder / "motion.csv", design.motion, model.joint_names),
         "motion_page": write_motion_report(folder / "motion.html", design),
         **write_simulation(folder / "recording.csv", training),
         "validation": write_simulation(folder / "validation.csv", test)["recording"],
-        **write_study(folder, study, command=("demo", "--out", str(folder)))[0],
+        **write_study(folder, study, command=("demo", "--out", str(folder)), recovery=recovery)[0],
     }
     export, refusal = None, ""
     try:
@@ -141,7 +143,7 @@ def run_demo(
         design=design,
         training=training,
         study=study,
-        recovery=_compare_with_truth(model, study),
+        recovery=recovery,
         causes=study.attribution or attribute(study.result),
         export=export,
         refusal=refusal,
@@ -196,7 +198,7 @@ def describe_demo(story: Demo) -> str:
             f" torque without noise: CAD {format_share(recovery.cad_error)} off, as built"
             f" {format_share(recovery.torque_error, 2)}"
         )
-        truth = [_format_line("truth", text)]
+        truth = [_format_line("truth", text), _describe_intervals(recovery)]
     # Joints whose error the text explains; the report has all.
     worst = [int(k) for k in np.argsort(-causes.rms_cad)[:3]]
     lines = [
@@ -237,6 +239,19 @@ def describe_demo(story: Demo) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _describe_intervals(recovery: Recovery) -> str:
+    """Return how many feasible intervals hold the truth, and those of all and the last link."""
+    masses = [each for each in recovery.intervals if each.quantity.startswith("mass")]
+    texts = [
+        f"{each.quantity} {each.text} (true"
+        f" {round_significant(recovery.true_values[each.quantity])}, CAD"
+        f" {round_significant(each.cad)})"
+        for each in (masses[0], masses[-1])
+    ]
+    held = f"{recovery.held} of {len(recovery.intervals)} feasible intervals hold the truth"
+    return _format_line("bodies", f"{held}: {join_names(texts)}")
+
+
 def _format_line(label: str, text: str) -> str:
     return wrap_text(text, f"{label:<12}")
 
@@ -257,6 +272,10 @@ def demo_document(story: Demo) -> dict[str, Any]:
                 "within_2_sigma": story.recovery.within(2.0),
                 "torque_error": story.recovery.torque_error,
                 "cad_error": story.recovery.cad_error,
+                "intervals": [
+                    each.as_dict() | {"truth": story.recovery.true_values[each.quantity]}
+                    for each in story.recovery.intervals
+                ],
             }
         ),
         "export": None if story.export is None else story.export.as_document(),

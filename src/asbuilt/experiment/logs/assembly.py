@@ -133,7 +133,10 @@ def build_recording(
         If there is neither a time column nor a rate.
     """
     notes, start = list(layout.notes), 0.0
-    if layout.time is not None:
+    stands = layout.time is not None and rate is not None and _stands_still(table, layout)
+    if stands:
+        notes.append(f"the time column {layout.time!r} stands still, so that the rate was used")
+    if layout.time is not None and not stands:
         t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
         start = find_clock_origin(t) if origin is None else origin
         t = t - start if start else t
@@ -176,6 +179,13 @@ def build_recording(
     )
 
 
+def _stands_still(table: LogTable, layout: Layout) -> bool:
+    """Return whether no time stamp differs from the first, as where too few digits were kept."""
+    times = table.columns[str(layout.time)]
+    whole = layout.nanoseconds is None
+    return whole and times.size > 1 and bool(np.all(times == times[0]))
+
+
 def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:
     """Apply torque source, clock, joint conventions, torque signs and gains.
 
@@ -185,6 +195,7 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     recording = replace(
         recording,
         torque_source=options.torque_source or sheet.torque_source or recording.torque_source,
+        stated=_list_stated(sheet, options),
     )
     if sheet.time_factor is not None:
         note = f"times were multiplied by {sheet.time_factor:g}"
@@ -211,6 +222,17 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         return drive_by_command(recording, servo)
     _refuse_idle_servo(recording, options)
     return recording
+
+
+def _list_stated(sheet: RecordingSheet, options: ReadingOptions) -> frozenset[str]:
+    """Return what of the log is stated, by `Recording.stated`."""
+    given = {
+        "position": sheet.units.position is not None or bool(sheet.joint_units),
+        "torque": (sheet.units.torque, sheet.gains, options.gain) != (None, None, None),
+        "sign": sheet.sign is not None or options.flip_torque,
+        "zero": (sheet.zero, sheet.position_sign) != (None, None),
+    }
+    return frozenset(name for name, is_stated in given.items() if is_stated)
 
 
 def keep_windows(recording: Recording, sheet: RecordingSheet) -> Recording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,13 +12,21 @@ from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
+from asbuilt.experiment.quality.gravity_checks import measure_gravity_share
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
+from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
 FAR, KEPT = 2.0, 1.1
 """Multiples of its limit from which a position is far outside, and up to which it is inside."""
+FEWEST_ALIKE = 3
+"""Joints with one and the same limit from which it is a placeholder if the log exceeds it."""
+RATE_TOO_HIGH = 4.0
+"""Share of gravity in that of accelerations from which a clock is too fast: by half. Armatures
+that the description lacks, and gains, make the share smaller."""
 USUAL_PEAK = 99.5
 """Percentile of the speeds that counts as the largest: single samples may be noise."""
 
@@ -79,14 +87,19 @@ class Excess:
             "degrees",
             "error",
             f"the positions look like degrees{other}: {self.evidence}{kept}",
-            cure,
+            replace(cure, sheet={} if self.unit is None else {"units": {"position": "deg"}}),
         )
 
 
 def find_impossible_motion(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
 ) -> Excess | None:
-    """Return why the motion in radians is impossible, None if it is not."""
+    """Return why the motion in radians is impossible, None if it is not.
+
+    Limits alone do not tell, as many descriptions have placeholders: the torque must support
+    degrees, or a slower clock, by gravity of the description or by any masses. A unit that is
+    stated is believed.
+    """
     turning = [k for k, joint in enumerate(model.joints) if joint.is_revolute]
     if not turning:
         return None
@@ -97,10 +110,37 @@ def find_impossible_motion(
         rate = recording.rate / ratio
     if not evidence:
         return None
-    unit: Literal["rad", "deg"] | None = "deg"
-    if largest < LARGEST_RADIANS and motion is not None:
-        unit = infer_unit_by_gravity(model, motion.q, motion.tau)
-    return Excess(evidence, unit, rate)
+    if "position" in recording.first.stated:
+        return None
+    if largest >= LARGEST_RADIANS:
+        return Excess(evidence, "deg", rate)
+    if motion is None:
+        return Excess(evidence, None, rate)
+    unit = infer_unit_by_gravity(model, motion.q, motion.tau)
+    one, other = (
+        TorqueFit.of(model, motion, np.full(model.n_joints, scale)) for scale in (1.0, DEGREE)
+    )
+    by_masses = compare_by_any_masses(one, other)
+    if unit == "deg" or (unit is None and by_masses > 0):
+        return Excess(evidence, "deg", rate)
+    if rate is not None and _is_too_fast(one):
+        return Excess(evidence, "rad", rate)
+    # Positions unlike the robot's, whose torques are unlike them as well, are another's.
+    if rate is None and unit is None and by_masses == 0:
+        return Excess(evidence, None, rate)
+    return None
+
+
+def _is_too_fast(fit: TorqueFit) -> bool:
+    """Return whether the clock is too fast by the description's masses and by any.
+
+    A clock that is fast by a factor makes accelerations its square as large, and gravity small.
+    """
+    heavier = fit.model.with_gravity(RATE_TOO_HIGH * np.array(fit.model.gravity))
+    return (
+        measure_gravity_share(fit) > RATE_TOO_HIGH
+        and compare_by_any_masses(fit, replace(fit, model=heavier)) > 0
+    )
 
 
 def _find_far_position(
@@ -150,7 +190,8 @@ def check_recorded_motion(
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(check_velocities(recording, motion, motion.logged_qd))
+        velocities = list(find_velocity_unit(model, recording, motion, motion.logged_qd))
+        velocities = velocities or list(check_velocities(recording, motion, motion.logged_qd))
     if excess is None:
         yield from _find_millimetres(model, recording)
         yield from _check_limits(model, recording)
@@ -180,7 +221,10 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
             f"the positions of {joint.name} look like millimetres: it slides to {furthest:.4g},"
             f" {furthest / bound:.3g} times its limit of {bound:.4g} m, and as millimetres it"
             " keeps it",
-            Cure(f'write [joint_units] {joint.name} = "mm" in a recording sheet'),
+            Cure(
+                f'write [joint_units] {joint.name} = "mm" in a recording sheet',
+                sheet={"joint_units": {joint.name: "mm"}},
+            ),
             joint=joint.name,
         )
 
@@ -213,6 +257,17 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     if np.median(ratio) <= 1.2:
         return
     k = int(np.argmax(ratio))
+    # Descriptions that are converted from drawings have one number as every limit.
+    if known.size >= FEWEST_ALIKE and np.ptp(limits[known]) == 0.0:
+        yield Finding(
+            "limits_doubted",
+            "info",
+            f"every limit of velocity of {model.name} is {limits[known[0]]:.4g}, and"
+            f" {model.joint_names[known[k]]} moves {ratio[k]:.3g} times as fast: they look like"
+            " placeholders, and say nothing of the log",
+            Cure("write the true limits into the description"),
+        )
+        return
     yield Finding(
         "velocity_limit",
         "warning",

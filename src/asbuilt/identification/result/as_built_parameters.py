@@ -37,6 +37,27 @@ def known_information(result: IdentificationResult) -> Array:
     return scale_covariance(result).pseudo_inverse
 
 
+def find_estimable_root(result: IdentificationResult, covariance: Array) -> Array:
+    """Return R (r, p), `R^T R` the information of a covariance (p, p), of what is determined.
+
+    The r directions T (r, p) with variances `T C T^T` are those that the torques of the data show;
+    what these leave open has no row, whatever variance further errors gave it.
+    """
+    size = np.sqrt(np.diag(covariance))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    seen = np.diag(scale)
+    if result.rank < result.n_base:
+        information = _add_up_torque_information(result)
+        columns = np.sqrt(np.diag(information))
+        inverse = np.divide(1.0, columns, out=np.zeros_like(columns), where=columns > 0)
+        _, axes = np.linalg.eigh(information * np.outer(inverse, inverse))
+        seen = axes[:, result.n_base - result.rank :].T * columns
+    variances, directions = np.linalg.eigh(seen @ covariance @ seen.T)
+    # Rounding of the smallest variances, so that no direction is known without any error.
+    least = len(variances) * np.finfo(float).eps * variances.max(initial=0.0)
+    return np.asarray(directions.T / np.sqrt(np.maximum(variances, least))[:, None] @ seen)
+
+
 @lru_cache(maxsize=8)
 def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> StandardParameters:
     """Return the standard parameters closest to CAD within the standard errors of a result.

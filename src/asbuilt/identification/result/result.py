@@ -54,6 +54,8 @@ FIGURES: Registry[Any] = Registry("figure", "asbuilt.writers.figures.kinds", "as
 """Functions of a result, a prediction or None, and axes or None, that draw and return the axes."""
 SUMMARY = "asbuilt.identification.result.summary"
 """Module that summarises results; it imports this one for its types, so it is loaded late."""
+FEASIBLE = "asbuilt.identification.result.feasible"
+"""Module of feasible intervals, loaded late for the same reason."""
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
@@ -163,7 +165,8 @@ class IdentificationResult:
         Errors of the time blocks, by which parameters are tested; None without blocks.
     trained
         Base parameters (p,) of the fit that `validation` is of, if `parameters` are of a further
-        fit to everything; else None.
+        fit to everything; where whole recordings are left out in turn (m, p), row by row without
+        recording m; else None.
     bias
         Part (p, p) of the covariance by effects that the model lacks; None without one.
     effects
@@ -232,7 +235,7 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
-            ("trained values", p if self.trained is None else len(self.trained)),
+            ("trained values", p if self.trained is None else self.trained.shape[-1]),
             ("rows of bias", p if self.bias is None or self.bias.shape == (p, p) else 0),
             ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
         ):
@@ -286,14 +289,23 @@ class IdentificationResult:
     @cached_property
     def of_training(self) -> IdentificationResult:
         """The result with the values of the fit that `validation` is of; itself if that is it."""
-        if self.trained is None:
+        if self.trained is None or self.trained.ndim > 1:
             return self
+        return self._with_estimates(self.trained)
+
+    def without_recording(self, number: int) -> IdentificationResult:
+        """Return the result with the values that have not seen a recording, counted from 0.
+
+        Where a part of every recording is held out it is `of_training`.
+        """
+        if self.trained is None or self.trained.ndim == 1:
+            return self.of_training
+        return self._with_estimates(self.trained[number])
+
+    def _with_estimates(self, values: Array) -> IdentificationResult:
+        parameters = zip(self.parameters, values.tolist(), strict=True)
         return replace(
-            self,
-            parameters=tuple(
-                replace(each, estimate=x)
-                for each, x in zip(self.parameters, self.trained.tolist(), strict=True)
-            ),
+            self, parameters=tuple(replace(each, estimate=value) for each, value in parameters)
         )
 
     @property
@@ -352,6 +364,15 @@ class IdentificationResult:
     def summary(self) -> Any:
         """Summarise the result as text, HTML or CSV: the `Summary` of `summarise`."""
         return import_module(SUMMARY).summarise(self)
+
+    def feasible(self, quantity: str, of: str | None = None, **stated: Any) -> Any:
+        """Return the least and greatest value of a quantity: a `FeasibleInterval`.
+
+        Over all physically consistent bodies that the recordings allow, such as
+        `feasible("mass")`, `feasible("mass:link_3")` or `feasible("armature", "joint_2")`. `stated`
+        are keywords of `feasible_intervals`, such as `prior="cad"`.
+        """
+        return import_module(FEASIBLE).feasible_interval(self, quantity, of, **stated)
 
     def plot(self, kind: str = "parameters", of: Any = None, axes: Any = None) -> Array:
         """Draw a figure with matplotlib.

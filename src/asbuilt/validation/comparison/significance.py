@@ -13,6 +13,11 @@ from asbuilt.identification.errors.block_scatter import effective_rank, student_
 from asbuilt.scaled import Scaled
 from asbuilt.tables import round_significant
 
+RESOLUTION = 0.1
+"""Difference, relative to its size, up to which a number is as claimed whatever its standard error:
+filters and delays of a log bias by several percent, and tuned numbers claim no more; own choice.
+Numbers of a description and sums of them (base parameters) are tested by it alike."""
+
 
 def benjamini_hochberg(probabilities: ArrayLike) -> Array:
     """Return the false discovery rate at which each hypothesis would be the last to be rejected.
