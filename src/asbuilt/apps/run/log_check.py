@@ -49,7 +49,8 @@ def check_log(model: RobotModel, recording: Recording, motion: Motion) -> None:
 def measure_distance(recording: Recording, motion: Motion) -> Array:
     """Return the RMS distance of each joint (n,) from a motion, in standard deviations of it.
 
-    At the shift in time at which all joints together are closest; zero where a joint rests.
+    At the shift in time at which all joints together are closest, and without a constant offset,
+    as servos sag; zero where a joint rests.
     """
     sent = motion.derivative(motion.sample_times(RATE))
     t = np.arange(recording.t[0], recording.t[-1], 1.0 / RATE)
@@ -57,10 +58,16 @@ def measure_distance(recording: Recording, motion: Motion) -> Array:
     sent = sent[: len(logged)]
     size = sent.std(axis=0)
     scale = np.where(size > STILL, 1.0 / np.maximum(size, STILL), 0.0)
-    a, b = logged * scale, sent * scale
-    energy = np.cumsum(np.vstack([np.zeros(a.shape[1]), a**2]), axis=0)
-    # |a - b|^2 = |a|^2 - 2 a.b + |b|^2 of every shift at once.
+    a, b = logged * scale, (sent - sent.mean(axis=0)) * scale
+    sums, energy = _add_windows(a, len(b)), _add_windows(a**2, len(b))
     cross = [np.correlate(x, y, "valid") for x, y in zip(a.T, b.T, strict=True)]
-    squares = energy[len(b) :] - energy[: -len(b)] - 2.0 * np.stack(cross, 1) + np.sum(b**2, 0)
+    # |a - mean a - b|^2 = |a|^2 - |sum a|^2 / N - 2 a.b + |b|^2 of every shift at once.
+    squares = energy - sums**2 / len(b) - 2.0 * np.stack(cross, axis=1) + np.sum(b**2, axis=0)
     best = squares[int(np.argmin(squares.sum(axis=1)))]
     return np.asarray(np.sqrt(np.maximum(best, 0.0) / len(b)))
+
+
+def _add_windows(values: Array, length: int) -> Array:
+    """Return the sums of all windows of a length, of each column."""
+    running = np.cumsum(np.vstack([np.zeros(values.shape[1]), values]), axis=0)
+    return np.asarray(running[length:] - running[:-length])
