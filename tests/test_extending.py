@@ -40,6 +40,9 @@ GROUPS = {
     "drivers": "mujoco_driver",
 }
 
+SEAMS = ("c_observers", "program_writers")
+"""Registries by which a command of the core reaches one app."""
+
 
 NAMES = ("halved", "ols")
 """Estimators, the first from outside."""
@@ -59,13 +62,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.apps("programs")
 def test_there_is_a_recipe_for_every_registry() -> None:
     assert set(RECIPES) == set(GROUPS.values())
     text = PAGE.read_text()
     source = Path(__file__).resolve().parents[1] / "src"
-    registry = re.compile(r'Registry\(\s*"[\w ]+",\s*"[\w.]+",\s*"asbuilt\.(\w+)"')
+    registry = re.compile(r'Registry\(\s*"[\w ]+",\s*(?:None|"[\w.]+"),\s*"asbuilt\.(\w+)"')
     groups = {name for path in source.rglob("*.py") for name in registry.findall(path.read_text())}
-    assert groups == set(GROUPS)
+    assert groups == {*GROUPS, *SEAMS}
     assert all(f"`asbuilt.{group}`" in text for group in GROUPS)
 
 
@@ -110,6 +114,7 @@ def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.study
+@pytest.mark.apps("programs")
 def test_motions_and_program(site: Path, tmp_path: Path) -> None:
     line = "excite two-link --parametrisation mirrored --harmonics 5 --duration 6 --starts 1"
     (printed,) = call_elsewhere(tmp_path, site, f"{line} --program json --no-report --json")

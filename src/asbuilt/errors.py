@@ -45,23 +45,6 @@ class AsbuiltError(Exception):
         return (_restore, (type(self), self.message, self.cure, self.fields))
 
 
-def refuse(
-    error: type[Exception], *faults: tuple[object, str] | tuple[object, str, dict[str, Any]]
-) -> None:
-    """Raise an error for the first fault that is there: condition, message, fields of the error.
-
-    Conditions and messages of all are evaluated, those behind the first that holds too.
-
-    >>> refuse(ValueError, (1.0 < 0.0, "a negative mass"), (True, "no links"))
-    Traceback (most recent call last):
-    ...
-    ValueError: no links
-    """
-    for fault in faults:
-        if fault[0]:
-            raise error(fault[1], **(fault[2] if len(fault) == 3 else {}))
-
-
 def without_long_words(text: str) -> str:
     """Return a message with the beginning of each word that no robot, file or joint is called."""
     return LONG_WORD.sub(lambda word: f"{word[0][:60]}...", text)

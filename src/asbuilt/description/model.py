@@ -45,7 +45,7 @@ from asbuilt.description.structure.parts import (
     Symbols,
     ancestors,
 )
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 from asbuilt.findings import join_names
 from asbuilt.tables import Column, Table
 
@@ -142,23 +142,20 @@ class RobotModel:
             if self.loops and not any(joint.is_passive for joint in self.followers):
                 self._set_passive_joints()
         every = self.moving_joints
-        refuse(
-            DescriptionError,
-            (
-                not self.joints,
+        if not self.joints:
+            raise DescriptionError(
                 f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic"
-                " joint",
-            ),
-            (
-                len(every) > MOST_JOINTS,
-                f"{self.name} has {len(every)} moving joints; at most {MOST_JOINTS} are read",
-            ),
-            (
-                len(every) != len(self.links),
+                " joint"
+            )
+        if len(every) > MOST_JOINTS:
+            raise DescriptionError(
+                f"{self.name} has {len(every)} moving joints; at most {MOST_JOINTS} are read"
+            )
+        if len(every) != len(self.links):
+            raise DescriptionError(
                 f"{self.name}: {len(every)} joints but {len(self.links)} links; joint i must"
-                " move link i",
-            ),
-        )
+                " move link i"
+            )
         for names, what in (
             ([j.name for j in every], "joint"),
             ([j.name_in_tree for j in every], "joint"),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, read_only
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 
 QUARTER = math.pi / 2.0
 EXACT_TOLERANCE = 1e-12
@@ -203,15 +203,15 @@ def check_placement(values: ArrayLike, what: str) -> Array:
             f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}"
         )
     fault = find_rotation_fault(T[:3, :3])
-    refuse(
-        DescriptionError,
-        (fault, f"{what} does not hold a rotation in its first three rows and columns: {fault}"),
-        (
-            not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]),
+    if fault:
+        raise DescriptionError(
+            f"{what} does not hold a rotation in its first three rows and columns: {fault}"
+        )
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise DescriptionError(
             f"{what} must have the last row 0 0 0 1, got {T[3].tolist()}; translations stand in the"
-            " last column",
-        ),
-    )
+            " last column"
+        )
     return T
 
 

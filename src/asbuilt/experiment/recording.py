@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices, Mask, find_true_rows
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure, join_names
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
@@ -112,66 +112,67 @@ class Recording:
         }
         extra = {name: _freeze(values, name, self.source) for name, values in self.extra.items()}
         t, q = channels["t"], channels["q"]
-        refuse(
-            RecordingError,
-            (
-                t.ndim != 1 or t.size == 0,
+        if t.ndim != 1 or t.size == 0:
+            raise RecordingError(
                 f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
-                {"file": self.source, "value": t.shape},
-            ),
-            (
-                q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0,
+                file=self.source,
+                value=t.shape,
+            )
+        if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
+            raise RecordingError(
                 f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
                 f" got {q.shape}",
-                {"file": self.source, "value": q.shape},
-            ),
-            *(
-                (
-                    array.shape != q.shape,
+                file=self.source,
+                value=q.shape,
+            )
+        for name, array in channels.items():
+            if name != "t" and array.shape != q.shape:
+                raise RecordingError(
                     f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
-                    {"file": self.source, "value": array.shape, "expected": q.shape},
+                    file=self.source,
+                    value=array.shape,
+                    expected=q.shape,
                 )
-                for name, array in channels.items()
-                if name != "t"
-            ),
-        )
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
         repeated = min((name for name in names if names.count(name) > 1), default=None)
         n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
-        refuse(
-            RecordingError,
-            (
-                len(names) != q.shape[1],
+        if len(names) != q.shape[1]:
+            raise RecordingError(
                 f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names:"
                 f" {', '.join(names)}",
-                {"file": self.source, "value": len(names), "expected": q.shape[1]},
-            ),
-            (
-                repeated is not None,
+                file=self.source,
+                value=len(names),
+                expected=q.shape[1],
+            )
+        if repeated is not None:
+            raise RecordingError(
                 f"{self.source}: joint name {repeated!r} is used {names.count(str(repeated))}"
                 " times; each joint needs its own",
-                {"file": self.source, "value": repeated},
-            ),
-            (
-                self.torque_source not in TORQUE_SOURCES,
+                file=self.source,
+                value=repeated,
+            )
+        if self.torque_source not in TORQUE_SOURCES:
+            raise RecordingError(
                 f"{self.source}: torque_source {self.torque_source!r} is not one of"
                 f" {', '.join(TORQUE_SOURCES)}",
-                {"file": self.source, "value": self.torque_source, "available": TORQUE_SOURCES},
-            ),
-            (
-                n_gains != q.shape[1],
+                file=self.source,
+                value=self.torque_source,
+                available=TORQUE_SOURCES,
+            )
+        if n_gains != q.shape[1]:
+            raise RecordingError(
                 f"{self.source}: the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
-                {"file": self.source, "value": n_gains, "expected": q.shape[1]},
-            ),
-            *(
-                (
-                    array.ndim not in (1, 2) or array.shape[0] != t.size,
+                file=self.source,
+                value=n_gains,
+                expected=q.shape[1],
+            )
+        for name, array in extra.items():
+            if array.ndim not in (1, 2) or array.shape[0] != t.size:
+                raise RecordingError(
                     f"{self.source}: {name} has shape {array.shape} but there are {t.size} times",
-                    {"file": self.source, "value": array.shape},
+                    file=self.source,
+                    value=array.shape,
                 )
-                for name, array in extra.items()
-            ),
-        )
         settled = {
             "joint_names": names,
             "notes": tuple(self.notes),
@@ -267,25 +268,21 @@ class Recording:
     def scaled(self, gain: ArrayLike) -> Recording:
         """Return the recording with torques times `gain`, one number or one per joint."""
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
-        refuse(
-            RecordingError,
-            (
-                gains.ndim != 1 or gains.size not in (1, self.n_joints),
+        if gains.ndim != 1 or gains.size not in (1, self.n_joints):
+            raise RecordingError(
                 f"{self.source}: {gains.size} gains for {self.n_joints} joints"
                 f" ({', '.join(self.joint_names)})",
-                {
-                    "cure": Cure("give one gain, or one per joint"),
-                    "file": self.source,
-                    "value": gains.size,
-                    "expected": self.n_joints,
-                },
-            ),
-            (
-                not np.all(np.isfinite(gains)) or np.any(gains == 0),
+                cure=Cure("give one gain, or one per joint"),
+                file=self.source,
+                value=gains.size,
+                expected=self.n_joints,
+            )
+        if not np.all(np.isfinite(gains)) or np.any(gains == 0):
+            raise RecordingError(
                 f"{self.source}: gains must be finite and not zero, got {gains.tolist()}",
-                {"file": self.source, "value": gains.tolist()},
-            ),
-        )
+                file=self.source,
+                value=gains.tolist(),
+            )
         listed = ", ".join(f"{g:g}" for g in gains)
         before = np.ones(self.n_joints) if self.gains is None else np.array(self.gains)
         return replace(

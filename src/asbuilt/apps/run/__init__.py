@@ -1,19 +1,5 @@
-"""Move a robot in rounds until its model is proven: design, record, predict, identify."""
+"""Move a robot in rounds until its model is proven; with `programs`, motions are programs too."""
 
-from asbuilt.apps.run.drivers import DRIVERS, Driver, DriverRequest, open_driver
-from asbuilt.apps.run.loop import Loop, Outcome
-from asbuilt.apps.run.options import RunOptions
-from asbuilt.apps.run.prediction import predict_round
-from asbuilt.apps.run.rounds import Round
+import lazy_loader
 
-__all__ = [
-    "DRIVERS",
-    "Driver",
-    "DriverRequest",
-    "Loop",
-    "Outcome",
-    "Round",
-    "RunOptions",
-    "open_driver",
-    "predict_round",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

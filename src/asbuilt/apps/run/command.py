@@ -13,9 +13,16 @@ import typer
 import asbuilt
 from asbuilt import UsageError, writers
 from asbuilt.apps.run.options import RunOptions
-from asbuilt.cli.answers import describe_cure, print_text, show_progress, summarise_files
-from asbuilt.cli.arguments.options import AsJson, Robot, load_described_robot
-from asbuilt.cli.arguments.options import require_writable_folder as require_folder
+from asbuilt.cli import (
+    AsJson,
+    Robot,
+    describe_cure,
+    load_described_robot,
+    print_text,
+    show_progress,
+    summarise_files,
+)
+from asbuilt.cli import require_writable_folder as require_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -35,7 +35,7 @@ from asbuilt.description.rotation import (
     rotation_z,
     straighten_angle,
 )
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 
 Convention = Literal["standard", "modified"]
 
@@ -257,25 +257,23 @@ def _check_columns(path: Path, columns: list[str]) -> None:
     repeated = min((name for name in columns if columns.count(name) > 1), default=None)
     missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
     unknown = next((name for name in columns if name not in known), None)
-    refuse(
-        DescriptionError,
-        (repeated is not None, f"{path}: column {repeated!r} appears twice"),
-        (
-            not set(GEOMETRY_COLUMNS) & set(columns),
+    if repeated is not None:
+        raise DescriptionError(f"{path}: column {repeated!r} appears twice")
+    if not set(GEOMETRY_COLUMNS) & set(columns):
+        raise DescriptionError(
             f"{path} is no table of Denavit-Hartenberg parameters: it has columns"
             f" {', '.join(columns[:8])}, none of {', '.join(GEOMETRY_COLUMNS)}; if it is a"
-            " recording, name the robot before it",
-        ),
-        (
-            missing,
+            " recording, name the robot before it"
+        )
+    if missing:
+        raise DescriptionError(
             f"{path}: column {', '.join(missing)} is missing; the table needs"
-            f" {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}",
-        ),
-        (
-            unknown is not None,
-            f"{path}: column {unknown!r} is unknown; known are {', '.join(sorted(known))}",
-        ),
-    )
+            f" {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}"
+        )
+    if unknown is not None:
+        raise DescriptionError(
+            f"{path}: column {unknown!r} is unknown; known are {', '.join(sorted(known))}"
+        )
 
 
 def _read_row(place: str, cells: dict[str, str]) -> DHRow:

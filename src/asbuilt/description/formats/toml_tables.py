@@ -21,7 +21,7 @@ from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind, JointLimits
 from asbuilt.description.rotation import find_rotation_fault
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 from asbuilt.registry import list_known_fields, suggest_name
 
 
@@ -79,18 +79,12 @@ class PlacementTable(_Table):
     @model_validator(mode="after")
     def _one_rotation(self) -> PlacementTable:
         fault = None if self.rotation is None else find_rotation_fault(self.rotation)
-        refuse(
-            ValueError,
-            (
-                self.rpy is not None and self.rotation is not None,
-                "give rpy or rotation, not both",
-            ),
-            (
-                any(isinstance(value, float) and not math.isfinite(value) for value in self.xyz),
-                f"xyz must be finite, got {list(self.xyz)}",
-            ),
-            (fault, f"rotation is not a rotation matrix: {fault}"),
-        )
+        if self.rpy is not None and self.rotation is not None:
+            raise ValueError("give rpy or rotation, not both")
+        if any(isinstance(value, float) and not math.isfinite(value) for value in self.xyz):
+            raise ValueError(f"xyz must be finite, got {list(self.xyz)}")
+        if fault:
+            raise ValueError(f"rotation is not a rotation matrix: {fault}")
         return self
 
 
@@ -145,21 +139,14 @@ class MassTable(_Table):
                     " properties out"
                 )
             return self
-        refuse(
-            ValueError,
-            (
-                (self.com is None) == (self.first_moment is None),
-                "give com or first_moment with mass, and only one of them",
-            ),
-            (
-                (self.inertia_about_com is None) == (self.inertia_about_origin is None),
-                "give inertia_about_com or inertia_about_origin with mass, and only one of them",
-            ),
-            (
-                self.mass == 0.0 and not {"com", "inertia_about_origin"} & {*given},
-                "a link without mass has no centre of mass; give inertia_about_origin",
-            ),
-        )
+        if (self.com is None) == (self.first_moment is None):
+            raise ValueError("give com or first_moment with mass, and only one of them")
+        if (self.inertia_about_com is None) == (self.inertia_about_origin is None):
+            raise ValueError(
+                "give inertia_about_com or inertia_about_origin with mass, and only one of them"
+            )
+        if self.mass == 0.0 and not {"com", "inertia_about_origin"} & {*given}:
+            raise ValueError("a link without mass has no centre of mass; give inertia_about_origin")
         return self
 
     @property
@@ -292,23 +279,17 @@ class LinkTable(MassTable):
 
     @model_validator(mode="after")
     def _one_geometry(self) -> LinkTable:
-        refuse(
-            ValueError,
-            (
-                self.dh is not None and (self.axis is not None or self.after is not None),
-                "a link placed by dh takes no axis and no after",
-            ),
-            (
-                self.dh is None and self.origin is None,
+        if self.dh is not None and (self.axis is not None or self.after is not None):
+            raise ValueError("a link placed by dh takes no axis and no after")
+        if self.dh is None and self.origin is None:
+            raise ValueError(
                 "the link has no geometry: give dh = {...} or origin = {...} (origin = {} where the"
-                " frames coincide)",
-            ),
-            (self.axis is not None and math.hypot(*self.axis) == 0.0, "axis has length zero"),
-            (
-                self.parts and self.mass is not None,
-                "give the mass properties of the link or of its parts, not both",
-            ),
-        )
+                " frames coincide)"
+            )
+        if self.axis is not None and math.hypot(*self.axis) == 0.0:
+            raise ValueError("axis has length zero")
+        if self.parts and self.mass is not None:
+            raise ValueError("give the mass properties of the link or of its parts, not both")
         return self
 
 
@@ -405,15 +386,12 @@ class LoopTable(_Table):
             else {"joints", "polynomial", *(() if self.kind == "weld" else ("rpy", "rotation"))}
         )
         missing = set() if self.kind == "joint" else {"link_a", "link_b"} - given
-        refuse(
-            ValueError,
-            (wrong, f"a loop of kind {self.kind} takes no {', '.join(sorted(wrong))}"),
-            (missing, f"{' and '.join(sorted(missing))}: is missing; name the two links"),
-            (
-                self.rpy is not None and self.rotation is not None,
-                "give rpy or rotation, not both",
-            ),
-        )
+        if wrong:
+            raise ValueError(f"a loop of kind {self.kind} takes no {', '.join(sorted(wrong))}")
+        if missing:
+            raise ValueError(f"{' and '.join(sorted(missing))}: is missing; name the two links")
+        if self.rpy is not None and self.rotation is not None:
+            raise ValueError("give rpy or rotation, not both")
         return self
 
 
@@ -451,11 +429,10 @@ class SpringTable(_Table):
             "torsion": ends | of_cylinder,
         }[self.kind]
         wrong, missing = (", ".join(sorted(each)) for each in (given & refused, needed - given))
-        refuse(
-            ValueError,
-            (wrong, f"a spring of kind {self.kind} takes no {wrong}"),
-            (missing, f"{missing}: is missing for kind {self.kind}"),
-        )
+        if wrong:
+            raise ValueError(f"a spring of kind {self.kind} takes no {wrong}")
+        if missing:
+            raise ValueError(f"{missing}: is missing for kind {self.kind}")
         return self
 
 
@@ -491,27 +468,20 @@ class RobotFile(_Table):
     def _convention_stated(self) -> RobotFile:
         own = sorted(self.model_fields_set & BESIDE_OTHERS)
         missing = sorted({"name", "links"} - self.model_fields_set)
-        refuse(
-            ValueError,
-            (
-                self.extends and own,
+        if self.extends and own:
+            raise ValueError(
                 f"{', '.join(own)} cannot be given again for a robot that the file extends;"
-                f" leave them to {self.extends}",
-            ),
-            (
-                not self.extends and missing,
-                f"{' and '.join(missing)}: is missing; or give extends",
-            ),
-            (
-                not self.extends and not self.links,
-                "links: Tuple should have at least 1 item, a robot needs a link",
-            ),
-            (
-                self.convention is None and any(link.dh is not None for link in self.links),
+                f" leave them to {self.extends}"
+            )
+        if not self.extends and missing:
+            raise ValueError(f"{' and '.join(missing)}: is missing; or give extends")
+        if not self.extends and not self.links:
+            raise ValueError("links: Tuple should have at least 1 item, a robot needs a link")
+        if self.convention is None and any(link.dh is not None for link in self.links):
+            raise ValueError(
                 'the file has dh rows but does not say which: add convention = "standard" or'
-                ' convention = "modified"',
-            ),
-        )
+                ' convention = "modified"'
+            )
         return self
 
 

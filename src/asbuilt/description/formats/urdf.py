@@ -42,7 +42,7 @@ from asbuilt.description.rotation import (
     straighten_angle,
 )
 from asbuilt.description.structure.free_base import BaseKind, clear_base_inertias, free_urdf
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
 
 MOVING: dict[str, JointKind] = {
@@ -111,18 +111,15 @@ def read_urdf(
     """
     content, source = described_text(path_or_text)
     root = parse_xml(content, source)
-    refuse(
-        DescriptionError,
-        (
-            root.tag == "mujoco",
+    if root.tag == "mujoco":
+        raise DescriptionError(
             f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or"
-            " read_mjcf",
-        ),
-        (
-            root.tag != "robot",
-            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>",
-        ),
-    )
+            " read_mjcf"
+        )
+    if root.tag != "robot":
+        raise DescriptionError(
+            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>"
+        )
     held = _fix_floating_joints(root) if fixed_base else []
     if base != "fixed":
         free_urdf(root, base, source)
@@ -220,29 +217,24 @@ def _read_connections(
         names.add(name)
         place = f"{source}, joint {name!r}"
         kind = require_attribute(element, "type", place)
-        refuse(
-            DescriptionError,
-            (
-                kind in HELD_OR_REPLACED,
+        if kind in HELD_OR_REPLACED:
+            raise DescriptionError(
                 f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still"
                 " and whose joints are revolute, continuous, prismatic or fixed",
-                {"cure": HELD_OR_REPLACED.get(kind)},
-            ),
-            (
-                kind not in (*MOVING, "fixed"),
-                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed",
-            ),
-        )
+                cure=HELD_OR_REPLACED[kind],
+            )
+        if kind not in (*MOVING, "fixed"):
+            raise DescriptionError(
+                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed"
+            )
         parent, child = (_read_end(element, end, bodies, place) for end in ("parent", "child"))
-        refuse(
-            DescriptionError,
-            (parent == child, f"{place}: the joint connects link {parent!r} with itself"),
-            (
-                child in parent_joint,
-                f"{source}: link {child!r} is the child of joint {parent_joint.get(child)!r} and of"
-                f" joint {name!r}; closed chains are not supported, a link hangs on one joint",
-            ),
-        )
+        if parent == child:
+            raise DescriptionError(f"{place}: the joint connects link {parent!r} with itself")
+        if child in parent_joint:
+            raise DescriptionError(
+                f"{source}: link {child!r} is the child of joint {parent_joint[child]!r} and of"
+                f" joint {name!r}; closed chains are not supported, a link hangs on one joint"
+            )
         parent_joint[child] = name
         connections.append(
             _Connection(
@@ -273,20 +265,17 @@ def _read_end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
 def _find_root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> str:
     children = {connection.child for connection in connections}
     tops = [name for name in bodies if name not in children]
-    refuse(
-        DescriptionError,
-        (
-            not tops,
+    if not tops:
+        raise DescriptionError(
             f"{source}: every link is the child of a joint, so the joints form a loop; one link"
-            " must be the root",
-        ),
-        (
-            len(tops) > 1,
+            " must be the root"
+        )
+    if len(tops) > 1:
+        raise DescriptionError(
             f"{source}: {len(tops)} links have no parent joint"
             f" ({', '.join(repr(name) for name in tops[:5])}); a robot has one root: connect the"
-            " others to it",
-        ),
-    )
+            " others to it"
+        )
     return tops[0]
 
 

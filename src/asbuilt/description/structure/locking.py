@@ -13,7 +13,7 @@ from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import compose_placements
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
-from asbuilt.errors import DescriptionError, UsageError, refuse
+from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, join_names
 
 
@@ -213,21 +213,19 @@ def derive_locked_positions(
     by_name = {joint.name: joint for joint in present}
     unknown = next((name for name in asked if name not in by_name and name not in locked), None)
     placed = next((name for name in asked if name in by_name and by_name[name].is_passive), None)
-    refuse(
-        DescriptionError,
-        (
-            unknown is not None,
+    if unknown is not None:
+        raise DescriptionError(
             f"{robot} has no joint {unknown!r} to lock; its joints are"
             f" {', '.join((*by_name, *locked))}",
-            {"value": unknown, "available": [*by_name, *locked]},
-        ),
-        (
-            placed is not None,
+            value=unknown,
+            available=[*by_name, *locked],
+        )
+    if placed is not None:
+        raise DescriptionError(
             f"joint {placed!r} cannot be locked: the loops of {robot} place it; lock the motors"
             " that move it",
-            {"value": placed},
-        ),
-    )
+            value=placed,
+        )
     for name, value in asked.items():
         if value is not None and not math.isfinite(value):
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")

@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.rotation import find_rotation_fault
 from asbuilt.description.structure.parts import Joint, ancestors
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 
 LoopKind = Literal["connect", "weld", "joint"]
 CONNECT, WELD, JOINT = range(3)
@@ -62,24 +62,20 @@ class Loop:
         object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
         fault, of_joints = find_rotation_fault(self.rotation.tolist()), self.kind == "joint"
         numbers = 1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
-        refuse(
-            DescriptionError,
-            (fault, f"{self}: rotation is not a rotation matrix: {fault}"),
-            (
-                of_joints and not numbers,
+        if fault:
+            raise DescriptionError(f"{self}: rotation is not a rotation matrix: {fault}")
+        if of_joints and not numbers:
+            raise DescriptionError(
                 f"{self}: a loop of joints needs one or two of them and a polynomial of one to five"
-                f" numbers, got {len(self.joints)} and {len(self.polynomial)}",
-            ),
-            (
-                not of_joints and not (self.link_a and self.link_b),
-                f"{self}: link_a and link_b are needed",
-            ),
-            (
-                not of_joints and self.link_a == self.link_b,
+                f" numbers, got {len(self.joints)} and {len(self.polynomial)}"
+            )
+        if not of_joints and not (self.link_a and self.link_b):
+            raise DescriptionError(f"{self}: link_a and link_b are needed")
+        if not of_joints and self.link_a == self.link_b:
+            raise DescriptionError(
                 f"{self}: both points are on {self.link_a!r}, so that it closes no chain; name the"
-                " two links that meet there",
-            ),
-        )
+                " two links that meet there"
+            )
 
     def __str__(self) -> str:
         if self.name:

@@ -17,7 +17,7 @@ from asbuilt.description.structure.parts import (
     Link,
     Mimic,
 )
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 
 
 def couple_joints(
@@ -33,19 +33,16 @@ def couple_joints(
     """
     names = [joint.name for joint in joints]
     for name, mimic in moved.items():
-        refuse(
-            DescriptionError,
-            (
-                name not in names,
+        if name not in names:
+            raise DescriptionError(
                 f"a coupling moves joint {name!r}, which does not exist; the joints are"
-                f" {', '.join(names)}",
-            ),
-            (
-                name in mimic.factors and name not in motors,
+                f" {', '.join(names)}"
+            )
+        if name in mimic.factors and name not in motors:
+            raise DescriptionError(
                 f"the coupling of joint {name!r} has it move with itself; name the motor that moves"
-                " it, which needs [[motors]] if it is no joint",
-            ),
-        )
+                " it, which needs [[motors]] if it is no joint"
+            )
         for source in mimic.factors:
             if source not in names and source not in motors:
                 raise DescriptionError(

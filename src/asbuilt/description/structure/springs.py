@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.structure.parts import ROOT, Joint
-from asbuilt.errors import DescriptionError, refuse
+from asbuilt.errors import DescriptionError
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
@@ -130,19 +130,16 @@ def _place_linear_spring(model: RobotModel, spring: Spring) -> tuple[int, dict[s
             " described"
         )
     joint = model.moving_joints[other]
-    refuse(
-        DescriptionError,
-        (
-            other >= model.n_joints or joint.mimic is not None,
+    if other >= model.n_joints or joint.mimic is not None:
+        raise DescriptionError(
             f"{spring} is at joint {joint.name_in_tree!r}, which has no motor of its own; describe"
-            " the spring at a joint that one moves alone",
-        ),
-        (
-            not joint.is_revolute,
+            " the spring at a joint that one moves alone"
+        )
+    if not joint.is_revolute:
+        raise DescriptionError(
             f'{spring} is at joint {joint.name!r}, which slides; give kind = "torsion" with the'
-            " position at which the spring is at rest",
-        ),
-    )
+            " position at which the spring is at rest"
+        )
     return other, _measure_about_axis(spring, joint, at_one, at_other)
 
 
@@ -173,19 +170,16 @@ def _measure_about_axis(
     meets = math.remainder(-angle, 2.0 * math.pi)
     low, high = joint.limits.lower, joint.limits.upper
     reached = [meets + turn for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi)]
-    refuse(
-        DescriptionError,
-        (
-            min(inner, outer) < ON_AXIS,
+    if min(inner, outer) < ON_AXIS:
+        raise DescriptionError(
             f"an end of {spring} is on the axis of joint {joint.name!r}, {min(inner, outer):.3g} m"
-            " from it, where it has no torque; check point_a and point_b",
-        ),
-        (
-            math.hypot(inner - outer, axial) < ON_AXIS and any(low <= q <= high for q in reached),
+            " from it, where it has no torque; check point_a and point_b"
+        )
+    if math.hypot(inner - outer, axial) < ON_AXIS and any(low <= q <= high for q in reached):
+        raise DescriptionError(
             f"the ends of {spring} coincide at position {meets:.3f} of joint {joint.name!r}, within"
-            " its limits; there the spring has no direction: check point_a and point_b",
-        ),
-    )
+            " its limits; there the spring has no direction: check point_a and point_b"
+        )
     rate = {"rate": spring.progression} if spring.kind == "cylinder" else {}
     return rate | {
         "inner": inner,

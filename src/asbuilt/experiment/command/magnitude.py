@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import (
     LOGGED,
     differentiate_logged_positions,
@@ -17,6 +17,7 @@ from asbuilt.experiment.command.servo_torque import (
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, join_names
+from asbuilt.scaled import Scaled
 
 Kind = Literal["motor", "supply"]
 KINDS: tuple[Kind, ...] = ("motor", "supply")
@@ -147,28 +148,21 @@ def sign_by_command(recording: Recording, unused: Collection[str] = ()) -> Recor
         unknown.
     """
     lowest = float(np.nanmin(recording.tau))
-    refuse(
-        RecordingError,
-        (
-            recording.command is None,
+    if recording.command is None:
+        raise RecordingError(
             f"{recording.source}: the sign of the torques shall come from the command, but the log"
             " has no commanded positions",
-            {
-                "cure": Cure("name their columns in the recording sheet as columns.command"),
-                "file": recording.source,
-            },
-        ),
-        (
-            lowest < 0.0,
+            cure=Cure("name their columns in the recording sheet as columns.command"),
+            file=recording.source,
+        )
+    if lowest < 0.0:
+        raise RecordingError(
             f"{recording.source}: the sign of the torques shall come from the command, but the log"
             f" has torques down to {lowest:.4g}: they have a sign",
-            {
-                "cure": Cure('leave out sign = "command"'),
-                "file": recording.source,
-                "value": lowest,
-            },
-        ),
-    )
+            cure=Cure('leave out sign = "command"'),
+            file=recording.source,
+            value=lowest,
+        )
     laws = fit_magnitude_laws(recording)
     for kind, what in (
         (None, "do not follow the command"),
@@ -269,6 +263,6 @@ def _estimate_lag_error(
     x = _evaluate_shape(kind, e, w, lag)
     J = np.stack([scale * (ahead - behind) / (2.0 * step), x, np.ones_like(x)], axis=1)
     residual = m - scale * x - rest
-    inverse = np.linalg.pinv(J.T @ J, hermitian=True)[0]
+    inverse = Scaled(J.T @ J).pseudo_inverse[0]
     scores = np.bincount(block, weights=residual * (J @ inverse))
     return float(np.sqrt(np.sum(scores**2)))

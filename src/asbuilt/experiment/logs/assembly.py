@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import sign_by_command
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.columns.layout import Layout
@@ -93,20 +93,17 @@ def _match_rows(
         return dict.fromkeys(parts, slice(None)), ()
     common, shortest = reduce(np.intersect1d, times.values(), first), min(lengths.values())
     listing = ", ".join(f"{name}: {length}" for name, length in lengths.items())
-    refuse(
-        RecordingError,
-        (
-            len(times) < len(parts),
+    if len(times) < len(parts):
+        raise RecordingError(
             "files of one recording have different lengths and not all have time stamps to join"
-            f" them by ({listing})",
-        ),
-        (
-            common.size < 0.5 * shortest,
+            f" them by ({listing})"
+        )
+    if common.size < 0.5 * shortest:
+        raise RecordingError(
             f"files of one recording do not share a clock: {common.size} of {shortest} time stamps"
             f" are equal ({', '.join(lengths)})",
-            {"cure": Cure("resample them to one clock, or log all quantities together")},
-        ),
-    )
+            cure=Cure("resample them to one clock, or log all quantities together"),
+        )
     rows = {
         name: np.intersect1d(t, common, return_indices=True)[1].astype(np.intp)
         for name, t in times.items()
@@ -136,7 +133,10 @@ def build_recording(
         If there is neither a time column nor a rate.
     """
     notes, start = list(layout.notes), 0.0
-    if layout.time is not None:
+    stands = layout.time is not None and rate is not None and _stands_still(table, layout)
+    if stands:
+        notes.append(f"the time column {layout.time!r} stands still, so that the rate was used")
+    if layout.time is not None and not stands:
         t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
         start = find_clock_origin(t) if origin is None else origin
         t = t - start if start else t
@@ -177,6 +177,13 @@ def build_recording(
         command=command,
         started=start,
     )
+
+
+def _stands_still(table: LogTable, layout: Layout) -> bool:
+    """Return whether no time stamp differs from the first, as where too few digits were kept."""
+    times = table.columns[str(layout.time)]
+    whole = layout.nanoseconds is None
+    return whole and times.size > 1 and bool(np.all(times == times[0]))
 
 
 def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:

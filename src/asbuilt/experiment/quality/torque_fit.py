@@ -17,6 +17,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
 from asbuilt.dynamics.drives.torque import spring_columns
 from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.scaled import Scaled
 
 T = TypeVar("T")
 
@@ -321,13 +322,7 @@ class _NormalEquations:
         order = list(torque_of)
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
-        gram = np.tensordot(scale**2, self.grams, axes=1)
-        size = _replace_zeros(np.sqrt(np.diag(gram)))
-        eigenvalues, axes = np.linalg.eigh(gram / np.outer(size, size))
-        # Relative eigenvalue of the scaled equations of a direction that is not excited.
-        excited = eigenvalues > 1e-10 * eigenvalues[-1]
-        axes = axes[:, excited] / size[:, None]
-        beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited])
+        beta = Scaled(np.tensordot(scale**2, self.grams, axes=1)).solve(scale @ side)
         explained = scale**2 * (self.grams @ beta @ beta)
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))

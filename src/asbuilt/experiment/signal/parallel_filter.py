@@ -12,7 +12,7 @@ from scipy import optimize
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
-from asbuilt.errors import UsageError, refuse
+from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 
 STOP_BAND = 60.0
@@ -46,17 +46,16 @@ class ParallelFilter:
 
     def __post_init__(self) -> None:
         taps = np.array(self.taps, dtype=np.float64)
-        refuse(
-            UsageError,
-            (
-                taps.ndim != 1
-                or taps.size % 2 == 0
-                or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14),
-                "a zero-phase filter needs an odd number of symmetric taps, got shape"
-                f" {taps.shape}",
-            ),
-            (self.decimation < 1, f"the decimation must be 1 or more, got {self.decimation}"),
-        )
+        if (
+            taps.ndim != 1
+            or taps.size % 2 == 0
+            or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14)
+        ):
+            raise UsageError(
+                f"a zero-phase filter needs an odd number of symmetric taps, got shape {taps.shape}"
+            )
+        if self.decimation < 1:
+            raise UsageError(f"the decimation must be 1 or more, got {self.decimation}")
         taps.setflags(write=False)
         object.__setattr__(self, "taps", taps)
 
@@ -181,7 +180,7 @@ def _has_rows_in_memory(x: Array) -> bool:
     return x.size > 0 and step == x.itemsize and apart >= x.shape[1] * step
 
 
-@kernel("f1 i i f1 i F1 i i")
+@kernel("f1 i i f1 i F1 i i", usual=True)
 def _filter_rows(
     memory: Array,
     stride: int,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Mask, find_true_ranges
-from asbuilt.errors import RecordingError, UsageError, refuse
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import EncoderSide, TorqueSource
 from asbuilt.findings import join_names
 
@@ -127,26 +127,21 @@ class Samples:
             "encoder": (self.encoder, (3, *shape)),
         }
         arrays = {name: _freeze(x) for name, (x, _) in expected.items() if x is not None}
-        refuse(
-            RecordingError,
-            (
-                t.ndim != 1 or t.size == 0,
-                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
-            ),
-            *(
-                (
-                    array.shape != expected[name][1],
+        if t.ndim != 1 or t.size == 0:
+            raise RecordingError(
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}"
+            )
+        for name, array in arrays.items():
+            if array.shape != expected[name][1]:
+                raise RecordingError(
                     f"{self.source}: {name} must have shape {expected[name][1]} for {t.size}"
-                    f" samples of {shape[1]} joints, got {array.shape}",
+                    f" samples of {shape[1]} joints, got {array.shape}"
                 )
-                for name, array in arrays.items()
-            ),
-            (
-                any(later < earlier for earlier, later in pairwise(ends)),
+        if any(later < earlier for earlier, later in pairwise(ends)):
+            raise RecordingError(
                 f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
-                f" {list(segments)}",
-            ),
-        )
+                f" {list(segments)}"
+            )
         origin = float(t[0]) if np.isnan(self.origin) else self.origin
         settled = {"t": t, "segments": segments, "origin": origin, **arrays}
         for name, value in settled.items():

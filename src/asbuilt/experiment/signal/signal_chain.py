@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.errors import UsageError, refuse
+from asbuilt.errors import UsageError
 
 Derivative = Literal["central", "gaussian", "savitzky-golay", "spline"]
 Velocity = Literal["auto", "measured", "derived"]
@@ -92,42 +92,29 @@ class SignalChain:
             for name in ("cutoff", "parallel_cutoff", "rate", "max_gap")
             if getattr(self, name) is not None
         }
-        refuse(
-            UsageError,
-            (
-                isinstance(self.delay, str) and self.delay != "auto",
-                f"delay must be 'auto', None or seconds, got {self.delay!r}",
-            ),
-            *(
-                (
-                    not abs(value) <= LONGEST_DELAY,
+        if isinstance(self.delay, str) and self.delay != "auto":
+            raise UsageError(f"delay must be 'auto', None or seconds, got {self.delay!r}")
+        for value in self.delays:
+            if not abs(value) <= LONGEST_DELAY:
+                raise UsageError(
                     f"a delay must be between -{LONGEST_DELAY:g} and {LONGEST_DELAY:g} s, got"
                     f" {value:g} s",
-                    {"value": value, "lower": -LONGEST_DELAY, "upper": LONGEST_DELAY},
+                    value=value,
+                    lower=-LONGEST_DELAY,
+                    upper=LONGEST_DELAY,
                 )
-                for value in self.delays
-            ),
-            *(
-                (
-                    not (np.isfinite(value) and value > 0),
-                    f"{name} must be a positive number, got {value}",
-                    {"value": value, "lower": 0.0},
+        for name, value in numbers.items():
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(
+                    f"{name} must be a positive number, got {value}", value=value, lower=0.0
                 )
-                for name, value in numbers.items()
-            ),
-            (
-                self.decimate is not None and self.decimate < 1,
-                f"decimate must be 1 or more, got {self.decimate}",
-            ),
-            (self.order < 1, f"the order of the low-pass must be 1 or more, got {self.order}"),
-            *(
-                (
-                    getattr(self, name) not in known,
-                    f"{name} {getattr(self, name)!r} is not one of {', '.join(known)}",
-                )
-                for name, known in chosen.items()
-            ),
-        )
+        if self.decimate is not None and self.decimate < 1:
+            raise UsageError(f"decimate must be 1 or more, got {self.decimate}")
+        if self.order < 1:
+            raise UsageError(f"the order of the low-pass must be 1 or more, got {self.order}")
+        for name, known in chosen.items():
+            if getattr(self, name) not in known:
+                raise UsageError(f"{name} {getattr(self, name)!r} is not one of {', '.join(known)}")
 
     @property
     def delays(self) -> tuple[float, ...]:

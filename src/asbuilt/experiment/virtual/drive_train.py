@@ -18,7 +18,7 @@ from asbuilt.dynamics import (
     mass_matrix,
     parameter_names,
 )
-from asbuilt.errors import UsageError, refuse
+from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.experiment.virtual.sensors import PerJoint, spread_per_joint
 from asbuilt.findings import Cure
@@ -69,23 +69,15 @@ class DriveTrain:
 
     def __post_init__(self) -> None:
         positive = {name: getattr(self, name) for name in ("stribeck_velocity", "engagement")}
-        refuse(
-            UsageError,
-            (
-                not 0.0 <= self.warming < 1.0 or not self.warming_time > 0.0,
+        if not 0.0 <= self.warming < 1.0 or not self.warming_time > 0.0:
+            raise UsageError(
                 "warming must be from 0 to below 1 and warming_time positive, got"
                 f" {self.warming} and {self.warming_time}",
-                {"value": (self.warming, self.warming_time)},
-            ),
-            *(
-                (
-                    np.any(np.asarray(value) <= 0.0),
-                    f"{name} must be positive, got {value}",
-                    {"value": value, "lower": 0.0},
-                )
-                for name, value in positive.items()
-            ),
-        )
+                value=(self.warming, self.warming_time),
+            )
+        for name, value in positive.items():
+            if np.any(np.asarray(value) <= 0.0):
+                raise UsageError(f"{name} must be positive, got {value}", value=value, lower=0.0)
 
     def of(self, name: str, n: int) -> Array:
         """Return a field for n joints, shape (n,)."""
@@ -162,29 +154,27 @@ class PositionController:
 
     def __post_init__(self) -> None:
         positive = {name: getattr(self, name) for name in ("bandwidth", "damping", "rate")}
-        refuse(
-            UsageError,
-            *(
-                (
-                    not (np.isfinite(value) and value > 0),
+        for name, value in positive.items():
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(
                     f"{name} of the controller must be a positive number, got {value}",
-                    {"value": value, "lower": 0.0},
+                    value=value,
+                    lower=0.0,
                 )
-                for name, value in positive.items()
-            ),
-            (
-                self.feedforward not in get_args(FeedForward),
+        if self.feedforward not in get_args(FeedForward):
+            raise UsageError(
                 f"feedforward {self.feedforward!r} is not one of"
                 f" {', '.join(get_args(FeedForward))}",
-                {"value": self.feedforward, "available": get_args(FeedForward)},
-            ),
-            (
-                self.bandwidth > self.rate / 20,
+                value=self.feedforward,
+                available=get_args(FeedForward),
+            )
+        if self.bandwidth > self.rate / 20:
+            raise UsageError(
                 f"the bandwidth of a controller of {self.rate:g} Hz must be at most a twentieth,"
                 f" {self.rate / 20:g} Hz, got {self.bandwidth:g} Hz",
-                {"value": self.bandwidth, "upper": self.rate / 20},
-            ),
-        )
+                value=self.bandwidth,
+                upper=self.rate / 20,
+            )
 
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return what the controller follows: the command at its ticks."""
@@ -242,24 +232,16 @@ class JointServo:
     rate: float = 1000.0
 
     def __post_init__(self) -> None:
-        refuse(
-            UsageError,
-            (
-                not (np.all(np.asarray(self.kp) > 0.0) and np.all(np.asarray(self.kd) >= 0.0)),
+        if not (np.all(np.asarray(self.kp) > 0.0) and np.all(np.asarray(self.kd) >= 0.0)):
+            raise UsageError(
                 f"kp of a servo must be positive and kd not negative, got {self.kp} and {self.kd}",
-                {"value": (self.kp, self.kd), "lower": 0.0},
-            ),
-            (
-                not (np.isfinite(self.delay) and self.delay >= 0.0),
-                f"delay must not be negative, got {self.delay}",
-                {"value": self.delay},
-            ),
-            (
-                not (np.isfinite(self.rate) and self.rate > 0.0),
-                f"rate must be positive, got {self.rate}",
-                {"value": self.rate},
-            ),
-        )
+                value=(self.kp, self.kd),
+                lower=0.0,
+            )
+        if not (np.isfinite(self.delay) and self.delay >= 0.0):
+            raise UsageError(f"delay must not be negative, got {self.delay}", value=self.delay)
+        if not (np.isfinite(self.rate) and self.rate > 0.0):
+            raise UsageError(f"rate must be positive, got {self.rate}", value=self.rate)
 
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return the command at the ticks as it arrives: held, delayed, without its velocity.

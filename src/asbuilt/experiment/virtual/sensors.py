@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import UsageError, refuse
+from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.motion import Trajectory
 
 PerJoint = float | tuple[float, ...]
@@ -170,26 +170,26 @@ class DataLogger:
 
     def __post_init__(self) -> None:
         half = 0.5 / self.rate if self.rate > 0 else np.inf
-        refuse(
-            UsageError,
-            (
-                not (np.isfinite(self.rate) and self.rate > 0),
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise UsageError(
                 f"the rate of the logger must be a positive number of Hz, got {self.rate}",
-                {"value": self.rate, "lower": 0.0},
-            ),
-            (
-                not 0.0 <= self.clock_jitter < half,
+                value=self.rate,
+                lower=0.0,
+            )
+        if not 0.0 <= self.clock_jitter < half:
+            raise UsageError(
                 f"clock_jitter must be below half a sampling period, {half:g} s at"
                 f" {self.rate:g} Hz, got {self.clock_jitter}",
-                {"value": self.clock_jitter, "lower": 0.0, "upper": half},
-            ),
-            (
-                not (0.0 <= self.dropped < 1.0 and self.burst >= 1.0),
+                value=self.clock_jitter,
+                lower=0.0,
+                upper=half,
+            )
+        if not (0.0 <= self.dropped < 1.0 and self.burst >= 1.0):
+            raise UsageError(
                 "dropped must be from 0 to below 1 and burst at least 1, got"
                 f" {self.dropped} and {self.burst}",
-                {"value": (self.dropped, self.burst)},
-            ),
-        )
+                value=(self.dropped, self.burst),
+            )
 
     def logged(
         self,

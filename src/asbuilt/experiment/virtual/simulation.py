@@ -17,7 +17,7 @@ from asbuilt.dynamics import (
     parameter_values,
     potential_energy,
 )
-from asbuilt.errors import InertiaError, UsageError, refuse
+from asbuilt.errors import InertiaError, UsageError
 from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.drive_train import PositionController
@@ -196,27 +196,20 @@ def run_free(
     True
     """
     further = sorted({key for joint in model.joints for key in joint.drive.terms})
-    refuse(
-        UsageError,
-        (
-            release not in get_args(Release),
-            f"there is no release {release!r}; there are {', '.join(get_args(Release))}",
-        ),
-        (
-            not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged),
-            f"the duration must be a positive number of seconds, got {duration}",
-        ),
-        (
-            duration > FREE.longest,
-            f"the duration must be at most {FREE.longest:g} s, got {duration:g}",
-        ),
-        (
-            further,
+    if release not in get_args(Release):
+        raise UsageError(
+            f"there is no release {release!r}; there are {', '.join(get_args(Release))}"
+        )
+    if not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged):
+        raise UsageError(f"the duration must be a positive number of seconds, got {duration}")
+    if duration > FREE.longest:
+        raise UsageError(f"the duration must be at most {FREE.longest:g} s, got {duration:g}")
+    if further:
+        raise UsageError(
             f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
             " simulate",
-            {"value": further},
-        ),
-    )
+            value=further,
+        )
     n = model.n_joints
     armature, viscous, coulomb, offset = (
         np.array([getattr(joint.drive, name) or 0.0 for joint in model.joints])

@@ -19,7 +19,7 @@ from asbuilt.dynamics import (
     inverse_dynamics,
     parameter_names,
 )
-from asbuilt.errors import UsageError, refuse
+from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
@@ -156,24 +156,24 @@ class VirtualRobot:
                 value=self.model.joint_names,
                 expected=self.described.joint_names,
             )
-        refuse(
-            UsageError,
-            (
-                self.torque not in ("sensor", "motor", "current"),
+        if self.torque not in ("sensor", "motor", "current"):
+            raise UsageError(
                 f"torque {self.torque!r} is not one of sensor, motor, current",
-                {"value": self.torque, "available": ("sensor", "motor", "current")},
-            ),
-            (
-                not 0.0 <= self.behind <= 1.0,
+                value=self.torque,
+                available=("sensor", "motor", "current"),
+            )
+        if not 0.0 <= self.behind <= 1.0:
+            raise UsageError(
                 f"the share of friction behind the sensor must be from 0 to 1, got {self.behind}",
-                {"value": self.behind, "lower": 0.0, "upper": 1.0},
-            ),
-            (
-                isinstance(self.train, TermDrives) != (self.controller is None),
+                value=self.behind,
+                lower=0.0,
+                upper=1.0,
+            )
+        if isinstance(self.train, TermDrives) != (self.controller is None):
+            raise UsageError(
                 "a robot that follows exactly has drive terms and no controller, one in MuJoCo a"
-                " drive train and a controller",
-            ),
-        )
+                " drive train and a controller"
+            )
         if isinstance(self.train, TermDrives):
             self.train.check(self.model)
         else:

@@ -13,7 +13,8 @@ from asbuilt.description.joint_matching import (
     split_words,
 )
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.channels import choose_channel
 from asbuilt.experiment.logs.columns.roles import (
     GOALS,
     Role,
@@ -33,7 +34,9 @@ QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
 _SYMBOLS = {
     "q": "position",
     "qd": "velocity",
+    "dq": "velocity",
     "qdd": "acceleration",
+    "ddq": "acceleration",
     "tau": "torque",
     "q_command": "command",
 }
@@ -111,6 +114,7 @@ def find_layout(
     for (quantity, kind), listed in sheet.columns.by_group.items():
         groups[quantity, kind] = _group_listed_columns(table, quantity, listed, sheet)
     groups = {key: group for key, group in groups.items() if group}
+    chosen_channels = _choose_channels(groups, table, model, sheet)
     measured = next((key for key in _TORQUES if key in groups), None)
     position, command = groups.get(("position", "")), groups.get(("command", ""))
     torque = None if measured is None else groups[measured]
@@ -139,14 +143,18 @@ def find_layout(
         if not (group is position or group is torque) and quantity != "time" and kind != "unscaled":
             name = quantity if kind in ("", "sheet") else f"{quantity}_{kind}"
             chosen[_EXTRAS.get((quantity, kind), name)] = group
-    notes = [] if torque is not None else _leave_out_uncommanded(chosen, groups["command", ""])
+    notes = list(chosen_channels)
+    if torque is None:
+        notes += _leave_out_uncommanded(chosen, groups["command", ""])
+    _name_alike(chosen, sheet)
     labels = _sort_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
     for quantity in [each for each in chosen if each != "position"]:
         try:
             ordered[quantity] = _align_columns(source, quantity, chosen, labels, sheet)
         except RecordingError:
-            if quantity in QUANTITIES and (quantity != "command" or torque is None):
+            needed = quantity == ("command" if torque is None else "torque")
+            if needed or (quantity, "") in sheet.columns.by_group:
                 raise
             notes.append(
                 f"the {len(chosen[quantity])} columns of {quantity} do not match the {len(labels)}"
@@ -177,6 +185,52 @@ def find_layout(
         tuple(notes),
         find_nanoseconds(time.column, names) if time and own_time else None,
     )
+
+
+def _choose_channels(
+    groups: dict[tuple[str, str], _Group],
+    table: LogTable,
+    model: RobotModel | None,
+    sheet: RecordingSheet,
+) -> list[str]:
+    """Keep one channel of each quantity that has several, and return what was chosen."""
+    notes = []
+    count = None if model is None else model.n_joints + len(model.followers)
+    listed = sheet.columns.by_group
+    for key in sorted(groups, key=lambda key: key[0] != "position"):
+        quantity, kind = key
+        if quantity == "time" or kind == "sheet" or key in listed or not groups[key]:
+            continue
+        positions = groups.get(("position", ""), [])
+        known = len(positions) if quantity != "position" and positions else count
+        groups[key], note = choose_channel(
+            quantity, groups[key], known, table.columns, model, positions
+        )
+        notes += [note] if note else []
+    return notes
+
+
+def _name_alike(chosen: dict[str, _Group], sheet: RecordingSheet) -> None:
+    """Let columns that count joints count them alike, as `u_torque_1` beside `y_angle_1`.
+
+    Where the names of a quantity are not the positions' joints, and both differ in their number
+    alone, the number says the joint.
+    """
+    places = {role.index: role.joint for role in chosen["position"]}
+    counted = None not in places and len(places) == len(chosen["position"])
+    stems = {_strip_number(role.joint) for role in chosen["position"]}
+    if not counted or len(stems) > 1 or isinstance(sheet.joints, list):
+        return
+    for quantity, group in chosen.items():
+        own = {role.index for role in group}
+        alone = {_strip_number(role.joint) for role in group}
+        joints = {role.joint for role in group}
+        if len(alone) == 1 and own == set(places) and joints != set(places.values()):
+            chosen[quantity][:] = [replace(role, joint=places[role.index]) for role in group]
+
+
+def _strip_number(joint: str) -> str:
+    return joint.rstrip("0123456789")
 
 
 def _leave_out_uncommanded(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
@@ -308,28 +362,28 @@ def find_column(table: LogTable, what: str, column: ColumnName) -> str:
     name = counted[int(column) - 1] if inside else str(column)
     given = f"{source}: the sheet gives column {column!r}"
     listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
-    refuse(
-        RecordingError,
-        (
-            numbered and not inside,
+    if numbered and not inside:
+        raise RecordingError(
             f"{given} for {what}, but columns run from 1 to {len(counted)}",
-            {"file": source, "value": column, "lower": 1, "upper": len(counted)},
-        ),
-        (
-            numbered and name not in names,
+            file=source,
+            value=column,
+            lower=1,
+            upper=len(counted),
+        )
+    if numbered and name not in names:
+        raise RecordingError(
             f"{given} ({name!r}) for {what}, which holds text in place of numbers",
-            {
-                "cure": Cure("count the columns of the file from 1, text columns too"),
-                "file": source,
-                "value": column,
-            },
-        ),
-        (
-            name not in names,
+            cure=Cure("count the columns of the file from 1, text columns too"),
+            file=source,
+            value=column,
+        )
+    if name not in names:
+        raise RecordingError(
             f"{given} for {what}, which the log does not have; it has {listing}",
-            {"file": source, "value": column, "available": list(names)},
-        ),
-    )
+            file=source,
+            value=column,
+            available=list(names),
+        )
     return name
 
 
@@ -340,20 +394,20 @@ def _group_listed_columns(
     found, source = [find_column(table, what, column) for column in columns], table.source
     repeated = next((name for name in found if found.count(name) > 1), None)
     labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
-    refuse(
-        RecordingError,
-        (
-            repeated is not None,
+    if repeated is not None:
+        raise RecordingError(
             f"{source}: the sheet gives column {repeated!r} twice for {what}",
-            {"file": source, "value": repeated},
-        ),
-        (
-            len(labels) != len(found),
+            file=source,
+            value=repeated,
+        )
+    if len(labels) != len(found):
+        raise RecordingError(
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
             f" {what}",
-            {"file": source, "value": len(found), "expected": len(labels)},
-        ),
-    )
+            file=source,
+            value=len(found),
+            expected=len(labels),
+        )
     quantity = what if what in QUANTITIES else "torque"
     return [
         Role(quantity, label, k, column=name)  # type: ignore[arg-type]
@@ -393,41 +447,36 @@ def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingShee
     whole = range(int(0 not in numbers), max(numbers) + 1) if len(numbers) == len(group) else ()
     missing = [k for k in whole if k not in numbers and not named]
     columns = ", ".join(_list_columns(group))
-    refuse(
-        RecordingError,
-        (
-            named and listed is not None and differ,
+    if named and listed is not None and differ:
+        raise RecordingError(
             f"{source}: the sheet lists the joints {', '.join(listed or ())}, but the {quantity}"
             f" columns name theirs, {', '.join(labels)}",
-            {
-                "cure": Cure(
-                    "give the robot's name of each joint of the log in its place: [joints] with"
-                    f' "{labels[0]}" = "..." and so on'
-                ),
-                "file": source,
-                "value": listed,
-                "expected": labels,
-            },
-        ),
-        (
-            missing,
+            cure=Cure(
+                "give the robot's name of each joint of the log in its place: [joints] with"
+                f' "{labels[0]}" = "..." and so on'
+            ),
+            file=source,
+            value=listed,
+            expected=labels,
+        )
+    if missing:
+        raise RecordingError(
             f"{source}: the {quantity} column of joint number {(*missing, 0)[0]} is missing; there"
             f" are {columns}",
-            {
-                "cure": Cure(
-                    f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
-                ),
-                "file": source,
-                "available": _list_columns(group),
-            },
-        ),
-        (
-            not named and listed is not None and len(listed) != len(group),
+            cure=Cure(
+                f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
+            ),
+            file=source,
+            available=_list_columns(group),
+        )
+    if not named and listed is not None and len(listed) != len(group):
+        raise RecordingError(
             f"{source}: the sheet names {len(listed or ())} joints but the log has {len(group)}"
             f" {quantity} columns",
-            {"file": source, "value": len(group), "expected": len(listed or ())},
-        ),
-    )
+            file=source,
+            value=len(group),
+            expected=len(listed or ()),
+        )
     return labels if named else listed or [f"joint_{k}" for k in range(1, len(group) + 1)]
 
 

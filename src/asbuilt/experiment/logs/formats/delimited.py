@@ -14,7 +14,7 @@ import lazy_loader
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.isolated import LIMITS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
@@ -124,24 +124,21 @@ def find_dialect(
     names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
     repeated = [name for name, count in Counter(names).items() if count > 1]
     places = ", ".join(str(k) for k, name in enumerate(names, 1) if name in repeated[:1])
-    refuse(
-        RecordingError,
-        (
-            len(names) > LIMITS.columns,
+    if len(names) > LIMITS.columns:
+        raise RecordingError(
             f"{path} has {len(names)} columns; at most {LIMITS.columns} are read",
-            {"file": str(path), "value": len(names), "upper": LIMITS.columns},
-        ),
-        (
-            repeated and not numbered,
+            file=str(path),
+            value=len(names),
+            upper=LIMITS.columns,
+        )
+    if repeated and not numbered:
+        raise RecordingError(
             f"{path}: the column name {''.join(repeated[:1])!r} appears {places.count(',') + 1}"
             f" times (columns {places})",
-            {
-                "cure": Cure("rename one of them, or number all columns in a recording sheet"),
-                "file": str(path),
-                "value": "".join(repeated[:1]),
-            },
-        ),
-    )
+            cure=Cure("rename one of them, or number all columns in a recording sheet"),
+            file=str(path),
+            value="".join(repeated[:1]),
+        )
     names = [f"{name} ({k})" if name in repeated else name for k, name in enumerate(names, 1)]
     text = tuple(
         name
@@ -368,26 +365,22 @@ def _read_first_lines(path: Path, count: int = 64) -> list[str]:
         (what for magic, what in _PACKED.items() if start.startswith(magic)), ("", "")
     )
     begins = start.lstrip()[:20].decode("utf-8", "replace")
-    refuse(
-        RecordingError,
-        *(
-            (found, f"{path} is not a recording: {what}", {"cure": cure, "file": str(path)})
-            for found, what, cure in (
-                (packed, f"it holds {packed}", Cure(cure)),
-                (
-                    b"\r" in start and b"\n" not in start,
-                    "its lines end in a carriage return alone",
-                    Cure("save it with line feeds"),
-                ),
-                (b"\0" in start, "it holds binary data, not text", None),
-                (
-                    begins.lower().startswith(("<!doctype", "<html", "<?xml", "<robot", "{")),
-                    f"it starts with {begins!r}, not a table of numbers",
-                    None,
-                ),
-            )
+    for fault, what, way_out in (
+        (packed, f"it holds {packed}", Cure(cure)),
+        (
+            b"\r" in start and b"\n" not in start,
+            "its lines end in a carriage return alone",
+            Cure("save it with line feeds"),
         ),
-    )
+        (b"\0" in start, "it holds binary data, not text", None),
+        (
+            begins.lower().startswith(("<!doctype", "<html", "<?xml", "<robot", "{")),
+            f"it starts with {begins!r}, not a table of numbers",
+            None,
+        ),
+    ):
+        if fault:
+            raise RecordingError(f"{path} is not a recording: {what}", cure=way_out, file=str(path))
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = [file.readline(LONGEST_LINE) for _ in range(count)]
     if any(len(line) == LONGEST_LINE for line in lines):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
 from asbuilt.registry import Registry
 
@@ -142,19 +142,14 @@ def choose_log_format(path: Path) -> LogFormat:
         found = _find_folder_format(path)
     else:
         found = next((each for each in FORMATS.values() if suffix in each.suffixes), None)
-    refuse(
-        RecordingError,
-        (
-            not path.is_dir() and not path.is_file(),
+    if not path.is_dir() and not path.is_file():
+        raise RecordingError(
             f"{path} is not a recording: it is not a regular file",
-            {"cure": Cure("save what it yields as a file"), "file": str(path)},
-        ),
-        (
-            path.is_file() and path.stat().st_size == 0,
-            f"{path} is not a recording: it is empty",
-            {"file": str(path)},
-        ),
-    )
+            cure=Cure("save what it yields as a file"),
+            file=str(path),
+        )
+    if path.is_file() and path.stat().st_size == 0:
+        raise RecordingError(f"{path} is not a recording: it is empty", file=str(path))
     if found is None:
         known = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)
         raise RecordingError(

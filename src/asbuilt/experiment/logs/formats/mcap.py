@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError, refuse
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
@@ -129,14 +129,10 @@ def _list_records(file: BinaryIO) -> Iterator[Any]:
             return
         if isinstance(record, Chunk):
             size, packed = record.uncompressed_size, record.compression
-            refuse(
-                ValueError,
-                (size > MOST, f"a chunk unpacks to {size} bytes"),
-                (
-                    packed not in ("", "lz4", "zstd"),
-                    f"chunks are compressed as {packed!r}; known are lz4 and zstd",
-                ),
-            )
+            if size > MOST:
+                raise ValueError(f"a chunk unpacks to {size} bytes")
+            if packed not in ("", "lz4", "zstd"):
+                raise ValueError(f"chunks are compressed as {packed!r}; known are lz4 and zstd")
         yield from breakup_chunk(record, True) if isinstance(record, Chunk) else (record,)
 
 
@@ -177,19 +173,20 @@ def _tabulate_objects(
     topic = sheet.topic or next(iter(topics))
     listed = ", ".join(sorted(topics))
     choice = Cure('choose one in a recording sheet: topic = "..."')
-    refuse(
-        RecordingError,
-        (
-            sheet.topic is None and len(topics) > 1,
+    if sheet.topic is None and len(topics) > 1:
+        raise RecordingError(
             f"{path} has messages in JSON on {len(topics)} topics ({listed})",
-            {"cure": choice, "file": str(path), "available": sorted(topics)},
-        ),
-        (
-            topic not in topics,
+            cure=choice,
+            file=str(path),
+            available=sorted(topics),
+        )
+    if topic not in topics:
+        raise RecordingError(
             f"{path} has no messages in JSON on topic {topic!r}; it has them on {listed}",
-            {"file": str(path), "value": topic, "available": sorted(topics)},
-        ),
-    )
+            file=str(path),
+            value=topic,
+            available=sorted(topics),
+        )
     return _tabulate_numbers(path, topics[topic])
 
 
