@@ -120,7 +120,7 @@ def run(
         _say(as_json, f"{model.name}: {driver.describe()}; motions and logs in {folder}\n")
         _do_rounds(loop, as_json)
         outcome, files = _write(loop)
-    _answer(outcome, loop, files, as_json)
+    _answer(outcome, loop, files, robot, as_json)
     if outcome.ending != "proven":
         raise typer.Exit(1)
 
@@ -211,7 +211,9 @@ def _write(loop: Loop) -> tuple[Outcome, dict[str, Path]]:
     return outcome, files
 
 
-def _answer(outcome: Outcome, loop: Loop, files: dict[str, Path], as_json: bool) -> None:
+def _answer(
+    outcome: Outcome, loop: Loop, files: dict[str, Path], robot: str, as_json: bool
+) -> None:
     from asbuilt.apps.run.text import draw_promises, format_json_line, outcome_document
     from asbuilt.tables import wrap_text
 
@@ -220,7 +222,7 @@ def _answer(outcome: Outcome, loop: Loop, files: dict[str, Path], as_json: bool)
         print(format_json_line(document), flush=True)
         return
     study, text = outcome.study, outcome.text
-    following = f"asbuilt run ROBOT --resume {loop.folder}, which goes on"
+    following = f"asbuilt run {robot} --resume {loop.folder}, which goes on"
     if outcome.ending == "proven":
         following = f"asbuilt export {files['result']} --mjcf robot.xml (or --urdf, --c)"
     elif outcome.ending in ("with care", "unreachable"):
