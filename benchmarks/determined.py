@@ -6,6 +6,8 @@ intervals
     Feasible intervals on virtual robots of five makes: 20 to 40 s of a motion of its own each,
     bodies off from CAD by a tenth, friction and rotors that CAD lacks, torque noise correlated over
     0.1 s. Truth and torque are Pinocchio's.
+false_errors
+    `check` on sound logs of virtual robots whose descriptions are wrong (`sound_logs`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import numpy as np
 from asbuilt import RobotModel, identify, load_robot, random_fourier
 from asbuilt.identification import FeasibleInterval, IdentificationResult, feasible_intervals
 from outside_robot import OutsideRobot, Sensors, other_bodies
+from sound_logs import false_errors
 
 MAKES = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "so-101", "scara")
 ROBOTS = 200
@@ -156,7 +159,7 @@ def intervals(robots: int, run: Callable[..., Iterator[list[Held]]]) -> None:
             )
 
 
-TABLES = {"intervals": intervals}
+TABLES = {"intervals": intervals, "false_errors": false_errors}
 
 
 def main() -> None:

@@ -69,6 +69,9 @@ class Recording:
     contact
         Contacts of a robot with a free base, (N, n_contacts), 1 where they are closed and 0 where
         they are open; None: it touches nothing.
+    stated
+        What a person states of the log, and checks believe: "position", "torque" (their units or
+        gains), "sign", "zero".
 
     Raises
     ------
@@ -101,6 +104,7 @@ class Recording:
     started: float = 0.0
     undriven: tuple[str, ...] = ()
     contact: Array | None = None
+    stated: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         named = {name: getattr(self, name) for name in ("t", "q", "tau", "qd", "qdd", "command")}

@@ -172,6 +172,10 @@ def test_a_walk_ends_where_a_new_page_begins(
                 rng.choice(acts(browser, tmp_path, rng))()
                 if rng.random() < 0.3:
                     browser.execute_async_script(SETTLE)
+            # What was refused stays to be mended until it is undone or something is accepted.
+            browser.execute_async_script(SETTLE)
+            browser.execute_script(CLICK, "#undo", 0)
+            browser.execute_script(ENTER, "export-format", rng.choice([*FORMATS]))
             browser.execute_async_script(SETTLE)
             shown = browser.execute_script(SCREEN)
             browser.switch_to.window(fresh)

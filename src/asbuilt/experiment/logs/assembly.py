@@ -195,6 +195,7 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     recording = replace(
         recording,
         torque_source=options.torque_source or sheet.torque_source or recording.torque_source,
+        stated=_list_stated(sheet, options),
     )
     if sheet.time_factor is not None:
         note = f"times were multiplied by {sheet.time_factor:g}"
@@ -221,6 +222,17 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         return drive_by_command(recording, servo)
     _refuse_idle_servo(recording, options)
     return recording
+
+
+def _list_stated(sheet: RecordingSheet, options: ReadingOptions) -> frozenset[str]:
+    """Return what of the log is stated, by `Recording.stated`."""
+    given = {
+        "position": sheet.units.position is not None or bool(sheet.joint_units),
+        "torque": (sheet.units.torque, sheet.gains, options.gain) != (None, None, None),
+        "sign": sheet.sign is not None or options.flip_torque,
+        "zero": (sheet.zero, sheet.position_sign) != (None, None),
+    }
+    return frozenset(name for name, is_stated in given.items() if is_stated)
 
 
 def keep_windows(recording: Recording, sheet: RecordingSheet) -> Recording:

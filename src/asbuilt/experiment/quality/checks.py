@@ -55,14 +55,16 @@ UNKNOWN_TORQUE = ("torque_flipped", "joint_torque_flipped", "torque_scale")
 """Codes of errors that mean wrong or unknown gains, for uses that look for the gains."""
 FROM_COMMANDS = (
     *UNKNOWN_TORQUE,
-    *("gravity_direction", "joint_convention", "joint_torque_scale", "joints_swapped"),
+    *("gravity_absent", "gravity_direction", "gravity_partial"),
+    *("joint_convention", "joint_torque_scale", "joints_swapped"),
     *("no_torque", "saturation", "servo_stiffness", "torque_limit", "torque_spikes"),
     *("torque_uncorrelated", "torque_unsigned"),
 )
 """Codes of findings that wrong commands explain."""
 OF_MODEL_TORQUES = (
     *UNKNOWN_TORQUE,
-    *("gravity_direction", "joint_convention", "joint_torque_scale", "joints_swapped"),
+    *("gravity_absent", "gravity_direction", "gravity_partial"),
+    *("joint_convention", "joint_torque_scale", "joints_swapped"),
     *("torque_uncorrelated", "torque_unsigned"),
     *("rank_deficient", "weak_excitation"),
 )

@@ -1,19 +1,17 @@
-"""Conventions of the log that the torques show: direction of gravity, signs and zeros of joints."""
+"""Conventions of the log that the torques show: signs and zeros of joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
-from asbuilt.description.model import USUAL_GRAVITY
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.arrays import Indices
 from asbuilt.experiment.quality.passes import position_limits
-from asbuilt.experiment.quality.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
 from asbuilt.findings import Cure, Finding, join_names
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
@@ -79,11 +77,14 @@ class Conventions:
         return join_names(sentences)
 
 
-def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
+def check_conventions(
+    fit: TorqueFit, *, believed: bool = False
+) -> tuple[Finding, TorqueFit] | None:
     """Return a finding, and the fit that it explains, if other conventions fit the torques.
 
     Directions, and zeros by quarters of a turn, are tried for one joint more as long as the misfit
-    falls decisively, and positions keep their limits. Small errors of a zero are left to
+    falls decisively, and positions keep their limits. An error needs that any masses, too, fit
+    better so; `believed` conventions are stated in a sheet. Small errors of a zero are left to
     `asbuilt.identification.effects`.
     """
     if not np.any(np.abs(fit.correlation[fit.decides]) < DOUBTFUL):
@@ -106,13 +107,17 @@ def check_conventions(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     if best is logged or not fallen.size:
         return None
     before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
-    if after <= CLEAR:
+    # What 1 lacks must fall to half: a convention changes the sign or the form of a torque.
+    if after <= CLEAR or 1.0 - after > 0.5 * (1.0 - before):
+        return None
+    by_masses = compare_by_any_masses(fit, best.fit)
+    if by_masses < 0:
         return None
     others = f"; {len(near)} more fit about as well, such as: {near[0]}" if near else ""
     return (
         Finding(
             "joint_convention",
-            "error",
+            "error" if by_masses > 0 and not believed else "warning",
             f"the log follows another convention than the description: {best}"
             f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
             f"{others}",
@@ -153,98 +158,3 @@ def _make_cure(best: Conventions) -> Cure:
         " robot; if so, write"
         f" {', '.join(written)} in a recording sheet"
     )
-
-
-FREE_FALL = float(np.linalg.norm(USUAL_GRAVITY))
-AXES = {
-    f"{sign}{axis}": factor * FREE_FALL * np.eye(3)[k]
-    for k, axis in enumerate("xyz")
-    for sign, factor in (("+", 1.0), ("-", -1.0))
-}
-
-
-def check_gravity(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
-    """Return a finding, and the fit with the gravity of the torques if it has another direction.
-
-    The torques without gravity and gravity's torques along each axis are compared with the measured
-    ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
-    from a robot upside down; without it, torques that gravity does not dominate do. If they do
-    not decide, the torque is taken as flipped. A description without gravity is doubted where the
-    torques show some.
-    """
-    given = np.asarray(fit.model.gravity)
-    cosines = _Cosines.of(fit)
-    now = cosines.at(given)
-    if now > DOUBTFUL:
-        return None
-    along = max((np.asarray(axis) for axis in AXES.values()), key=cosines.at)
-    if max(-now, cosines.at(along)) < CLEAR:
-        along = cosines.estimated()
-        # A direction that is no axis must fit better.
-        if cosines.at(along) < 0.97:
-            return None
-    elif -now > CLEAR:
-        along = -given
-    if not along.any():
-        return None
-    mounted = replace(fit, model=fit.model.with_gravity(along))
-    sign = _find_friction_sign(mounted)
-    parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
-    if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - FALL)):
-        return None
-    gravity = along if sign >= 0.0 else -along
-    cosine = abs(cosines.at(along))
-    named = (each for each, axis in AXES.items() if np.array_equal(axis, gravity))
-    name = next(named, ",".join(f"{g:.3g}" for g in gravity))
-    direction = ", ".join(f"{g:.3g}" for g in given)
-    finding = Finding(
-        "gravity_direction",
-        "error",
-        f"gravity is ({direction}) m/s^2 in the root frame of {fit.model.name}, but the torques fit"
-        f" {name} (cosine with the model's torque {cosine:.3f} instead of {now:.3f}), as of a robot"
-        " mounted in another way than its description",
-        Cure("give the direction of gravity", settings={"gravity": name}),
-    )
-    return finding, replace(fit, model=fit.model.with_gravity(gravity))
-
-
-def _find_friction_sign(fit: TorqueFit) -> float:
-    """Return the sign of the torques that friction of most joints shows, 0 if it shows none."""
-    friction = fit.friction_correlation
-    shown = friction[friction != 0.0]
-    mean = float(np.mean(shown)) if 2 * shown.size > friction.size else 0.0
-    return float(np.sign(mean)) if abs(mean) > 0.5 else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Cosines:
-    """Hold torques (N, n): measured, modelled without gravity, and of gravity of 1 m/s^2 (3)."""
-
-    measured: Array
-    motion: Array
-    gravity: Sequence[Array]
-
-    @classmethod
-    def of(cls, fit: TorqueFit) -> _Cosines:
-        def torque(gravity: Array) -> Array:
-            mounted = fit.model.with_gravity(gravity)
-            return inverse_dynamics(mounted, fit.q, fit.qd, fit.qdd, threads=1)
-
-        still = torque(np.zeros(3))
-        x, y, z = (torque(axis) - still for axis in np.eye(3))
-        measured, m, *g = (fit.without_friction(each) for each in (fit.tau, still, x, y, z))
-        return cls(measured, m, g)
-
-    def at(self, gravity: Array) -> float:
-        """Return the cosine of measured and modelled torques under a gravity [m/s^2]."""
-        parts = zip(gravity, self.gravity, strict=True)
-        x = self.motion + sum((g * part for g, part in parts), np.zeros_like(self.motion))
-        norms = float(np.linalg.norm(x) * np.linalg.norm(self.measured))
-        return float(np.sum(x * self.measured)) / norms if norms > 0 else 0.0
-
-    def estimated(self) -> Array:
-        """Return the gravity of free fall in the direction of least squares, to three digits."""
-        columns = np.stack([part.ravel() for part in self.gravity], axis=1)
-        g = np.linalg.lstsq(columns, (self.measured - self.motion).ravel(), rcond=None)[0]
-        norm = float(np.linalg.norm(g)) or np.inf
-        return np.array([float(f"{value:.3g}") for value in FREE_FALL * g / norm])

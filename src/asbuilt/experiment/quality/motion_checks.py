@@ -12,8 +12,10 @@ from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, infer_unit_by_gravity
+from asbuilt.experiment.quality.gravity_checks import measure_gravity_share
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
 from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
@@ -22,6 +24,9 @@ FAR, KEPT = 2.0, 1.1
 """Multiples of its limit from which a position is far outside, and up to which it is inside."""
 FEWEST_ALIKE = 3
 """Joints with one and the same limit from which it is a placeholder if the log exceeds it."""
+RATE_TOO_HIGH = 4.0
+"""Share of gravity in that of accelerations from which a clock is too fast: by half. Armatures
+that the description lacks, and gains, make the share smaller."""
 USUAL_PEAK = 99.5
 """Percentile of the speeds that counts as the largest: single samples may be noise."""
 
@@ -89,7 +94,12 @@ class Excess:
 def find_impossible_motion(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
 ) -> Excess | None:
-    """Return why the motion in radians is impossible, None if it is not."""
+    """Return why the motion in radians is impossible, None if it is not.
+
+    Limits alone do not tell, as many descriptions have placeholders: the torque must support
+    degrees, or a slower clock, by gravity of the description or by any masses. A unit that is
+    stated is believed.
+    """
     turning = [k for k, joint in enumerate(model.joints) if joint.is_revolute]
     if not turning:
         return None
@@ -100,10 +110,37 @@ def find_impossible_motion(
         rate = recording.rate / ratio
     if not evidence:
         return None
-    unit: Literal["rad", "deg"] | None = "deg"
-    if largest < LARGEST_RADIANS and motion is not None:
-        unit = infer_unit_by_gravity(model, motion.q, motion.tau)
-    return Excess(evidence, unit, rate)
+    if "position" in recording.first.stated:
+        return None
+    if largest >= LARGEST_RADIANS:
+        return Excess(evidence, "deg", rate)
+    if motion is None:
+        return Excess(evidence, None, rate)
+    unit = infer_unit_by_gravity(model, motion.q, motion.tau)
+    one, other = (
+        TorqueFit.of(model, motion, np.full(model.n_joints, scale)) for scale in (1.0, DEGREE)
+    )
+    by_masses = compare_by_any_masses(one, other)
+    if unit == "deg" or (unit is None and by_masses > 0):
+        return Excess(evidence, "deg", rate)
+    if rate is not None and _is_too_fast(one):
+        return Excess(evidence, "rad", rate)
+    # Positions unlike the robot's, whose torques are unlike them as well, are another's.
+    if rate is None and unit is None and by_masses == 0:
+        return Excess(evidence, None, rate)
+    return None
+
+
+def _is_too_fast(fit: TorqueFit) -> bool:
+    """Return whether the clock is too fast by the description's masses and by any.
+
+    A clock that is fast by a factor makes accelerations its square as large, and gravity small.
+    """
+    heavier = fit.model.with_gravity(RATE_TOO_HIGH * np.array(fit.model.gravity))
+    return (
+        measure_gravity_share(fit) > RATE_TOO_HIGH
+        and compare_by_any_masses(fit, replace(fit, model=heavier)) > 0
+    )
 
 
 def _find_far_position(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +10,20 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.quality.conventions import check_conventions, check_gravity
+from asbuilt.dynamics import inverse_dynamics
+from asbuilt.experiment.quality.conventions import check_conventions
+from asbuilt.experiment.quality.gravity_checks import check_gravity, find_friction_sign
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
+    compare_by_any_masses,
     find_best_assignment,
     find_swapped_torques,
     infer_density,
 )
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
-from asbuilt.findings import Cure, Finding, join_names
+from asbuilt.findings import Cure, Finding, Severity, join_names
 
 CLEAR, CERTAIN = 0.9, 0.95
 """Correlations with the model's torque from which sign and scale of a joint are clear, and from
@@ -59,7 +62,9 @@ def check_torques(
     ratio = 1.0 if PLAUSIBLE[0] < fit.ratio < PLAUSIBLE[1] else fit.ratio
     fit = replace(fit, tau=fit.tau * (1.0 / ratio))
     best = find_best_assignment(fit)
-    other = check_conventions(best)
+    if best is not fit and compare_by_any_masses(fit, best) < 0:
+        best = fit
+    other = check_conventions(best, believed="zero" in recording.first.stated)
     if best is not fit:
         yield _report_swapped(fit, best)
     if other is not None:
@@ -87,19 +92,24 @@ def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
         " the scale of the torques",
         Cure("use a description with masses to have them checked"),
     )
-    yield from _check_signs_by_friction(model, friction)
+    yield from _check_signs_by_friction(fit)
     yield from check_scale_without_masses(fit)
 
 
-def _check_signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
+def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
+    model, friction = fit.model, fit.friction_correlation
     wrong = np.flatnonzero(friction < -BRAKING).tolist()
     right = np.flatnonzero(friction > BRAKING).tolist()
     if len(wrong) > max(len(right), 1):
         listed = join_names([f"{model.joint_names[k]} {friction[k]:.2f}" for k in wrong])
+        halves = [half.friction_correlation[wrong] for half in fit.halves()]
+        sure = fit.kinetic_sign < 0.0 or (
+            fit.kinetic_sign == 0.0 and all(np.all(half <= 0.0) for half in halves)
+        )
         yield Finding(
             "torque_flipped",
-            "error",
+            "error" if sure else "warning",
             "the torque sign looks flipped: torques correlate negatively with the direction of"
             f" motion, unlike friction ({listed})",
             _make_signs_cure(model, -1.0, right)
@@ -192,7 +202,7 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
     if flipped:
         yield Finding(
             "torque_flipped",
-            "error",
+            _weigh_flip(recording, fit, clear),
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
             _make_signs_cure(model, sign, alone)
@@ -204,14 +214,7 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
     braking = np.flatnonzero(unclear & (friction < -BRAKING)).tolist()
     braking = [k for k in braking if k not in alone]
     for k in alone:
-        yield Finding(
-            "joint_torque_flipped",
-            "error",
-            f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
-            f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
-            _make_signs_cure(model, sign, alone),
-            joint=names[k],
-        )
+        yield _report_opposite_sign(recording, fit, k, sign, alone, gain[k])
     for k in braking:
         yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *braking])
     servo = recording.first.servo
@@ -225,7 +228,7 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
         )
         return
     if not PLAUSIBLE[0] < scale < PLAUSIBLE[1]:
-        yield _report_scale(model, recording, scale, evidence)
+        yield _report_scale(recording, fit, scale, evidence, clear)
         return
     for k in clear:
         if abs(correlation[k]) > CERTAIN and not usual[k]:
@@ -254,6 +257,60 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
                 ),
                 joint=names[k],
             )
+
+
+def _weigh_flip(recording: FirstPass, fit: TorqueFit, clear: Sequence[int]) -> Severity:
+    """Return whether a second road shows that all torques are flipped.
+
+    Friction brakes and kinetic energy is positive, whatever the masses; where neither shows, both
+    halves of the log must agree.
+    """
+    if "sign" in recording.first.stated:
+        return "warning"
+    roads = find_friction_sign(fit) + fit.kinetic_sign
+    halves = [half.correlation[clear] for half in fit.halves()]
+    sure = roads < 0.0 or (roads == 0.0 and all(np.median(half) < -CLEAR for half in halves))
+    return "error" if sure else "warning"
+
+
+def _report_opposite_sign(
+    recording: FirstPass,
+    fit: TorqueFit,
+    k: int,
+    sign: float,
+    alone: Collection[int],
+    gain: float,
+) -> Finding:
+    """Return the finding of a joint whose torque has the opposite sign of the description's.
+
+    A load, or masses unlike CAD, turn the sign of gravity's torque, too. An error needs that any
+    masses fit better with the other sign, or that the joint's friction does; where any masses fit
+    better as logged, its sign is right.
+    """
+    name = fit.model.joint_names[k]
+    evidence = f"gain {gain:.3g}, correlation {fit.correlation[k]:.3f}"
+    others = np.where(np.isin(np.arange(fit.model.n_joints), list(alone)), -1.0, 1.0)
+    signs = np.where(np.arange(fit.model.n_joints) == k, 1.0, others)
+    by_masses = compare_by_any_masses(fit.with_signs(signs), fit.with_signs(others))
+    if by_masses < 0:
+        return Finding(
+            "joint_masses_differ",
+            "warning",
+            f"the torque of {name} has the opposite sign of the model's ({evidence}), but any"
+            " masses fit all torques better with the sign logged: a load or masses that the"
+            " description lacks act there",
+            Cure("describe what is mounted, or identify: masses are found"),
+            joint=name,
+        )
+    braking = sign * fit.friction_correlation[k] < -BRAKING
+    sure = (by_masses > 0 or braking) and "sign" not in recording.first.stated
+    return Finding(
+        "joint_torque_flipped",
+        "error" if sure else "warning",
+        f"the torque of {name} alone has the opposite sign of the model's ({evidence})",
+        _make_signs_cure(fit.model, sign, alone),
+        joint=name,
+    )
 
 
 def _find_uncorrelated(
@@ -291,7 +348,53 @@ def _make_signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -
     return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
 
 
-def _report_scale(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
+AGREEMENT = 1.5
+"""Ratio up to which gains, of halves of a log or of joints, are one scale."""
+
+
+def _is_one_scale(fit: TorqueFit, clear: Sequence[int]) -> bool:
+    """Return whether rigid bodies show one scale, in both halves of the log and at all joints.
+
+    Where friction is most of a torque, what is left after it has no scale of its own; masses that
+    are wrong differ from joint to joint, a unit does not.
+    """
+    whole = np.std(fit.tau, axis=0)[clear]
+    bodies = [k for k, part in zip(clear, whole, strict=True) if fit.measured[k] > 0.5 * part]
+    if not bodies:
+        return False
+    gains = [np.abs(each.gain[bodies]) for each in (*fit.halves(), fit)]
+    one, two, _ = map(np.median, gains)
+    alike = np.max(gains[2]) < AGREEMENT**2 * np.min(gains[2])
+    return bool(max(one, two) < AGREEMENT * min(one, two) and alike)
+
+
+def _report_scale(
+    recording: FirstPass, fit: TorqueFit, scale: float, evidence: str, clear: Sequence[int]
+) -> Finding:
+    """Return the finding of torques whose scale is not the description's.
+
+    An error needs two roads: the density of an arm of this length, by the log and by the masses of
+    CAD, or else one scale everywhere.
+    """
+    model = fit.model
+    by_cad = infer_density(replace(fit, tau=inverse_dynamics(model, fit.q, fit.qd, fit.qdd)))
+    by_log = infer_density(replace(fit, tau=fit.tau * scale))
+    (low, high) = DENSITY
+    plausible = [None if each is None else low < each < high for each in (by_cad, by_log)]
+    if plausible == [False, True]:
+        return Finding(
+            "masses_implausible",
+            "warning",
+            f"the masses of {model.name} are {1.0 / scale:.3g} times those of the torques"
+            f" ({evidence}), and no arm of this length has them, while the torques are of an arm's"
+            " size: masses, or lengths, of the description look to be in another unit",
+            Cure("correct the description"),
+        )
+    sure = plausible == [True, False] or _is_one_scale(fit, clear)
+    # Links of one mass have placeholders, whose scale no torque follows.
+    masses = [link.inertia.mass for link in model.links if link.inertia.mass > 0.0]
+    placeholders = len(masses) > 2 and 2 * len(set(masses)) <= len(masses)
+    sure = sure and not placeholders and "torque" not in recording.first.stated
     if recording.first.torque_source == "command":
         guess = "the stiffness of the servo differs"
         cure = Cure("check it, or leave it out, so that it is identified")
@@ -311,7 +414,7 @@ def _report_scale(model: RobotModel, recording: FirstPass, scale: float, evidenc
         cure = Cure("give the gain that converts them to N m, or units in a recording sheet")
     return Finding(
         "torque_scale",
-        "error",
+        "error" if sure else "warning",
         f"the torques are {scale:.3g} times the torques of {model.name} ({evidence}): {guess}",
         cure,
     )

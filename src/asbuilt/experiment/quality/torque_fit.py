@@ -9,6 +9,7 @@ from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.appearance import link_solids, stretched_length
@@ -87,6 +88,81 @@ class TorqueFit:
         q, qd, qdd = (x[rows] * scale for x in (motion.q, motion.qd, motion.qdd))
         friction = friction_bases(qd, spring_columns(model, q))
         return cls(model, q, qd, qdd, motion.tau[rows], friction, order, order)
+
+    def within(self, rows: slice) -> TorqueFit:
+        """Return the comparison on some of the samples."""
+        q, qd, qdd, tau = (x[rows] for x in (self.q, self.qd, self.qdd, self.tau))
+        friction = friction_bases(qd, spring_columns(self.model, q))
+        return replace(self, q=q, qd=qd, qdd=qdd, tau=tau, friction=friction)
+
+    def halves(self) -> tuple[TorqueFit, TorqueFit]:
+        """Return the comparisons on the first and on the second half of the samples."""
+        middle = len(self.q) // 2
+        return self.within(slice(middle)), self.within(slice(middle, None))
+
+    def observe(self, gravity: ArrayLike) -> Array:
+        """Return the columns (N, n, p) of base parameters, friction and offsets under a gravity.
+
+        They belong to the base parameters under the description's gravity.
+        """
+        drive = DriveSet.parse("viscous,offset")
+        base = find_base_parameters(self.model, drive)
+        samples, n = self.q.shape
+        W = np.zeros((samples, n, base.n_base + n))
+        W[:, :, : base.n_base] = observation_matrix(
+            self.model.with_gravity(gravity),
+            *(self.q, self.qd, self.qdd),
+            drive=drive,
+            columns=base.columns,
+        ).reshape(samples, n, -1)
+        W[:, range(n), range(base.n_base, base.n_base + n)] = np.tanh(self.qd / BREAKAWAY)
+        return W
+
+    def normal_equations(self, W: Array) -> NormalEquations:
+        """Return the normal equations of columns (N, n, p), torques scaled to unit variance."""
+        # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
+        y = np.asfortranarray(self.tau)
+        y = y - y.mean(axis=0)
+        spread = _replace_zeros(y.std(axis=0))
+        y = y / spread
+        return NormalEquations(
+            W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
+            y.T @ W.transpose(1, 0, 2),
+            np.mean(y**2, axis=0),
+            spread,
+            len(self.q),
+        )
+
+    def unexplained(self, W: Array) -> Array:
+        """Return the share (n,) of the torques' variance that columns (N, n, p) leave."""
+        return self.normal_equations(W).unexplained(tuple(range(self.model.n_joints)))
+
+    def with_signs(self, signs: ArrayLike) -> TorqueFit:
+        """Return the comparison with the torques times signs (n,)."""
+        return replace(self, tau=self.tau * np.asarray(signs))
+
+    @property
+    def kinetic_sign(self) -> float:
+        """Sign of the kinetic energy of the masses that fit best, 0 where halves disagree.
+
+        `2 T = qd^T M(q) qd` is the power along `qd` of the torques that accelerate by `qd` from
+        rest without gravity: linear in the masses, and positive for any that can exist.
+        """
+        signs = {np.sign(part._mean_energy()) for part in (self, *self.halves())}
+        return float(signs.pop()) if len(signs) == 1 else 0.0
+
+    def _mean_energy(self) -> float:
+        """Return twice the mean kinetic energy of the masses that fit best [J]."""
+        W = self.observe(self.model.gravity)
+        n = self.model.n_joints
+        beta = self.normal_equations(W).solve(tuple(range(n)))
+        rest = np.zeros_like(self.qd)
+        moved = replace(self, qd=rest, qdd=self.qd).observe(np.zeros(3))
+        # The last columns are friction, and viscous friction and offsets have no part in energy.
+        base = find_base_parameters(self.model, DriveSet.parse("viscous,offset"))
+        bodies = base.columns < 10 * base.n_links
+        torque = moved[:, :, : base.n_base][:, :, bodies] @ beta[: base.n_base][bodies]
+        return float(np.mean(np.sum(self.qd * torque, axis=1)))
 
     @cached_property
     def _residuals(self) -> tuple[Array, Array]:
@@ -199,6 +275,35 @@ class TorqueFit:
                 yield replace(self, **motion)
 
 
+BETTER = 0.1
+"""Fall of the logarithm of the unexplained variance, mean over joints, from which any masses fit
+better: 5 % of the torque error."""
+
+
+def measure_any_masses(fit: TorqueFit, W: Array | None = None) -> float:
+    """Return the mean logarithm of the share that any masses and friction leave unexplained.
+
+    `W` (N, n, p) are the columns, by default those under the description's gravity.
+    """
+    left = fit.unexplained(fit.observe(fit.model.gravity) if W is None else W)
+    # 1e-4: unexplained share below which a better fit does not count.
+    return float(np.mean(np.log(left + 1e-4)))
+
+
+def compare_by_any_masses(fit: TorqueFit, other: TorqueFit) -> int:
+    """Return 1 if any masses fit the other log better, -1 if worse, 0 if that is not clear.
+
+    The whole log and both halves must agree. The masses of CAD, which may be wrong, do not count.
+    """
+    falls = [
+        measure_any_masses(one) - measure_any_masses(two)
+        for one, two in zip((fit, *fit.halves()), (other, *other.halves()), strict=True)
+    ]
+    if abs(falls[0]) < BETTER or min(falls) < 0.0 < max(falls):
+        return 0
+    return 1 if falls[0] > 0.0 else -1
+
+
 def _replace_zeros(x: Array) -> Array:
     """Return sizes (n,) with 1 in place of 0, to divide by."""
     return np.where(x > 0.0, x, 1.0)
@@ -260,28 +365,11 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     where friction exceeds the rigid-body torque, are checked too.
     """
     samples, n = fit.q.shape
-    base = find_base_parameters(fit.model, DriveSet.parse("viscous,offset"))
-    p = base.n_base + n
+    W = fit.observe(fit.model.gravity)
     # 3: torques per parameter below which any order is explained.
-    if samples * n < 3 * p:
+    if samples * n < 3 * W.shape[2]:
         return None
-    W = np.zeros((samples, n, p))
-    W[:, :, : base.n_base] = observation_matrix(
-        fit.model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns
-    ).reshape(samples, n, -1)
-    W[:, range(n), range(base.n_base, p)] = np.tanh(fit.qd / BREAKAWAY)
-    # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
-    y = np.asfortranarray(fit.tau)
-    y = y - y.mean(axis=0)
-    spread = _replace_zeros(y.std(axis=0))
-    y = y / spread
-    normal = _NormalEquations(
-        W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
-        y.T @ W.transpose(1, 0, 2),
-        np.mean(y**2, axis=0),
-        spread,
-        samples,
-    )
+    normal = fit.normal_equations(W)
     logged = tuple(range(n))
     # A sum of logarithms that falls by 4: both unexplained shares fall to an eighth.
     found = choose_decisive_change(logged, list_swaps(logged), normal.cost, 4.0)
@@ -293,7 +381,7 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _NormalEquations:
+class NormalEquations:
     """The normal equations of each joint's rows with each joint's torque.
 
     `grams` (n, p, p), `sides` (n, n, p) for torques of unit variance, `power` and `spread` (n,) of
@@ -317,12 +405,19 @@ class _NormalEquations:
                 return np.inf
         return float(np.sum(np.log(shares)))
 
-    def unexplained(self, torque_of: tuple[int, ...]) -> Array:
-        """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
+    def solve(self, torque_of: tuple[int, ...]) -> Array:
+        """Return the parameters (p,) that fit best if joint k has `torque_of[k]`."""
         order = list(torque_of)
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
-        beta = Scaled(np.tensordot(scale**2, self.grams, axes=1)).solve(scale @ side)
+        return Scaled(np.tensordot(scale**2, self.grams, axes=1)).solve(scale @ side)
+
+    def unexplained(self, torque_of: tuple[int, ...]) -> Array:
+        """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
+        order = list(torque_of)
+        beta = self.solve(torque_of)
+        scale = 1.0 / self.spread[order]
+        side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         explained = scale**2 * (self.grams @ beta @ beta)
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))

@@ -32,6 +32,8 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 WEIGHT: tuple[str, ...] = (
     "joint_without_torque",
+    "gravity_absent",
+    "gravity_partial",
     "gravity_direction",
     "torque_scale",
     "joint_torque_scale",

@@ -320,6 +320,8 @@ RULES = VerdictRules()
 DIMMING: Mapping[str, str] = MappingProxyType(
     {
         "held_out_repeats": "tested on the same motion only",
+        "gravity_absent": "the torques follow no gravity",
+        "gravity_partial": "the torques follow a part of gravity",
         "gravity_direction": "gravity points elsewhere than described",
         "clock_wrong": "the clock of the log looks wrong",
         "torque_scale": "torques have another scale than masses",

@@ -17,8 +17,13 @@ export function drawColumns(next) {
   element("assign-line").hidden = !usable;
   say(answer ? sentence() : "", Boolean(answer) && (answer.error !== undefined || !answer.ok));
   if (!usable) return;
-  columns = answer.columns.map((column) => ({ name: column.name, quantity: column.quantity || "", joint: column.joint || "" }));
   element("columns-all").open = !answer.ok;
+  reset();
+}
+
+/* Columns as the log was read. */
+function reset() {
+  columns = answer.columns.map((column) => ({ name: column.name, quantity: column.quantity || "", joint: column.joint || "" }));
   drawTable();
   drawPlaces();
   tellChanges();
@@ -159,6 +164,7 @@ function drawTable() {
 
 function tellChanges() {
   const changed = columns.filter((_, k) => isChanged(k)).length;
+  element("undo").hidden = !changed;
   element("assign").disabled = !(changed || !answer.ok);
   element("assign-note").textContent = changed ? `${changed} changed.` : answer.ok ? "Drag a column to another place first." : "";
 }
@@ -166,3 +172,4 @@ function tellChanges() {
 element("assign").addEventListener("click", () => post("sheet", {
   columns: columns.map((column) => (isUsed(column) ? column : { name: column.name, quantity: "", joint: "" })),
 }));
+element("undo").addEventListener("click", reset);

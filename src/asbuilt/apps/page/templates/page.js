@@ -22,10 +22,14 @@ function draw() {
   for (const [step, told] of Object.entries(page().steps)) drawCommand(step, told);
 }
 
-/* Text of a field, unless somebody is writing in it. */
-function fill(id, text) {
-  const node = element(id);
-  if (document.activeElement !== node) node.value = text;
+/* Text of a field, unless somebody is writing in it, or mends what was refused. */
+function fill(node, text) {
+  if (!node.isTyped && element("trouble").hidden) node.value = text;
+}
+
+for (const node of document.querySelectorAll("input")) {
+  node.addEventListener("input", () => { node.isTyped = true; });
+  node.addEventListener("change", () => { node.isTyped = false; });
 }
 
 /* ---- 1 robot and 2 logs ---- */
@@ -43,7 +47,7 @@ function drawChoices() {
   const names = element("robot-name");
   if (names.options.length === 1) for (const name of robots) make(names, "option", { value: name }, name);
   names.value = robots.includes(choices.robot) ? choices.robot : "";
-  fill("robot-path", robots.includes(choices.robot) ? "" : choices.robot);
+  fill(element("robot-path"), robots.includes(choices.robot) ? "" : choices.robot);
   drawLogs(choices);
 }
 
@@ -99,14 +103,16 @@ function drawRobot() {
 
 function drawFields() {
   const { choices, fields } = page();
-  fill("reading", choices.reading);
-  fill("options", choices.options);
+  fill(element("reading"), choices.reading);
+  fill(element("options"), choices.options);
   for (const node of document.querySelectorAll("[data-option]")) {
     const value = fields[node.dataset.line][node.dataset.option];
-    if (document.activeElement === node && node.tagName !== "SELECT") continue;
     const text = value === undefined ? "" : value === true ? "true" : value;
-    if (node.tagName === "SELECT" && ![...node.options].some((option) => option.value === text)) make(node, "option", { value: text }, text);
-    node.value = text;
+    if (node.tagName !== "SELECT") fill(node, text);
+    else {
+      if (![...node.options].some((option) => option.value === text)) make(node, "option", { value: text }, text);
+      node.value = text;
+    }
   }
   drawGains();
 }
