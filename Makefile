@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: install demo test studies test-lowest fuzz quick check bench benchmark docs format wheel clean
+.PHONY: install demo test test-core studies test-lowest fuzz quick check bench benchmark docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
@@ -16,6 +16,11 @@ install: $(VENV)/.installed-check $(VENV)/.installed-docs
 test: $(VENV)/.installed-test
 	$(BIN)/python tests/make_ready.py
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not study"
+
+# The core alone, in a copy of the tree without any app: what is left of the tests, or CORE_TESTS.
+CORE_TESTS ?= tests
+test-core: $(VENV)/.installed-test
+	$(BIN)/python tests/without_apps.py -n auto -m "not study" $(CORE_TESTS)
 
 # Tests that take seconds each: statistics of many studies, whole recordings of real robots, examples.
 studies: $(VENV)/.installed-test

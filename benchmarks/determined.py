@@ -2,6 +2,10 @@
 
     python benchmarks/determined.py [TABLE...] [--robots N] [--workers N]
 
+intervals
+    Feasible intervals on virtual robots of five makes: 20 to 40 s of a motion of its own each,
+    bodies off from CAD by a tenth, friction and rotors that CAD lacks, torque noise correlated over
+    0.1 s. Truth and torque are Pinocchio's.
 false_errors
     `check` on sound logs of virtual robots whose descriptions are wrong (`sound_logs`).
 """
@@ -9,13 +13,153 @@ false_errors
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from asbuilt import RobotModel, identify, load_robot, random_fourier
+from asbuilt.identification import FeasibleInterval, IdentificationResult, feasible_intervals
+from outside_robot import OutsideRobot, Sensors, other_bodies
 from sound_logs import false_errors
 
+MAKES = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "so-101", "scara")
 ROBOTS = 200
+RATE, HARMONICS = 200.0, 20
+OFF = 0.1
+"""Relative error of CAD masses, centres and shapes."""
+NOISE = 0.02
+"""Torque noise in the typical torque of a joint."""
+QUANTITIES = ("mass", "com", "Ixx", "Iyy", "Izz", "armature")
+REGIONS = ("each", "joint")
 
-TABLES = {"false_errors": false_errors}
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """One interval of one robot, with the truth and the value that was chosen."""
+
+    make: str
+    kind: str
+    region: str
+    interval: FeasibleInterval
+    truth: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it holds the truth, up to the solver's six digits."""
+        rounding = 1e-5 * abs(self.truth)
+        return self.interval.holds(self.truth + rounding) or self.interval.holds(
+            self.truth - rounding
+        )
+
+    @property
+    def width(self) -> float:
+        """Width of the interval in the true value; infinite if it is open."""
+        return (self.interval.greatest - self.interval.least) / max(abs(self.truth), 1e-9)
+
+    @property
+    def chosen_error(self) -> float:
+        """Error of the chosen value in the true one."""
+        chosen = np.nan if self.interval.chosen is None else self.interval.chosen
+        return abs(chosen - self.truth) / max(abs(self.truth), 1e-9)
+
+
+def virtual_robot(model: RobotModel, rng: np.random.Generator) -> OutsideRobot:
+    """Return a robot off from its CAD, with friction and rotors of the size of its torques."""
+    n, bodies = model.n_joints, other_bodies(model, rng, mass=OFF, centre=OFF, shape=OFF)
+    scale = rng.uniform(0.5, 2.0, size=(4, n))
+    about = np.array([link.inertia.mass for link in model.links])[::-1].cumsum()[::-1][:n]
+    return OutsideRobot(
+        bodies,
+        viscous=0.1 * about * scale[0],
+        coulomb=0.2 * about * scale[1],
+        offset=0.02 * about * rng.normal(size=n),
+        armature=0.01 * about * scale[3],
+    )
+
+
+def study(make: str, seed: int) -> tuple[OutsideRobot, IdentificationResult]:
+    """Return a virtual robot and its identification with default options."""
+    rng, described = np.random.default_rng(seed), load_robot(make)
+    bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in described.joints)
+    model = replace(described, joints=bare)
+    robot = virtual_robot(model, rng)
+    motion = random_fourier(
+        model, rng=rng, duration=float(rng.uniform(20.0, 40.0)), n_harmonics=HARMONICS
+    )
+    torque = robot.logged(motion).tau
+    turns = tuple(joint.is_revolute for joint in model.joints)
+    sensors = Sensors(NOISE * torque.std(axis=0), turns=turns)
+    log = robot.log(motion, sensors, RATE, rng, torque_source="motor")
+    return robot, identify(model, log).result
+
+
+def true_values(robot: OutsideRobot) -> Mapping[str, float]:
+    """Return the true value of every quantity by name."""
+    truth = {"mass": float(sum(link.inertia.mass for link in robot.bodies.links))}
+    for link in robot.bodies.links:
+        body = link.inertia
+        truth[f"mass:{link.name}"] = float(body.mass)
+        for axis, moment in zip("xyz", body.com.tolist(), strict=True):
+            truth[f"c{axis}:{link.name}"] = moment
+        for name, value in zip(("Ixx", "Iyy", "Izz"), np.diag(body.inertia).tolist(), strict=True):
+            truth[f"{name}:{link.name}"] = value
+    for name, value in zip(robot.bodies.joint_names, robot.armature.tolist(), strict=True):
+        truth[f"armature:{name}"] = value
+    return truth
+
+
+def intervals_of(task: tuple[str, int]) -> list[Held]:
+    """Return the intervals of one virtual robot."""
+    make, seed = task
+    robot, result = study(make, seed)
+    truth, found = true_values(robot), list[Held]()
+    lacks = () if "armature" in result.base.drive.keys else ("armature",)
+    names = [x for x in QUANTITIES if x not in lacks]
+    names += [f"mass:{link.name}" for link in robot.bodies.links]
+    for region in REGIONS:
+        for each in feasible_intervals(result, names, region=region):
+            kind = {"c": "centre", "I": "inertia"}.get(each.quantity[0], "")
+            kind = kind or each.quantity.replace("mass:", "link mass:").partition(":")[0]
+            found.append(Held(make, kind, region, each, truth[each.quantity]))
+    return found
+
+
+def intervals(robots: int, run: Callable[..., Iterator[list[Held]]]) -> None:
+    """Print how many feasible intervals hold the truth."""
+    tasks = [(MAKES[k % len(MAKES)], k) for k in range(robots)]
+    found = [each for some in run(intervals_of, tasks) for each in some]
+    print(f"Feasible intervals of {robots} virtual robots of {len(MAKES)} makes")
+    print(f"{'':>28} {'intervals':>9} {'hold':>6} {'open':>6} {'width':>7} {'chosen off':>10}")
+    for region in REGIONS:
+        own = [each for each in found if each.region == region]
+        groups: dict[str, list[Held]] = {f"{region}: all": own}
+        groups |= {
+            f"{region}: determined": [each for each in own if each.interval.determined],
+            f"{region}: chosen outside": [
+                each
+                for each in own
+                if each.interval.chosen is not None
+                and not each.interval.holds(each.interval.chosen)
+            ],
+        }
+        for key in ("make", "kind"):
+            for value in dict.fromkeys(getattr(each, key) for each in own):
+                groups[f"{region}: {value}"] = [x for x in own if getattr(x, key) == value]
+        for name, group in groups.items():
+            if not group:
+                continue
+            widths = np.array([each.width for each in group])
+            hold = np.mean([each.holds for each in group])
+            off = np.median([each.chosen_error for each in group])
+            print(
+                f"{name:>28} {len(group):9d} {hold:6.3f} {np.mean(np.isinf(widths)):6.2f}"
+                f" {np.median(widths):7.2f} {off:10.2f}"
+            )
+
+
+TABLES = {"intervals": intervals, "false_errors": false_errors}
 
 
 def main() -> None:

@@ -22,6 +22,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from asbuilt.apps.fleet.identification import fleet_identify
+from asbuilt.apps.fleet.ledger.ledger import open_ledger
+from asbuilt.apps.fleet.options import FleetIdentification, FleetOptions
+from asbuilt.apps.fleet.reduction.add import add_logs
+from asbuilt.apps.fleet.reduction.log_task import LogTask, reduce_log
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.executor import open_workers
@@ -34,11 +39,6 @@ from asbuilt.identification.information.square_root_information import (
     accumulate,
     accumulate_stream,
 )
-from asbuilt.workflow.fleet.identification import fleet_identify
-from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
-from asbuilt.workflow.fleet.reduction.add import add_logs
-from asbuilt.workflow.fleet.reduction.log_task import LogTask, reduce_log
 from asbuilt.workflow.prepare import prepare
 from factor import DRIVE, N_SAMPLES, ROBOT, recorded
 

@@ -23,6 +23,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from asbuilt.apps.fleet.drift.columns import Day, FleetColumns
+from asbuilt.apps.fleet.drift.drift import FleetDrift, conclude_drift, scan_type
+from asbuilt.apps.fleet.options import FleetDriftOptions
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
@@ -33,9 +36,6 @@ from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns
-from asbuilt.workflow.fleet.drift.drift import FleetDrift, conclude_drift, scan_type
-from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 CHANGES = ("payload", "friction", "gain", "tilt")

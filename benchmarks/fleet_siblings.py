@@ -15,6 +15,12 @@ import json
 
 import numpy as np
 
+from asbuilt.apps.fleet.siblings import (
+    SiblingPrior,
+    derive_posterior_uncertainty,
+    estimate_prior,
+    estimate_with_siblings,
+)
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -30,12 +36,6 @@ from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
-)
-from asbuilt.workflow.fleet.siblings import (
-    SiblingPrior,
-    derive_posterior_uncertainty,
-    estimate_prior,
-    estimate_with_siblings,
 )
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")

@@ -17,6 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.apps.watch.causal_filter import largest_velocity_error
+from asbuilt.apps.watch.contact import find_smallest_forces, frame_jacobian
+from asbuilt.apps.watch.events import find_events
+from asbuilt.apps.watch.observed import ModelError, Observed
+from asbuilt.apps.watch.observer import Observer
+from asbuilt.apps.watch.thresholds import Thresholds, bound_residual, set_thresholds
+from asbuilt.apps.watch.watched_log import ELSEWHERE
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
@@ -24,15 +31,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import choose_payload_frame
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.causal_filter import largest_velocity_error
-from asbuilt.monitoring.contact import find_smallest_forces, frame_jacobian
-from asbuilt.monitoring.events import find_events
-from asbuilt.monitoring.observed import ModelError, Observed
-from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.thresholds import Thresholds, bound_residual, set_thresholds
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.watched_log import ELSEWHERE
 from monitoring_real import interval
 
 RATE = 100.0

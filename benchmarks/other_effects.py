@@ -62,8 +62,20 @@ FURTHER = {
         "baxter/baxter_left.urdf", "baxter", BAXTER, ((0, 1, 2, 3, 4),), options={"rate": 100.0}
     ),
     "KR300": Robot("kuka_kr300.toml", "kr300", ("A.csv", "B.csv"), options={"text": KR300}),
+    "Kinova": Robot(
+        "kinova/gen3.urdf",
+        "kinova",
+        ("opti_traj_testing1.csv", "opti_traj_testing2.csv"),
+        options={"sheet": "sheet4.toml"},
+    ),
+    "Schunk": Robot(
+        "schunk/schunk_lwa4p.urdf",
+        "schunk",
+        tuple(f"m{number}.csv" for number in range(1, 13)),
+        ((0, 1, 2, 3), (4, 5, 6, 7), (8, 9, 10, 11), (0, 1, 2, 3, 4, 5, 6, 7)),
+    ),
 }
-ONLY_SETS = ("Baxter",)
+ONLY_SETS = ("Baxter", "Schunk")
 """Robots whose single recordings are not trained on."""
 
 

@@ -25,8 +25,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 import asbuilt
-from asbuilt.cli.hayat2015.pages import describe_outcome, write_reproduction
-from asbuilt.cli.hayat2015.tables import build_all_tables
+from asbuilt.apps.paper.pages import describe_outcome, write_reproduction
+from asbuilt.apps.paper.tables import build_all_tables
 
 DOCS = Path(__file__).resolve().parent
 BUILT, KEPT = DOCS / "built", DOCS / "pictures"

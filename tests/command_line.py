@@ -23,6 +23,8 @@ EXTRA = {
     "validate": {"rollout", "verdict", "headline", "use"},
 }
 """Fields that some options of a command add."""
+IN_LINES = ("run",)
+"""Commands that print a document a line."""
 
 
 CALLS = """
@@ -54,8 +56,9 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
         command = str(arguments[0])
         if command in SUBCOMMANDS:
             command = f"{command} {arguments[1]}"
-        fields = set(json.loads(out)) - EXTRA.get(command, set())
-        assert any(fields == told for told in documented_fields()[command]), sorted(fields)
+        for text in out.splitlines() if command in IN_LINES else [out]:
+            fields = set(json.loads(text)) - EXTRA.get(command, set())
+            assert any(fields == told for told in documented_fields()[command]), sorted(fields)
     return status, out, err
 
 

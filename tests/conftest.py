@@ -22,3 +22,15 @@ def shared() -> Path:
     if not (SHARED / "data").is_dir():
         pytest.skip("the folder ../shared with recordings of real robots is not here")
     return SHARED
+
+
+INSTALLED = Path(__file__).resolve().parents[1] / "src" / "asbuilt" / "apps"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip tests that need apps which are not there (`tests/without_apps.py`)."""
+    for item in items:
+        needed = {app for marker in item.iter_markers("apps") for app in marker.args}
+        absent = sorted(app for app in needed if not (INSTALLED / app).is_dir())
+        if absent:
+            item.add_marker(pytest.mark.skip(reason=f"without the app {', '.join(absent)}"))

@@ -1,6 +1,7 @@
 """The import law: a stage imports itself, the stages that sort before it, and the leaf modules.
 
-The command line may import anything.
+The command line may import any stage. Nothing of these, the core, imports an app; an app imports
+public names.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from graphlib import TopologicalSorter
 from importlib import import_module
 from importlib.metadata import packages_distributions
 from pathlib import Path
-from typing import Any
+from types import FunctionType
+from typing import Any, get_origin
 
 import pytest
 import typer
@@ -30,7 +32,6 @@ STAGES = (
     "excitation",
     "experiment",
     "identification",
-    "monitoring",
     "validation",
     "workflow",
     "writers",
@@ -42,14 +43,20 @@ LEAVES = (
     "compilation",
     "errors",
     "executor",
+    "faces",
     "findings",
     "isolation",
     "ranges",
     "registry",
+    "scaled",
     "tables",
     "untrusted",
     "writing",
 )
+APPS = sorted(path.parent.name for path in SOURCE.glob("apps/*/__init__.py"))
+"""Apps that are there: the core is tested without any, too."""
+FACES = ("asbuilt", "asbuilt.cli", *(f"asbuilt.{stage}" for stage in STAGES))
+"""Packages of the core whose stub lists what is public."""
 FULL = 25
 """Modules that one folder may hold, drive terms excepted."""
 HEAVY = (
@@ -118,8 +125,8 @@ def foreign_packages(path: Path) -> set[str]:
 
 
 def test_stages_are_what_the_law_knows() -> None:
-    folders = sorted(p.name for p in SOURCE.iterdir() if p.is_dir() and p.name != "__pycache__")
-    assert tuple(folders) == ("cli", *STAGES)
+    folders = {p.name for p in SOURCE.iterdir() if p.is_dir()} - {"__pycache__", "apps"}
+    assert folders == {"cli", *STAGES}
     assert tuple(sorted(STAGES)) == STAGES
 
 
@@ -136,6 +143,91 @@ def test_stage_imports_only_itself_earlier_stages_and_leaves(stage: str) -> None
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_leaf_imports_leaves_only(leaf: str) -> None:
     assert {name.split(".")[0] for name in imported_modules(SOURCE / f"{leaf}.py")} <= set(LEAVES)
+
+
+def list_core() -> list[Path]:
+    """Files of the core."""
+    return [path for path in SOURCE.rglob("*.py") if SOURCE / "apps" not in path.parents]
+
+
+def test_core_imports_no_app() -> None:
+    """Neither when it is loaded, nor later, nor by a name of `asbuilt` that an app owns."""
+    owned = {name for name, home in public_names("asbuilt").items() if ".apps." in home}
+    for path in list_core():
+        names = {name.split(".")[0] for name in imported_modules(path)}
+        for node in nodes_of(path):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                names |= {node.attr} if node.value.id == "asbuilt" else set()
+        named = names & {"apps", *owned}
+        assert not named, f"{path.relative_to(SOURCE)} imports {', '.join(named)}"
+
+
+def test_core_names_apps_where_it_looks_for_them_alone() -> None:
+    known = {"registry.py": "asbuilt.apps"}
+    for path in list_core():
+        place = path.relative_to(SOURCE).as_posix()
+        for text in texts_of(path):
+            assert "asbuilt.apps" not in text or text == known.get(place), f"{place}: {text!r}"
+
+
+def test_stages_have_no_names_of_apps() -> None:
+    for face in FACES[1:]:
+        for home in public_names(face).values():
+            assert not home.startswith("asbuilt.apps."), home
+
+
+def imported_names(path: Path) -> list[tuple[str, str]]:
+    """Package or module and name of everything of `asbuilt` that a file imports or reads of it."""
+    names: list[tuple[str, str]] = []
+    packages: dict[str, str] = {}
+    for node in nodes_of(path):
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] == "asbuilt":
+            names += [(str(node.module), alias.name) for alias in node.names]
+        elif isinstance(node, ast.Import):
+            packages |= {a.name: a.name for a in node.names if a.name.split(".")[0] == "asbuilt"}
+    packages |= {name: f"asbuilt.{name}" for home, name in names if home == "asbuilt"}
+    for node in nodes_of(path):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            package = packages.get(node.value.id)
+            if package in FACES:
+                names.append((package, node.attr))
+    return names
+
+
+@pytest.mark.parametrize("app", APPS)
+def test_app_imports_public_names_only(app: str) -> None:
+    """And none that is also a module of its stage, which would hide it."""
+    home = SOURCE / "apps" / app
+    first = (home / "__init__.py").read_text().splitlines()[0]
+    leaves = {f"asbuilt.{leaf}" for leaf in LEAVES}
+    public = {face: set(public_names(face)) for face in FACES}
+    public["asbuilt"] |= {
+        "__version__",
+        *LEAVES,
+        *(face.removeprefix("asbuilt.") for face in FACES),
+    }
+    for path in home.rglob("*.py"):
+        for package, name in imported_names(path):
+            place = f"{path.relative_to(SOURCE)}: {package}.{name}"
+            if package in leaves or package in (f"asbuilt.apps.{app}", "asbuilt.apps"):
+                continue
+            if package.startswith("asbuilt.apps."):
+                other = package.split(".")[2]
+                assert other in (app, *re.findall(r"\w+", first)), f"{place}, of another app"
+                continue
+            assert package in public, f"{place}, of an inside"
+            assert name in public[package], f"{place} is not public"
+            inside = SOURCE.joinpath(*package.split(".")[1:], f"{name}.py")
+            assert package == "asbuilt" or not inside.exists(), f"{place}, also a module"
+
+
+def test_every_app_imports_into_its_commands_only_what_is_there() -> None:
+    from asbuilt.cli.commands import ABSENT, EVERY_COMMAND, TABLE
+
+    named = {app for group in TABLE.values() for app in group.values() if isinstance(app, str)}
+    assert named - set(APPS) == set(ABSENT.values())
+    for name, entry in EVERY_COMMAND.items():
+        assert (SOURCE / entry.module.replace(".", "/")).with_suffix(".py").is_file(), name
 
 
 def test_no_folder_is_crowded() -> None:
@@ -189,21 +281,38 @@ def public_names(package: str) -> dict[str, str]:
     return names
 
 
-@pytest.mark.parametrize("package", ["asbuilt", *(f"asbuilt.{stage}" for stage in STAGES)])
+def is_installed(module: str) -> bool:
+    """Whether a module belongs to no app, or to one that is there."""
+    parts = module.split(".")
+    return parts[1] != "apps" or parts[2] in APPS
+
+
+@pytest.mark.parametrize(
+    "package",
+    [
+        *FACES,
+        *(f"asbuilt.apps.{app}" for app in APPS if (SOURCE / f"apps/{app}/__init__.pyi").exists()),
+    ],
+)
 def test_public_names_load_from_the_modules_of_the_stub(package: str) -> None:
     loaded, names = import_module(package), public_names(package)
-    assert loaded.__all__ == sorted(names)
+    names = {name: home for name, home in names.items() if is_installed(home)}
+    if package == "asbuilt":
+        assert set(loaded.__all__) < set(names)  # what one needs; the rest is in the stages
+        assert set(loaded.__all__) <= set(dir(loaded))
+    else:
+        assert loaded.__all__ == sorted(names)
     for name, home in names.items():
         value = getattr(loaded, name)
         assert getattr(import_module(home), name) is value
-        assert value.__doc__
-        if callable(value):
+        assert value.__doc__ or get_origin(value) is not None, f"{name} has no docstring"
+        if isinstance(value, type | FunctionType):
             assert value.__module__ == home
 
 
 def test_stage_names_that_asbuilt_exposes_are_public_in_their_stage() -> None:
     for name, home in public_names("asbuilt").items():
-        if home.split(".")[1] in STAGES:
+        if home.split(".")[1] in (*STAGES, "cli"):
             assert public_names(".".join(home.split(".")[:2])).get(name) == home, name
 
 
@@ -239,7 +348,7 @@ REFUSED = (
     ("excite LOG", 1),
     ("simulate ur10e --preset unknown", 2),
     ("simulate ur10e --tool heavy", 2),
-    ("program LOG LOG2 --format franka", 1),
+    ("program LOG LOG2 --format franka", 1 if "programs" in APPS else 2),
 )
 """Commands and their exit status."""
 
@@ -309,7 +418,8 @@ def test_library_code_names_no_option_of_the_command_line() -> None:
     options = option_spellings()
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()
-        if place.startswith(("cli/", "writers/programs/")) or path.name == "drive_tables.py":
+        spells = place.startswith(("cli/", "apps/programs/", "apps/page/"))
+        if spells or path.name in {"command.py", "commands.py", "demo.py", "drive_tables.py"}:
             continue
         for text in texts_of(path):
             named = options & set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
+import subprocess
+import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from asbuilt import compilation
+from asbuilt import compilation, executor
 from asbuilt.compilation import (
     Kernel,
     MachineCodeFiles,
@@ -19,6 +23,8 @@ from asbuilt.compilation import (
     digest_sources,
     kernel,
 )
+from asbuilt.dynamics.kernels import rigid_body, single_sample  # noqa: F401
+from asbuilt.experiment.signal import lowpass  # noqa: F401 - a usual kernel
 
 
 def fresh_twice(folder: Path):
@@ -148,34 +154,57 @@ def test_a_kernel_has_one_signature_and_refuses_other_types() -> None:
     assert len(double.overloads) == 1
 
 
-def test_only_the_first_kernel_that_is_not_on_disk_is_announced(tmp_path: Path) -> None:
+def test_each_kernel_that_is_not_on_disk_is_announced_once(tmp_path: Path) -> None:
     seen = []
     with announce_kernels(seen.append):
         made = fresh_twice(tmp_path)
         assert made.is_on_disk()
         fresh_twice(tmp_path)
-    assert seen == [made]
+        other = tmp_path / "other"
+        other.mkdir()
+        second = fresh_twice(other)
+    assert seen == [made, second]
     with announce_kernels(seen.append):
         fresh_twice(tmp_path)
-    assert seen == [made]
+    assert len(seen) == 2
 
 
-def test_every_module_with_kernels_is_found_and_each_has_its_own_code(
+def test_a_command_compiles_what_it_calls_and_the_usual_kernels_that_it_imports(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(Kernel, "is_on_disk", lambda self: False)
+    wanted = single_sample.mass_matrix
     done = []
-    monkeypatch.setattr(Kernel, "is_on_disk", lambda self: self.py_func.__module__ == "toy")
-    monkeypatch.setattr(Kernel, "make_ready", lambda self: done.append(self.__name__))
+
+    class Workers:
+        def run(self, function, tasks):
+            done.extend(name for _, name in tasks)
+            return iter(tasks)
+
+    monkeypatch.setattr(executor, "open_workers", lambda count: nullcontext(Workers()))
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
     fractions = []
-    compile_kernels(fractions.append)
-    assert {
-        "regressor",
-        "newton_euler",
-        "simulate",
-        "write_lag",
-        "_search_closest_points",
-        "_follow",
-    } <= set(done)
+    compile_kernels(wanted, fractions.append)
+    assert {"mass_matrix", "regressor", "newton_euler", "_filter_in_place"} <= {*done}
+    assert not {"close_loops", "simulate", "sensitivities", "torque"} & {*done}
     assert fractions[0] == 0.0
     assert fractions == sorted(fractions)
-    assert fractions[-1] < 1.0
+    assert fractions[-1] == 1.0
+
+
+def test_processes_that_start_together_compile_a_kernel_once(tmp_path: Path) -> None:
+    """The second waits for the lock of the first and loads what that one kept."""
+    (tmp_path / "toy.py").write_text(
+        "from asbuilt.compilation import kernel\n\n@kernel('i')\ndef twice(x):\n    return 2 * x\n"
+    )
+    program = (
+        "import toy; assert toy.twice(3) == 6; print(sum(toy.twice.stats.cache_misses.values()))"
+    )
+    path = os.pathsep.join([str(tmp_path), str(compilation.PACKAGE.parent)])
+    command = [sys.executable, "-c", program]
+    environment = os.environ | {"PYTHONPATH": path}
+    started = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    assert sum(int(process.communicate()[0]) for process in started) == 1

@@ -13,6 +13,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.apps(
+    *("estimators", "fleet", "masses", "page", "paper", "programs", "simulators", "watch")
+)
+"""The documentation and the examples are of the whole distribution."""
+
 HOUSE = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((HOUSE / "examples").glob("[0-9]*.py"))
 NOTEBOOKS = sorted((HOUSE / "docs" / "notebooks").glob("*.ipynb"))

@@ -37,7 +37,11 @@ GROUPS = {
     "description_formats": "chain_format",
     "simulator_formats": "gains_format",
     "figures": "error_figure",
+    "drivers": "mujoco_driver",
 }
+
+SEAMS = ("c_observers", "program_writers")
+"""Registries by which a command of the core reaches one app."""
 
 
 NAMES = ("halved", "ols")
@@ -58,13 +62,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.apps("programs")
 def test_there_is_a_recipe_for_every_registry() -> None:
     assert set(RECIPES) == set(GROUPS.values())
     text = PAGE.read_text()
     source = Path(__file__).resolve().parents[1] / "src"
-    registry = re.compile(r'Registry\(\s*"[\w ]+",\s*"[\w.]+",\s*"asbuilt\.(\w+)"')
+    registry = re.compile(r'Registry\(\s*"[\w ]+",\s*(?:None|"[\w.]+"),\s*"asbuilt\.(\w+)"')
     groups = {name for path in source.rglob("*.py") for name in registry.findall(path.read_text())}
-    assert groups == set(GROUPS)
+    assert groups == {*GROUPS, *SEAMS}
     assert all(f"`asbuilt.{group}`" in text for group in GROUPS)
 
 
@@ -109,6 +114,7 @@ def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.study
+@pytest.mark.apps("programs")
 def test_motions_and_program(site: Path, tmp_path: Path) -> None:
     line = "excite two-link --parametrisation mirrored --harmonics 5 --duration 6 --starts 1"
     (printed,) = call_elsewhere(tmp_path, site, f"{line} --program json --no-report --json")
@@ -133,3 +139,18 @@ def test_effect_from_outside_is_named(site: Path, tmp_path: Path) -> None:
     assert found["cogging"]["joint"] == model.joint_names[0]
     assert found["cogging"]["estimate"] == pytest.approx(2.0, rel=0.1)
     assert not found["cogging"]["in_model"]
+
+
+@pytest.mark.study
+def test_driver_moves_a_simulator_of_its_own(site: Path, tmp_path: Path) -> None:
+    """The loop finds what MuJoCo's model has and the description lacks: 1 kg at the second link."""
+    call_elsewhere(tmp_path, site, "convert two-link described.xml")
+    described = (tmp_path / "described.xml").read_text()
+    assert 'mass="5.184"' in described
+    (tmp_path / "heavier.xml").write_text(described.replace('mass="5.184"', 'mass="6.184"'))
+    (printed,) = call_elsewhere(
+        tmp_path, site, "run two-link --on mujoco:heavier.xml --seconds 6 --until 1 --json"
+    )
+    first, *_, last, summary = map(json.loads, printed.splitlines())
+    assert summary["ending"] == "proven"
+    assert last["found"] < 0.01 < first["found"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.writing import _OWNER, _remove_leftovers, atomic_write, file_set
+from asbuilt.writing import _OWNER, atomic_write, file_set, remove_leftovers
 
 MEMBERS = ("result.json", "robot.toml", "robot.urdf")
 
@@ -63,5 +63,5 @@ def test_leftovers_of_dead_processes_are_removed(tmp_path: Path) -> None:
     other = tmp_path / f".result.json.elsewhere.{ended.pid}.abcd.part"
     for path in (dead, alive, other):
         path.write_text("half")
-    _remove_leftovers(tmp_path)
+    remove_leftovers(tmp_path)
     assert names(tmp_path) == sorted([alive.name, other.name])

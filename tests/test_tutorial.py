@@ -11,6 +11,11 @@ import pytest
 from command_line import call
 from shown_numbers import missing
 
+pytestmark = pytest.mark.apps(
+    *("estimators", "fleet", "masses", "page", "paper", "programs", "simulators", "watch")
+)
+"""The documentation and the examples are of the whole distribution."""
+
 TOLERANCE = 0.25
 """Of the numbers shown: the search for a motion ends at another one with other libraries."""
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorial.md"

@@ -6,8 +6,30 @@
 43
 """
 
-import lazy_loader
+from asbuilt.faces import attach_face
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, _list_all_names, _ = attach_face(__name__, __file__)
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "check_recording",
+    "compare",
+    "design_motion",
+    "export_result",
+    "identify",
+    "identify_payload",
+    "load_robot",
+    "read_recording",
+    "read_study",
+    "robot_names",
+    "simulate_recording",
+    "validate",
+    "write_study",
+]
+"""What most studies need; the other names of the stub are at home in the stages."""
+
+
+def __dir__() -> list[str]:
+    """Return the names that one needs, and those of every module."""
+    return [*__all__, *(name for name in globals() if name.startswith("__"))]

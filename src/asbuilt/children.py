@@ -1,4 +1,7 @@
-"""Functions run in child processes, each with limits of memory and time.
+"""Functions run in child processes, each with limits of memory, disk and computing time.
+
+Time is CPU time: on a slow or loaded computer a call takes longer and costs the same. Waiting is
+limited only where nothing moves at all, as in front of a pipe that nobody writes to.
 
 A child that starts costs more than most calls take, so one that has answered well answers the next.
 It is no prison: it only takes crashes, memory and time upon itself.
@@ -15,9 +18,10 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
@@ -36,14 +40,25 @@ ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process, where the system does not look."""
 ENDING = 0.5
 """Seconds that a child is given to end by itself, as one that has no more requests does."""
+STILL = 60.0
+"""Seconds without any computing after which a child waits in vain; it gets some in every second
+on a computer with a hundred others."""
+LOOK = 0.5
+"""Seconds between looks at a child that is limited."""
+SLOWEST = 50.0
+"""Multiple of the computing time that a call may wait where the system does not tell it."""
 
 
 class ChildEnded(Exception):  # noqa: N818 - what happened, which its caller explains
-    """Say that a child ended before it answered, with its exit status; below zero, the signal."""
+    """Say that a child ended before it answered, with its exit status; below zero, the signal.
 
-    def __init__(self, status: int) -> None:
+    `stopped` is "still" or "disk" where it was ended because it waited in vain, or wrote too much.
+    """
+
+    def __init__(self, status: int, stopped: str = "") -> None:
         super().__init__(f"its process ended with status {status}")
         self.status = status
+        self.stopped = stopped
 
 
 class Child:
@@ -86,15 +101,34 @@ class Child:
         memory: int | None = None,
         seconds: float = 0.0,
         largest: float = math.inf,
+        disk: int | None = None,
     ) -> list[bytearray]:
         """Return what a pickled function with its arguments returns: a sequence of buffers.
 
-        It may take `memory` [bytes] beyond what is used before, and a time [s]; zero is no limit.
+        It may take `memory` [bytes] beyond what is used before, CPU time [s], zero is no limit, and
+        `disk` [bytes] for temporary files, which are gone when the call has ended, however it did.
         Raises `ChildEnded` if the child ends before, or its answer has more than `largest` bytes.
         """
         self.calls += 1
+        limits = [memory, seconds, os.getcwd(), disk]
+        if not seconds:
+            return self._ask(request, [*limits, ""], largest)
+        with tempfile.TemporaryDirectory(prefix="asbuilt-", ignore_cleanup_errors=True) as scratch:
+            watch = _Watch(self._process, seconds, disk, Path(scratch))
+            try:
+                return self._ask(request, [*limits, scratch], largest)
+            except BaseException as problem:
+                self.end(kill=True)  # nothing more may be written to the folder
+                if isinstance(problem, ChildEnded):
+                    raise ChildEnded(problem.status, watch.stopped) from None
+                raise
+            finally:
+                watch.finish()
+
+    def _ask(self, request: bytes, limits: Sequence[Any], largest: float) -> list[bytearray]:
+        """Send a request with its limits, and return the answer."""
         stdin, stdout = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
-        head = json.dumps([len(request), memory, seconds, os.getcwd()])
+        head = json.dumps([len(request), *limits])
         with contextlib.suppress(BrokenPipeError):
             stdin.write(head.encode() + b"\n" + request)
             stdin.flush()
@@ -122,6 +156,66 @@ class Child:
             return self._process.wait(ENDING)
         except subprocess.TimeoutExpired:
             return self.end(kill=True)
+
+
+class _Watch:
+    """End a child that computes nothing for long, or fills its folder of temporary files.
+
+    A call that is watched runs in one thread; this one looks at the child's process from another.
+    """
+
+    def __init__(
+        self, process: subprocess.Popen[bytes], seconds: float, disk: int | None, scratch: Path
+    ) -> None:
+        self.stopped = ""
+        self._process = process
+        self._longest = SLOWEST * seconds
+        self._disk = math.inf if disk is None else disk
+        self._scratch = scratch
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+
+    def _look(self) -> None:
+        began = moved = time.monotonic()
+        known = -1.0
+        while not self._done.wait(LOOK):
+            now = time.monotonic()
+            used = read_cpu_time(self._process.pid)
+            if used is None:
+                still = now - began > self._longest
+            else:
+                moved = moved if used == known else now
+                known = used
+                still = now - moved > STILL
+            full = sum(_list_sizes(self._scratch)) > self._disk
+            if still or full:
+                self.stopped = "disk" if full else "still"
+                self._process.kill()
+                return
+
+    def finish(self) -> None:
+        """Look no more."""
+        self._done.set()
+        self._thread.join()
+
+
+def read_cpu_time(process: int) -> float | None:
+    """Return the CPU time [s] that a process has used; None if the system does not tell."""
+    try:
+        # The name in parentheses may hold blanks: user and system time are 11 and 12 behind it.
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError, AttributeError):
+        return None
+
+
+def _list_sizes(folder: Path) -> Iterator[int]:
+    """Yield the sizes [bytes] of the files in a folder, which may vanish meanwhile."""
+    for place, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(OSError):
+                yield os.stat(os.path.join(place, name)).st_size
 
 
 class ChildPool:
@@ -187,28 +281,31 @@ def serve(parent: int) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     _end_with(parent)
     while head := sys.stdin.buffer.readline():
-        size, memory, seconds, folder = json.loads(head)
+        size, memory, seconds, folder, disk, scratch = json.loads(head)
         os.chdir(folder)
+        tempfile.tempdir = scratch or None
         function, arguments = pickle.loads(sys.stdin.buffer.read(size))
-        _limit(memory, seconds)
+        _limit(memory, seconds, disk)
         answer = [memoryview(part) for part in function(*arguments)]
         answers.write(json.dumps([part.nbytes for part in answer]).encode() + b"\n")
         for part in answer:
             answers.write(part)
         answers.flush()
-        _limit(None, 0.0)
+        _limit(None, 0.0, None)
     os._exit(0)
 
 
-def _limit(memory: int | None, seconds: float) -> None:
-    """Limit time, and memory beyond what is used already, where the system can; None lifts it."""
+def _limit(memory: int | None, seconds: float, disk: int | None) -> None:
+    """Limit CPU time, files and memory beyond what is used, where the system can; None lifts it."""
     try:
         import resource  # noqa: PLC0415 - not on Windows
     except ImportError:
         return
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        largest = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest if disk is None else disk, largest))
         most = allowed = resource.getrlimit(resource.RLIMIT_DATA)[1]
         if memory is not None:
             pages = int(Path("/proc/self/statm").read_text().split()[5])

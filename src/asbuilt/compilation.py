@@ -7,6 +7,7 @@ from __future__ import annotations
 import gc
 import glob
 import hashlib
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -19,6 +20,11 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
+
+try:
+    import fcntl
+except ImportError:  # Windows, where processes that start at once compile the same code
+    fcntl = None  # type: ignore[assignment]
 
 NUMBERS = {"i": types.int64, "f": types.float64, "b": types.boolean, "a": types.float64}
 """Types by their letter in a signature; `a` is `f` in arrays whose items need not be neighbours."""
@@ -84,11 +90,14 @@ class Kernel(CPUDispatcher):
     overloads: Any
 
     announce: ClassVar[Callable[[Kernel], None] | None] = None
-    """Called once with the first kernel that is not on disk, before it is compiled."""
+    """Called with each kernel that is not on disk, before it is compiled."""
 
-    def __init__(self, function: Callable[..., Any], signature: str, options: Any) -> None:
+    def __init__(
+        self, function: Callable[..., Any], signature: str, options: Any, *, usual: bool = False
+    ) -> None:
         super().__init__(function, targetoptions=options)
         self.declared = parse_types(signature)
+        self.usual = usual
         try:
             self._cache = MachineCode(function)
             folders = (PACKAGE, SHARED_PARTS, Path(function.__code__.co_filename).parent)
@@ -113,13 +122,30 @@ class Kernel(CPUDispatcher):
     def make_ready(self) -> None:
         """Load or compile."""
         with global_compiler_lock:
-            if self._can_compile and Kernel.announce and not self.is_on_disk():
+            if not self._can_compile:
+                return
+            if Kernel.announce and not self.is_on_disk():
                 announce, Kernel.announce = Kernel.announce, None
-                announce(self)
-            if self._can_compile:
-                with _pause_garbage_collection():
-                    super().compile(self.declared)
-                self.disable_compile()
+                try:
+                    announce(self)
+                finally:
+                    Kernel.announce = announce
+            # Whoever waits for the lock finds the code of the process that had it.
+            with self._lock(), _pause_garbage_collection():
+                super().compile(self.declared)
+            self.disable_compile()
+
+    @contextmanager
+    def _lock(self) -> Iterator[None]:
+        """Let one process of this machine compile the kernel, where its code can be kept."""
+        if fcntl is None or not self.is_kept or self.is_on_disk():
+            yield
+            return
+        cache = self._cache._cache_file
+        self._cache._impl.locator.ensure_cache_path()
+        with Path(cache._cache_path, f"{cache._base}.lock").open("wb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
 
     def compile(self, sig: Any) -> Any:
         """Return the machine code, whatever the types of a call: it has one signature."""
@@ -137,21 +163,22 @@ KERNELS: list[Kernel] = []
 
 
 def kernel(
-    signature: str, *, nogil: bool = True, fastmath: bool = False
+    signature: str, *, nogil: bool = True, fastmath: bool = False, usual: bool = False
 ) -> Callable[[Callable[..., Any]], Any]:
     """Compile for `signature` on first call, release the interpreter lock, keep the code on disk.
 
     A word per argument: `i` integer, `f` float, `b` truth, with the number of axes if it is an
     array; uppercase stands for arrays that are written, lowercase for read ones. Items are
     neighbours in memory, but for `a`, floats of any layout. Without `nogil` short calls are faster;
-    with `fastmath` sums may be taken in another order, several terms at once.
+    with `fastmath` sums may be taken in another order, several terms at once. Those that nearly
+    every command with a log calls are `usual`: they are compiled together.
 
     Numba takes kept code for current as long as the file of the function itself is unchanged,
     though functions of other files are inlined into it. Here the sources of all compiled functions
     in its folder and in `SHARED_PARTS` count too; where Numba does not let them, nothing is kept.
     """
     options = OPTIONS | {"nopython": True, "nogil": nogil, "fastmath": fastmath}
-    return lambda function: Kernel(function, signature, options)
+    return lambda function: Kernel(function, signature, options, usual=usual)
 
 
 def part(function: Callable[..., Any]) -> Any:
@@ -168,17 +195,34 @@ def import_kernels() -> list[Kernel]:
     return KERNELS
 
 
-def compile_kernels(report: Callable[[float], None]) -> None:
-    """Compile all kernels of the package that are not on disk; `report` gets the fraction done."""
-    missing = [each for each in import_kernels() if not each.is_on_disk()]
-    for count, each in enumerate(missing):
-        report(count / len(missing))
-        each.make_ready()
+def compile_kernels(wanted: Kernel, report: Callable[[float], None]) -> None:
+    """Compile a kernel, and with it the usual ones that are imported, all cores at it.
+
+    What a command does not need is left to the commands that do: closed chains and simulations
+    take most of the compiler's time. `report` gets the fraction done. A kernel that a worker could
+    not compile is compiled where it is called.
+    """
+    from asbuilt.executor import open_workers  # noqa: PLC0415 - only where something is compiled
+
+    missing = [each for each in KERNELS if each is wanted or each.usual]
+    missing = [each for each in missing if not each.is_on_disk()]
+    report(0.0)
+    if len(missing) < 2 or os.cpu_count() == 1:
+        return
+    with open_workers(min(len(missing), os.cpu_count() or 1)) as workers:
+        tasks = [(each.py_func.__module__, each.py_func.__name__) for each in missing]
+        for done, _ in enumerate(workers.run(_compile_kernel, tasks), start=1):
+            report(done / len(missing))
+
+
+def _compile_kernel(place: tuple[str, str]) -> None:
+    module, name = place
+    getattr(import_module(module), name).make_ready()
 
 
 @contextmanager
 def announce_kernels(announce: Callable[[Kernel], None]) -> Iterator[None]:
-    """Call `announce` before the first kernel is compiled, if any is."""
+    """Call `announce` before each kernel that is not on disk is compiled."""
     Kernel.announce = announce
     try:
         yield

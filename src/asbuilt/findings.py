@@ -27,11 +27,14 @@ class Cure:
         cures, such as `{"flip_torque": True}`; a caller adds the spelling of its own interface.
     call
         Name of the public function that helps, such as `"find_gains"`; empty if none does.
+    sheet
+        Fields of a recording sheet that cure, such as `{"units": {"time": "ms"}}`.
     """
 
     text: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     call: str = ""
+    sheet: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.text
@@ -66,6 +69,8 @@ class Finding:
         None: unknown.
     link
         Name of the link concerned.
+    effect
+        Key of the effect that it is about, which a list of effects names too.
     """
 
     code: str
@@ -76,6 +81,7 @@ class Finding:
     time: float | None = None
     torque: float | None = None
     link: str | None = None
+    effect: str | None = None
 
     def __str__(self) -> str:
         return self.as_line()
@@ -128,6 +134,7 @@ class Finding:
             "link": self.link,
             "time": self.time,
             "torque": self.torque,
+            "effect": self.effect,
         }
 
 

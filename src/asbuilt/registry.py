@@ -7,11 +7,15 @@ import pkgutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, TypeVar
 
 from asbuilt.errors import UsageError
 
 T = TypeVar("T")
+
+APPS = "asbuilt.apps"
+"""Package whose sub-packages are the apps."""
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
@@ -90,24 +94,44 @@ def _read(value: Any, metadata: Mapping[str, Any]) -> Any:
     return value if parse is None else parse(value)
 
 
+def find_app_modules(name: str) -> list[str]:
+    """Return the modules or packages of this name in the apps, and the app of this name.
+
+    It is how the core gets what apps add: it looks for a name in the apps that are installed, and
+    knows none of them.
+    """
+    package = find_spec(APPS)
+    places = [] if package is None else list(package.submodule_search_locations or ())
+    found = []
+    for place in places:
+        for app in pkgutil.iter_modules([place]):
+            if app.name == name:
+                found.append(f"{APPS}.{name}")
+            for each in pkgutil.iter_modules([f"{place}/{app.name}"]):
+                if each.name == name:
+                    found.append(f"{APPS}.{app.name}.{name}")
+    return found
+
+
 class Registry(Mapping[str, T]):
     """Hold objects by name; every module of `package` may `register` some when it is imported.
 
-    Modules of other distributions take part through the entry point group `group`: each entry
-    names a module that registers its objects. All are imported on first use of the registry, in
-    alphabetical order.
+    Modules of apps and of other distributions take part. In an app it is the module or package that
+    is called as the entry point group, without `asbuilt.`; in another distribution each entry of
+    the group names a module. All are imported on first use of the registry, in alphabetical order.
 
     Parameters
     ----------
     what
         What one object is, for messages, such as `"drive term"`.
     package
-        Package whose modules and sub-packages register their objects.
+        Package whose modules and sub-packages register their objects; None if only apps and other
+        distributions have any.
     group
         Entry point group, such as `"asbuilt.drive_terms"`.
     """
 
-    def __init__(self, what: str, package: str, group: str) -> None:
+    def __init__(self, what: str, package: str | None, group: str) -> None:
         self.what = what
         self.package = package
         self.group = group
@@ -125,6 +149,8 @@ class Registry(Mapping[str, T]):
         """Return the object of this name; raises `UsageError` with the nearest and all names."""
         if name in self:
             return self[name]
+        if not self:
+            raise UsageError(f"no {self.what} is installed")
         raise UsageError(
             f"unknown {self.what} {name!r}; {suggest_name(name, self)}available: {', '.join(self)}"
         )
@@ -147,8 +173,20 @@ class Registry(Mapping[str, T]):
         from importlib.metadata import entry_points  # noqa: PLC0415 - slow
 
         self._complete = True
-        modules = pkgutil.walk_packages(import_module(self.package).__path__, f"{self.package}.")
-        for name in sorted(each.name for each in modules):
+        places = find_app_modules(self.group.removeprefix("asbuilt."))
+        if self.package is not None:
+            places.append(self.package)
+        below = {name: place for place in places for name in _list_modules(place)}
+        # An app's modules stand among the core's as if they were in its package.
+        for name in sorted(below, key=lambda name: name.removeprefix(below[name])):
             import_module(name)
         for entry in sorted(entry_points(group=self.group), key=lambda each: each.name):
             entry.load()
+
+
+def _list_modules(place: str) -> list[str]:
+    """Return the modules below a package, or the module itself."""
+    folder = getattr(import_module(place), "__path__", None)
+    if folder is None:
+        return [place]
+    return [each.name for each in pkgutil.walk_packages(folder, f"{place}.")]

@@ -151,6 +151,20 @@ def round_significant(value: float | None, digits: int = 3) -> str:
     return f"{float(f'{value:.{digits - 1}e}'):.{max(0, digits - 1 - exponent)}f}"
 
 
+def format_range(least: float, greatest: float, unit: str = "") -> str:
+    """Return an interval with its unit as text, ends that are infinite in words.
+
+    >>> format_range(3.884, math.inf, "kg"), format_range(0.0, 0.0945, "kg m^2")
+    ('3.88 kg or more', '0 to 0.0945 kg m^2')
+    """
+    low, high, unit = round_significant(least), round_significant(greatest), f" {unit}".rstrip()
+    if math.isinf(least) and math.isinf(greatest):
+        return "any value"
+    if math.isinf(greatest):
+        return f"{low}{unit} or more"
+    return f"{high}{unit} or less" if math.isinf(least) else f"{low} to {high}{unit}"
+
+
 def format_deviation(sigmas: float | None, threshold: float = SIGNIFICANT_SIGMAS) -> str:
     """Return a difference in standard errors, "DIFFERS" from the threshold on.
 

@@ -67,7 +67,7 @@ def atomic_write(
     check_replaceable(target, own=own)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(target.parent)
+        _remove_leftovers_once(target.parent)
         descriptor, temporary = tempfile.mkstemp(
             prefix=f".{target.name[:16]}.{_OWNER}.", suffix=".part", dir=target.parent
         )
@@ -185,13 +185,16 @@ def _make_unwritable_error(place: str, problem: OSError | ValueError) -> UsageEr
     )
 
 
-@cache
-def _remove_leftovers(folder: Path) -> None:
+def remove_leftovers(folder: Path) -> None:
     """Remove temporary files that processes of this machine left behind when they were killed."""
     for path in folder.glob(".*.part"):
         *_, host, process, _, _ = ["", "", *path.name.split(".")]
         if host == _HOST and process.isdigit() and not _is_alive(int(process)):
             path.unlink(missing_ok=True)
+
+
+_remove_leftovers_once = cache(remove_leftovers)
+"""Looking into a folder at each of its files would make many files slow."""
 
 
 def _is_alive(process: int) -> bool:

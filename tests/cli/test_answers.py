@@ -63,7 +63,7 @@ def test_compilation_is_announced_with_how_often_it_happens_and_done_at_once(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = []
-    monkeypatch.setattr(compilation, "compile_kernels", calls.append)
+    monkeypatch.setattr(compilation, "compile_kernels", lambda kernel, report: calls.append(kernel))
     Screen().announce_compilation(Cold(is_kept=True))
     assert capsys.readouterr().err == f"asbuilt: {COMPILING}\n"
     assert len(calls) == 1

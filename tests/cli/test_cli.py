@@ -75,6 +75,7 @@ def studied(
     return study
 
 
+@pytest.mark.apps("fleet", "masses", "page", "paper", "programs", "watch")
 def test_help_and_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = call(capsys, "--help")
     assert status == 0

@@ -24,7 +24,7 @@ from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
 from asbuilt.identification.trajectories.windows import choose_driving_signal, cut_windows
 from asbuilt.workflow.result_files import read_result
-from asbuilt.writers.models.simulators.simulator_format import SIMULATOR_FORMATS
+from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS
 from command_line import call, document
 
 WINDOWS = ("--rollout", "0.5,1")

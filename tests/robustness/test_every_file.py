@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.cad.table import read_cad_table
+import asbuilt
 from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
 from asbuilt.excitation.collision.capsules import build_surroundings
@@ -28,11 +28,8 @@ from asbuilt.experiment.logs.formats.isolated import read_guarded
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
-from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.result_files import read_result
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.watch import watch
-from asbuilt.workflow.watching.watched_log import format_thresholds, read_thresholds
 from fleet_logs import MODEL, recording
 from robustness import corpus
 
@@ -98,19 +95,44 @@ class Kind:
     slow: bool = False
 
 
+def kinds_of_apps(result: Any) -> dict[str, Kind]:
+    """Files that apps read, where they are installed."""
+    found: dict[str, Kind] = {}
+    if hasattr(asbuilt, "watch"):
+        from asbuilt.apps.watch.watched_log import format_thresholds, read_thresholds
+
+        thresholds = asbuilt.watch(result, recording(4, seconds=6.0)).thresholds
+        text = format_thresholds(thresholds)
+        found["thresholds"] = Kind("thresholds.json", text, read_thresholds)
+    if hasattr(asbuilt, "link_masses"):
+        from asbuilt.apps.masses import read_cad_table
+
+        found["masses"] = Kind(
+            "masses.csv",
+            MASSES,
+            lambda path: read_cad_table(
+                path, about="com", products="tensor", length_unit="m", mass_unit="kg"
+            ),
+        )
+    if hasattr(asbuilt, "open_ledger"):
+        about = json.dumps({"format": "asbuilt fleet ledger", "format_version": 1})
+        found["ledger"] = Kind(
+            "ledger.json", about, lambda path: asbuilt.open_ledger(str(path.parent))
+        )
+    return found
+
+
 @cache
 def kinds() -> dict[str, Kind]:
     log = recording(3, seconds=6.0)
     result = identify(MODEL, [log]).result
-    thresholds = watch(result, recording(4, seconds=6.0)).thresholds
     robots = {f"robot{suffix}": Kind(f"r{suffix}", text, load_robot)
               for suffix, text in (*corpus.ROBOTS.items(), (".sdf", SDF))}  # fmt: skip
     names = {"names": ["joint_1.pos", "joint_2.pos"], "shape": [2], "dtype": "float32"}
     info = {"fps": 30, "features": {"observation.state": names, "action": names}}
-    return robots | {
+    return robots | kinds_of_apps(result) | {
         "robot.xacro": Kind("r.xacro", XACRO, load_robot, slow=True),
         "result": Kind("result.json", result.to_json(), read_result),
-        "thresholds": Kind("thresholds.json", format_thresholds(thresholds), read_thresholds),
         "sheet": Kind("log.toml", corpus.SHEET, read_sheet),
         "sheet of a log": Kind("log.toml", corpus.SHEET,
                                lambda path: read_recording(path.with_suffix(".csv")),
@@ -118,11 +140,6 @@ def kinds() -> dict[str, Kind]:
         "log": Kind("log.csv", corpus.csv_log(), read_recording),
         "motion": Kind("m.csv", corpus.MOTION, lambda path: read_motion(path, MODEL)),
         "cell": Kind("cell.toml", CELL, lambda path: build_surroundings(MODEL, path)),
-        "masses": Kind("masses.csv", MASSES, lambda path: read_cad_table(
-            path, about="com", products="tensor", length_unit="m", mass_unit="kg")),
-        "ledger": Kind("ledger.json", json.dumps(
-            {"format": "asbuilt fleet ledger", "format_version": 1}),
-            lambda path: open_ledger(str(path.parent))),
         "lerobot": Kind("meta/info.json", json.dumps(info),
                         lambda path: read_guarded(read_lerobot, path.parent.parent),
                         {"data/x.parquet": dataset()}),
@@ -191,8 +208,10 @@ def failures(kind: Kind, folder: Path, count: int) -> Iterator[str]:
 
 NAMES = (
     *(f"robot{suffix}" for suffix in (*corpus.ROBOTS, ".sdf", ".xacro")),
-    *("result", "thresholds", "sheet", "sheet of a log", "log", "motion", "cell", "masses"),
-    *("ledger", "lerobot", "sage"),
+    *("result", "sheet", "sheet of a log", "log", "motion", "cell", "lerobot", "sage"),
+    *(("thresholds",) if hasattr(asbuilt, "watch") else ()),
+    *(("masses",) if hasattr(asbuilt, "link_masses") else ()),
+    *(("ledger",) if hasattr(asbuilt, "open_ledger") else ()),
 )
 
 

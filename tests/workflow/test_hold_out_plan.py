@@ -93,23 +93,23 @@ def test_other_recordings_take_the_place_of_what_would_be_held_out(log) -> None:
     assert not codes(study) & {"final_fit", "nothing_held_out"}
 
 
-def test_a_recording_that_is_too_short_is_not_divided_and_says_so(log) -> None:
+def test_a_short_recording_is_cut_in_two(log) -> None:
     part = slice(0, 500)
     study = studied({"t": log.t[part], "q": log.q[part], "tau": log.tau[part]})
-    assert study.result.holdout is None
-    assert study.result.trained is None
-    (said,) = [each.message for each in study.findings if each.code == "nothing_held_out"]
-    assert "4.99 s are too short to hold out a part (6 s)" in said
+    assert study.result.holdout == "last:0.5"
+    assert "nothing_held_out" not in codes(study)
+    assert study.verdict.use != "untested"
 
 
 def test_a_part_that_the_filters_leave_nothing_of_is_not_held_out(log) -> None:
-    """Blocks of 1.1 s are shorter than the memory of a filter of 1 Hz."""
+    """Blocks of 1.1 s are shorter than the memory of a filter of 1 Hz: the model is untested."""
     part = slice(0, 700)
     short = {"t": log.t[part], "q": log.q[part], "tau": log.tau[part]}
     study = studied(short, chain=SignalChain(cutoff=2.0, delay=None))
     assert study.result.holdout is None
     (said,) = [each.message for each in study.findings if each.code == "nothing_held_out"]
     assert "too little" in said
+    assert study.verdict.text.startswith("UNTESTED: fits its log to ")
 
 
 def test_samples_that_are_prepared_already_are_divided_too(log) -> None:

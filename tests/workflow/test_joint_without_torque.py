@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import asbuilt
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -25,7 +26,6 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study, identify
-from asbuilt.workflow.watching.watch import watch
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -198,8 +198,9 @@ def test_a_sliding_joint_in_millimetres_is_named_with_its_cure() -> None:
     assert "millimetres" not in check_recording(model, log).codes
 
 
+@pytest.mark.apps("watch")
 def test_an_observer_needs_the_torque_of_every_joint(recording: Recording) -> None:
     model = load_robot("kuka-iiwa7-r800")
     result = identify_samples(model, prepare_samples(recording, SignalChain(cutoff=6.0)))
     with pytest.raises(RecordingError, match=model.joint_names[DEAD]):
-        watch(result, with_channel(recording, DEAD, np.nan))
+        asbuilt.watch(result, with_channel(recording, DEAD, np.nan))

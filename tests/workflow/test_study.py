@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -104,6 +105,14 @@ def test_nothing_to_learn_from_is_refused() -> None:
         identify(load_robot("scara"), [])
 
 
+def test_what_has_no_name_is_refused_with_the_way_to_name_it() -> None:
+    q = np.zeros((10, 4))
+    with pytest.raises(UsageError, match=r"(?s)an array of shape \(10,\) that has no name.*'tau'"):
+        identify(load_robot("scara"), (q[:, 0], q, q))
+    with pytest.raises(UsageError, match="a str came third"):
+        identify(load_robot("scara"), "one.csv", "two.csv")
+
+
 @pytest.mark.study
 def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Recording]) -> None:
     with pytest.raises(RecordingError, match="flip"):
@@ -125,7 +134,21 @@ def test_options_are_keywords_too(recordings: list[Recording]) -> None:
     with pytest.raises(UsageError, match="read already, so that flip_torque would have no effect"):
         identify(model, log, flip_torque=True)
     assert str(one.summary()) == one.summary().as_text()
-    assert one.plot("residuals").size == model.n_joints
+    axes = one.plot("residuals")
+    assert axes.size == model.n_joints
+    assert plt.fignum_exists(axes[0].figure.number)  # a script's plt.show() shows it
+    plt.close(axes[0].figure)
+    for name in ("params", "bse", "tvalues"):
+        assert np.array_equal(getattr(one, name), getattr(one.result, name), equal_nan=True)
+    assert np.array_equal(one.conf_int(alpha=0.1), one.result.conf_int(0.1), equal_nan=True)
+    assert one.to_frame().height == len(one.names)
+    states = np.zeros((3, model.n_joints))
+    assert np.array_equal(one.predict(states, states, states), one.result.torque(*[states] * 3))
+    stored = Study.from_json(one.to_json())
+    with pytest.raises(UsageError, match="none is given"):
+        stored.plot("torque")
+    (axis, *_) = stored.plot("torque", of=log)
+    plt.close(axis.figure)
 
 
 def study_of(

@@ -1,40 +1,5 @@
-"""The command line: one file per group of commands, the demonstration and the 2015 paper."""
+"""The command line: one file per group of commands, and what commands of apps share with them."""
 
-import os
-import signal
-import sys
+import lazy_loader
 
-INTERRUPTED = 128 + signal.SIGINT
-"""Exit status of shells after Ctrl-C."""
-
-
-def run() -> None:
-    """Run the command line; Ctrl-C while its modules are imported ends it without a traceback."""
-    try:
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
-    _open_closed_streams()
-    from asbuilt.isolation import leave_current_folder
-
-    leave_current_folder()
-    from asbuilt.cli.app import main
-
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    main()
-
-
-def _open_closed_streams() -> None:
-    """Let a closed stdin, stdout or stderr (`>&-`) lead nowhere.
-
-    Else the next file that is opened has its number, and is written to in its place.
-    """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
-        if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w", encoding="utf-8"))
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

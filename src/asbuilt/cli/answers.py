@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from asbuilt.cli.arguments.spread import Common
     from asbuilt.compilation import Kernel
 
-COMPILING = "compiling the dynamics: once per installation, about 20 s"
+COMPILING = "compiling what this command needs: once per installation, a few seconds"
 COMPILING_EACH_TIME = (
-    "compiling the dynamics: about 20 s in every run, because the machine code cannot be stored;"
+    "compiling what this command needs: in every run, because machine code cannot be stored;"
     " set NUMBA_CACHE_DIR to a folder you may write to"
 )
 
@@ -40,6 +40,7 @@ class Screen:
         self._started = time.perf_counter()
         self._bar: Any = None
         self._tasks: dict[str, Any] = {}
+        self._announced = False
 
     def report(self, what: str, fraction: float) -> None:
         """Show that `what` is done to a fraction; zero shows that it is under way."""
@@ -64,7 +65,7 @@ class Screen:
         )
 
     def announce_compilation(self, kernel: Kernel) -> None:
-        """Say that machine code is being made and, if it can be kept, make all there is."""
+        """Say that machine code is being made and, where it can be kept, use all cores."""
         from asbuilt.compilation import compile_kernels
 
         message = COMPILING if kernel.is_kept else COMPILING_EACH_TIME
@@ -73,9 +74,11 @@ class Screen:
         if self._terminal:
             self.report(stage, 0.0)
         elif not self.quiet:
-            self._print_line(f"asbuilt: {message}")
+            if not self._announced:
+                self._print_line(f"asbuilt: {message}")
+            self._announced = True
         if kernel.is_kept:
-            compile_kernels(partial(self.report, stage) if self._terminal else lambda _: None)
+            compile_kernels(kernel, partial(self.report, stage) if self._terminal else _ignore)
 
     def close(self) -> None:
         """Remove the bar."""
@@ -98,6 +101,10 @@ class Screen:
             self._bar.console.print(text, highlight=False, markup=False)
         else:
             print(text, file=sys.stderr, flush=True)
+
+
+def _ignore(fraction: float) -> None:
+    """Show nothing."""
 
 
 _screen: ContextVar[Screen | None] = ContextVar("screen of the running command", default=None)
@@ -146,6 +153,15 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
     elif not screen.quiet:
         sys.stdout.write(text().strip("\n") + "\n")
     sys.stdout.flush()
+
+
+def print_text(text: str) -> None:
+    """Print a part of a text on stdout at once, unless the command is quiet."""
+    screen = _screen.get() or Screen()
+    screen.close()
+    if not screen.quiet:
+        sys.stdout.write(text)
+        sys.stdout.flush()
 
 
 def serve_page(url: str, serve: Callable[[], None], *, browser: bool) -> None:

@@ -23,7 +23,8 @@ from typer.core import TyperCommand, TyperGroup
 
 from asbuilt.cli.answers import describe_cure, fold_text, open_screen
 from asbuilt.cli.arguments.spread import Common, print_version, spread
-from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
+from asbuilt.cli.commands import ABSENT, COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS
+from asbuilt.cli.entry import Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
 from asbuilt.untrusted import allow_xacro_python, describe_problem, protect_inputs, shorten_path
@@ -103,6 +104,12 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
         entries = {name: each for group in self._sections.values() for name, each in group.items()}
+        if cmd_name in ABSENT and self.name not in SUBCOMMANDS:
+            raise UsageError(
+                f"the command {cmd_name!r} belongs to the app {ABSENT[cmd_name]}, which this"
+                " installation is without",
+                cure=Cure("install asbuilt as it is distributed"),
+            )
         if cmd_name not in entries:
             near = difflib.get_close_matches(cmd_name, entries, n=1)
             place = "" if ctx is None else ctx.command_path
@@ -139,7 +146,7 @@ def _write_examples(ctx: Any, formatter: Any) -> None:
 
 def _import_command(name: str, entry: Entry) -> Any:
     """Import a command."""
-    function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
+    function = getattr(import_module(f"asbuilt.{entry.module}"), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
         with (
@@ -177,7 +184,8 @@ app = _make_group(
         "Identify the dynamic model of a robot arm as built, from its description and recordings"
         " of its motion and torque."
     ),
-    epilog="asbuilt COMMAND -h explains a command; asbuilt demo shows a complete run.",
+    epilog="asbuilt COMMAND -h explains a command"
+    + ("; asbuilt demo shows a complete run." if "demo" in COMMANDS else "."),
 )
 
 

@@ -128,6 +128,8 @@ def _suggest_next_command(study: asbuilt.Study, robot: str, files: Mapping[str, 
     place, reasons = files.get("result"), study.verdict.reasons
     if place is None:
         return "the same with --out DIR, which writes report, robot and result"
+    if study.verdict.use == "untested":
+        return f"asbuilt validate {place} LOG of another motion"
     if study.verdict.use == "no":
         return f"asbuilt check {robot} LOG, and the findings above"
     if set(reasons) & set(ANOTHER_MOTION):
@@ -263,7 +265,7 @@ def export(
         toml=toml,
         c=c,
         observer=observer,
-        thresholds=None if thresholds is None else asbuilt.read_thresholds(thresholds),
+        thresholds=thresholds,
         original=original,
         nearest=nearest,
         force=force,

@@ -23,7 +23,6 @@ from asbuilt.cli.arguments.options import (
     refuse_idle,
     refuse_sharing,
     require_writable_file,
-    require_writable_folder,
 )
 from asbuilt.cli.arguments.spread import find_given_options
 
@@ -114,7 +113,7 @@ def excite(
             options = replace(options, noise=tuple(known.sigma.tolist()))
     family = "point-to-point" if static is not None else options.parametrisation
     for form in program or ():
-        writers.program_format(form, model, family)
+        writers.PROGRAM_WRITERS.find("controller").check(form, model, family)
 
     with show_progress() as show:
 
@@ -171,72 +170,9 @@ def _write_programs(
     """Write the programs of a motion into folders next to its file."""
     files: dict[str, Path] = {}
     for form in forms or ():
-        made = asbuilt.make_program(model, motion, form, name=out.stem, collision=collision)
-        written = writers.write_program(out.with_name(f"{out.stem}_{form}"), made)
+        folder = out.with_name(f"{out.stem}_{form}")
+        written = writers.PROGRAM_WRITERS.find("controller").write(
+            folder, model, motion, form, name=out.stem, collision=collision
+        )
         files |= {f"{form}_{role}": path for role, path in written.items()}
     return files
-
-
-def program(
-    robot: Robot,
-    motion: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MOTION", help="motion CSV (t, q_*, ...), as `asbuilt excite` writes it"
-        ),
-    ],
-    form: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            metavar="FORMAT",
-            help="sunrise, fri, ros2, urscript, franka, csv or an installed one",
-        ),
-    ],
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate",
-            metavar="HZ",
-            min=0.1,
-            max=1e5,
-            help="rate of points or recording (default: by format)",
-        ),
-    ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option("--name", help="name of the motion and its files (default: the file's)"),
-    ] = None,
-    collision: Annotated[
-        str | None,
-        typer.Option(
-            "--collision",
-            metavar="SOURCE",
-            help="state the smallest distance and refuse collisions, as for excite",
-        ),
-    ] = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="folder for the files to write",
-            callback=require_writable_folder,
-        ),
-    ] = Path("program"),
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Write a program that makes a real controller run a motion and record it."""
-    model, title = load_described_robot(robot), name or motion.stem
-
-    request = writers.program_request(
-        model, motion, form, name=title, rate=rate, collision=collision
-    )
-    files = writers.write_program(out, writers.program_format(form).files(request))
-    answer(
-        as_json,
-        lambda: writers.program_document(request, form, files),
-        lambda: writers.program_text(request, form, full=full) + list_files(files),
-    )

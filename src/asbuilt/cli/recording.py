@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError, excitation, workflow, writers
+from asbuilt import (
+    ReadingOptions,
+    RecordingError,
+    UsageError,
+    excitation,
+    experiment,
+    workflow,
+    writers,
+    writing,
+)
 from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -30,6 +39,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import require_known_value
 from asbuilt.description.inertia import tool_from_text
+from asbuilt.findings import Cure
 
 
 def check(
@@ -44,6 +54,13 @@ def check(
             help="compute the information efficiency, relative to the limits (takes a second)",
         ),
     ] = True,
+    write_sheet: Annotated[
+        bool,
+        typer.Option(
+            "--write-sheet",
+            help="write the sheet with which the log is read, complete, beside it (LOG.toml)",
+        ),
+    ] = False,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -51,12 +68,21 @@ def check(
     """Check a recording before it is used.
 
     Checked are clock, missing values, units, signs, order of joints, limits, saturation, filters
-    and excitation.
+    and excitation. A recording sheet that makes a log readable, or better, is printed, complete.
     """
     require_distinct_logs(log)
-    model, (recordings,) = read_robot_and_recordings(
-        load_described_robot(robot, **reading.of_base), reading, log
-    )
+    described = load_described_robot(robot, **reading.of_base)
+    proposals: dict[Path, experiment.SheetProposal] = {}
+    written: dict[str, Path] = {}
+    if write_sheet:
+        proposals = _propose_sheets(described, log, reading)
+        written = _write_sheets(proposals)
+    try:
+        model, (recordings,) = read_robot_and_recordings(described, reading, log)
+    except RecordingError as problem:
+        if not proposals and problem.cure is not None and problem.cure.sheet:
+            _add_sheet(problem, _propose_sheets(described, log, reading))
+        raise
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
     # What limits a motion on legs is balance, of which limits of joints say nothing.
@@ -65,9 +91,13 @@ def check(
         workflow.recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
     ]
-    document, files = writers.check_document(model, checks, carried), {}
+    if not proposals and any(_is_cured_by_sheet(found) for found in checks):
+        proposals = _propose_sheets(described, log, reading)
+    document = writers.check_document(model, checks, carried)
+    document["sheets"] = {str(path): each.text for path, each in proposals.items()}
+    files = dict(written)
     if out is not None:
-        files = writers.write_check_page(out, recordings, checks, describe_cure)
+        files |= writers.write_check_page(out, recordings, checks, describe_cure)
     answer(
         as_json,
         lambda: writers.with_files(document, files) if files else document,
@@ -77,11 +107,63 @@ def check(
                 + ("" if part is None else f"\n{part.as_text(describe_cure)}")
                 for found, part in zip(checks, carried, strict=True)
             )
+            + ("" if write_sheet else _print_sheets(proposals))
             + list_files(files)
         ),
     )
     if not all(found.ok for found in checks):
         raise typer.Exit(1)
+
+
+def _propose_sheets(
+    model: asbuilt.RobotModel, logs: list[Path], reading: ReadingOptions
+) -> dict[Path, experiment.SheetProposal]:
+    """Return the sheet of each recording, by its first file."""
+    from asbuilt.experiment.logs.readers import group_files
+
+    return {
+        group[0]: experiment.propose_sheet(model, group, reading) for group in group_files(logs)
+    }
+
+
+def _is_cured_by_sheet(check: asbuilt.RecordingCheck) -> bool:
+    """Return whether a field of a sheet cures an error or a warning."""
+    cures = [finding.cure for finding in (*check.errors, *check.warnings) if finding.cure]
+    return any(cure.sheet or cure.settings.get("flip_torque") for cure in cures)
+
+
+def _write_sheets(proposals: dict[Path, experiment.SheetProposal]) -> dict[str, Path]:
+    """Write sheets beside their logs, and return them; a sheet that is there already stays."""
+    from asbuilt.experiment.logs.sheet import find_sheet_beside
+
+    written = {}
+    for log, proposal in proposals.items():
+        if find_sheet_beside(log) is None and proposal.content:
+            path = log.with_name(log.name + ".toml")
+            written[f"sheet of {log.name}"] = writing.atomic_write(path, proposal.text)
+    return written
+
+
+def _print_sheets(proposals: dict[Path, experiment.SheetProposal]) -> str:
+    """Return the sheets that change how logs are read, and what they then are."""
+    return "".join(
+        f"\n\nWith this sheet {log.name} is {each.outcome} (--write-sheet writes it beside"
+        f" the log):\n\n{each.text.rstrip()}"
+        for log, each in proposals.items()
+        if each.changed
+    )
+
+
+def _add_sheet(problem: RecordingError, proposals: dict[Path, experiment.SheetProposal]) -> None:
+    """Put the complete sheet in place of the cure of an error, if one reads the log."""
+    complete = [each for each in proposals.values() if each.changed and each.problem is None]
+    if complete:
+        each = complete[0]
+        problem.cure = Cure(
+            f"write this recording sheet beside it, with which it is {each.outcome}, or let"
+            f" --write-sheet do so:\n\n{each.text}",
+            sheet=each.content,
+        )
 
 
 def simulate(

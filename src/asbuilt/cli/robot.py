@@ -14,12 +14,11 @@ from asbuilt import (
     MotionError,
     ReadingOptions,
     RecordingError,
-    UsageError,
     excitation,
     experiment,
     writers,
 )
-from asbuilt.cli.answers import answer, describe_cure, list_files, serve_page, show_progress
+from asbuilt.cli.answers import answer, list_files, serve_page, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -36,12 +35,11 @@ from asbuilt.cli.arguments.options import (
     refuse_idle,
     require_writable_file,
 )
-from asbuilt.cli.arguments.spread import find_given_options, require_known_value
+from asbuilt.cli.arguments.spread import find_given_options
 from asbuilt.codec import format_json
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.experiment.logs.options import parse_gravity
-from asbuilt.findings import list_findings
 from asbuilt.tables import stack_tables
 
 
@@ -269,97 +267,3 @@ def convert(
         model = model.with_gravity(parse_gravity(gravity))
     converted = asbuilt.convert_robot(model, require_writable_file(out) or out)
     answer(as_json, converted.as_document, converted.as_text)
-
-
-def masses(
-    robot: Robot,
-    meshes: Annotated[
-        Path | None,
-        typer.Option("--meshes", metavar="DIR", help="folder with the meshes of the URDF"),
-    ] = None,
-    density: Annotated[
-        str | None,
-        typer.Option("--density", metavar="LIST", help="kg/m^3: 2700, or link_1=2700,link_2=1050"),
-    ] = None,
-    material: Annotated[
-        str | None,
-        typer.Option("--material", metavar="LIST", help="aluminium, or link_1=steel,link_2=abs"),
-    ] = None,
-    table: Annotated[
-        Path | None,
-        typer.Option("--table", metavar="FILE", help="mass properties that a CAD program wrote"),
-    ] = None,
-    about: Annotated[
-        str | None,
-        typer.Option("--about", metavar="POINT", help="of the table's inertia: com or origin"),
-    ] = None,
-    products: Annotated[
-        str | None,
-        typer.Option("--products", metavar="SIGN", help="of the table: tensor or integral"),
-    ] = None,
-    geometry: Annotated[
-        str,
-        typer.Option("--geometry", metavar="KIND", help="visual or collision, where both exist"),
-    ] = "visual",
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="robot with the computed mass properties, .urdf or .toml",
-            callback=require_writable_file,
-        ),
-    ] = None,
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Compute mass properties of links from meshes and materials or from a CAD table.
-
-    The table compares them with the description, the least plausible first. Without densities,
-    materials and table, each link keeps its mass, spread evenly over its geometry.
-    """
-    found = asbuilt.link_masses(
-        load_described_robot(robot),
-        meshes=meshes,
-        density=_parse_numbers(_parse_by_link("--density", density)),
-        material=_parse_by_link("--material", material),
-        table=table,
-        about=None if about is None else require_known_value("--about", about, ("com", "origin")),
-        products=None
-        if products is None
-        else require_known_value("--products", products, ("tensor", "integral")),
-        prefer=require_known_value("--geometry", geometry, ("visual", "collision")),
-    )
-    files, notes = {}, {}
-    if out is not None:
-        files["robot"], note = writers.write_masses(out, found)
-        notes["robot"] = note
-    lines = list_findings(found.findings, describe_cure, full=full)
-    answer(
-        as_json,
-        lambda: writers.with_files(writers.masses_document(found), files),
-        lambda: (
-            "\n".join([writers.masses_table(found).as_text(full), *lines])
-            + list_files(files, notes)
-        ),
-    )
-
-
-def _parse_by_link(option: str, text: str | None) -> str | dict[str, str] | None:
-    """Return one value for all links, or values by link."""
-    if text is None or "=" not in text:
-        return text
-    pairs = [entry.partition("=") for entry in text.split(",")]
-    if any(not name.strip() or not value.strip() for name, _, value in pairs):
-        raise UsageError(f"{option} must be one value or LINK=VALUE,..., got {text!r}")
-    return {name.strip(): value.strip() for name, _, value in pairs}
-
-
-def _parse_numbers(given: str | dict[str, str] | None) -> float | dict[str, float] | None:
-    try:
-        if isinstance(given, dict):
-            return {name: float(value) for name, value in given.items()}
-        return None if given is None else float(given)
-    except ValueError as error:
-        raise UsageError(f"--density takes numbers in kg/m^3: {error}") from None

@@ -13,7 +13,6 @@ from asbuilt import (
     ReadingOptions,
     StudyOptions,
     UsageError,
-    WatchOptions,
     identification,
     validation,
     workflow,
@@ -46,8 +45,7 @@ from asbuilt.cli.arguments.options import (
     require_writable_file,
     share_workers,
 )
-from asbuilt.cli.arguments.spread import find_given_options
-from asbuilt.findings import list_findings
+from asbuilt.cli.arguments.spread import find_given_options, require_known_value
 from asbuilt.tables import wrap_text
 from asbuilt.workflow.options import (
     BLOCKS,
@@ -316,6 +314,67 @@ def compare(
     )
 
 
+def feasible(
+    result: Result,
+    quantity: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[QUANTITY]...",
+            help=(
+                "mass, mass:LINK, com:LINK, Ixx:LINK, armature:JOINT, ..., without a place of all"
+                " links or joints [default: masses and armatures]"
+            ),
+        ),
+    ] = None,
+    *,
+    prior: Annotated[
+        str | None,
+        typer.Option("--prior", metavar="cad", help="masses of links are near CAD"),
+    ] = None,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--cad-tolerance",
+            metavar="20%",
+            help="how near CAD the masses are, with --prior cad [default: 20%]",
+        ),
+    ] = None,
+    geometry: Annotated[
+        bool,
+        typer.Option(
+            "--geometry",
+            help="links lie within the boxes around their shapes in the URDF, no denser than steel",
+        ),
+    ] = False,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the least and greatest value of quantities that torques need not determine.
+
+    Over all physically consistent bodies whose base parameters lie within the 95 % region of the
+    estimate, with what was chosen for the exported robot, and what each is confounded with.
+    """
+    if prior is not None:
+        require_known_value("--prior", prior, ("cad",))
+    else:
+        refuse_idle(
+            "--cad-tolerance goes with --prior cad", {"--cad-tolerance": cad_tolerance is not None}
+        )
+    identified = asbuilt.read_result(result)
+    found = asbuilt.feasible_intervals(
+        identified,
+        quantity or (),
+        prior="cad" if prior else None,
+        tolerance=validation.CadTolerance.parse(cad_tolerance or "20%").mass,
+        geometry=geometry,
+    )
+    answer(
+        as_json,
+        lambda: {"robot": identified.robot, "quantities": [each.as_dict() for each in found]},
+        lambda: writers.feasible_table(found).as_text(full),
+    )
+
+
 def review(
     robot: Robot,
     log: Logs,
@@ -371,64 +430,4 @@ def review(
             writers.review_text(found, full=full, cure_text=describe_cure).rstrip("\n")
             + list_files(files)
         ),
-    )
-
-
-def watch(
-    result: Result,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="the recording to watch")],
-    *,
-    calibrate: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--calibrate",
-            metavar="LOG",
-            help="a recording without contact that sets the thresholds; repeat for more",
-        ),
-    ] = None,
-    thresholds: Annotated[
-        Path | None,
-        typer.Option(
-            "--thresholds", metavar="FILE", help="thresholds.json that an earlier watch wrote"
-        ),
-    ] = None,
-    options: WatchOptions,
-    reading: ReadingOptions,
-    timelines: TimelineFiles,
-    out: Out = None,
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Watch a log for external torque, contact and fault.
-
-    Thresholds are set for a stated rate of false alarms on recordings without contact. Forces are
-    those on the robot, at the tool, in root axes.
-    """
-    if calibrate and thresholds is not None:
-        raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
-    require_distinct_logs([log], calibrate)
-    identified = asbuilt.read_result(result)
-    given = None if thresholds is None else asbuilt.read_thresholds(thresholds)
-    with show_progress() as report:
-        report("read", 0.0)
-        logged = read_recordings_of_robot(identified.model, [log], reading)[0]
-
-        watched = asbuilt.watch(
-            identified,
-            logged,
-            calibrate=read_recordings_of_robot(identified.model, calibrate, reading),
-            thresholds=given,
-            options=options,
-            progress=report,
-        )
-        files = writers.write_watched(out, watched) if out is not None else {}
-        files |= timelines.write(
-            lambda: [writers.timeline_of_watched(identified.model, watched, logged)]
-        )
-    listed = list_findings(watched.findings, describe_cure, full=full)
-    messages = "".join(f"\n{line}" for line in listed)
-    answer(
-        as_json,
-        lambda: writers.with_files(watched.as_document(), files),
-        lambda: watched.as_text(full) + messages + list_files(files),
     )

@@ -73,7 +73,38 @@ def match_joints(
         return order, (
             f"joint names of the log and of {robot} differ; they were matched by number: {pairs}",
         )
+    if _are_named_in_order(labels, joint_names):
+        pairs = ", ".join(map(" -> ".join, zip(labels, joint_names, strict=True)))
+        return list(range(len(labels))), (
+            f"joint names of the log and of {robot} differ; they were matched in their order, in"
+            f" which they share words: {pairs}",
+        )
     raise _make_misfit_error(labels, joint_names, source, robot)
+
+
+SHARED = 0.5
+"""Share of the joints that have a word in common with the label at their place, from which the
+others are taken to be in the same order too."""
+
+
+def _are_named_in_order(labels: Sequence[str], joint_names: Sequence[str]) -> bool:
+    """Return whether words of labels and joints pair them in their order, and in no other.
+
+    As `Rotation Pitch Elbow Wrist_Pitch Wrist_Roll Jaw` beside `shoulder_pan shoulder_lift
+    elbow_flex wrist_flex wrist_roll gripper`. Names of a gripper count as alike.
+    """
+    if len(labels) != len(joint_names):
+        return False
+    own, wanted = ([_list_meanings(name) for name in names] for names in (labels, joint_names))
+    shared = [[len(a & b) for b in wanted] for a in own]
+    alike = [row[k] == max(row) for k, row in enumerate(shared)]
+    paired = sum(row[k] > 0 for k, row in enumerate(shared))
+    return all(alike) and paired >= SHARED * len(labels)
+
+
+def _list_meanings(name: str) -> set[str]:
+    words = {word for word in split_words(name) if word not in _GENERIC and not word.isdigit()}
+    return words | ({"gripper"} if words & GRIPPERS else set())
 
 
 def read_label_numbers(labels: Sequence[str]) -> list[int] | None:

@@ -13,8 +13,11 @@ from .drives.term import drive_term as drive_term
 from .drives.torque import described_drive as described_drive
 from .drives.torque import drive_columns as drive_columns
 from .drives.torque import drive_torque as drive_torque
+from .kernels.blas import use_one_blas_thread as use_one_blas_thread
 from .kinematics import link_jacobians as link_jacobians
 from .kinematics import link_poses as link_poses
+from .momentum import Momentum as Momentum
+from .momentum import apply_lag as apply_lag
 from .newton_euler import coriolis_matrix as coriolis_matrix
 from .newton_euler import coriolis_torque as coriolis_torque
 from .newton_euler import forward_dynamics as forward_dynamics
@@ -26,6 +29,7 @@ from .newton_euler import potential_energy as potential_energy
 from .parameters import parameter_names as parameter_names
 from .parameters import parameter_units as parameter_units
 from .parameters import parameter_values as parameter_values
+from .regressor import RegressorPlan as RegressorPlan
 from .regressor import observation_matrix as observation_matrix
 from .regressor import regressor as regressor
 from .torque_model import TorqueModel as TorqueModel

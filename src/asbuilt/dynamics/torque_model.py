@@ -106,6 +106,18 @@ class TorqueModel:
             return matrix
         return mass_matrix(self.model, q, parameters=self.parameters)
 
+    def armature(self) -> Array:
+        """Return the (n, n) matrix A of the part `A qdd` of the drives' torque."""
+        n = self.model.n_joints
+        rest = np.zeros((n, n))
+        shares = self.model.motor_shares
+        at_rest, accelerated = (
+            drive_torque(self.drive, self.values, rest, rest, qdd, load=rest, shares=shares)
+            for qdd in (rest, np.eye(n))
+        )
+        matrix: Array = accelerated - at_rest
+        return matrix
+
     def _evaluate_friction(self, state: tuple[Array, ...], rigid: Array) -> Array:
         shares = self.model.motor_shares
         return drive_torque(self.drive, self.values, *state, load=rigid, shares=shares)

@@ -1,3 +1,5 @@
+from .collision.constraint import Clearance as Clearance
+from .collision.constraint import measure_clearance as measure_clearance
 from .design.design import design_motion as design_motion
 from .design.designed_motion import Design as Design
 from .design.multistart import SearchProgress as SearchProgress
@@ -16,8 +18,10 @@ from .limits import MotionBounds as MotionBounds
 from .limits import check_motion as check_motion
 from .motions.bspline import BSplineMotion as BSplineMotion
 from .motions.fourier import FourierMotion as FourierMotion
+from .motions.motion import JUMPING as JUMPING
 from .motions.motion import Motion as Motion
 from .motions.motion import Trajectory as Trajectory
+from .motions.motion_csv import PREFIXES as PREFIXES
 from .motions.motion_csv import SampledMotion as SampledMotion
 from .motions.motion_csv import read_motion as read_motion
 from .motions.motion_csv import times_to_end as times_to_end

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,9 +32,14 @@ from asbuilt.identification.errors.uncertainty import (
     estimate_block_uncertainty,
     estimate_textbook_uncertainty,
 )
-from asbuilt.identification.estimators.least_squares import estimate_wls
+from asbuilt.identification.estimators.least_squares import (
+    estimate_wls,
+    fit_least_squares,
+    refuse_few_rows,
+)
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate, EstimationData, Undetermined
+from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
@@ -84,6 +89,30 @@ class Fit:
     def base(self) -> BaseParameters:
         """The base parameters."""
         return self.information.base
+
+    def without(self, sources: Collection[str], undetermined: Undetermined) -> Array | None:
+        """Return the base parameters (p,) without some recordings, from the block factors alone.
+
+        What the estimator chose, such as its weight of CAD or the weights of rows, is held fixed.
+        None for an estimator that needs the samples again.
+
+        Raises
+        ------
+        IdentifiabilityError
+            If too little is left.
+        """
+        own, method = self.estimate.information or self.information, self.estimate.method
+        kept = own.select([b for b, block in enumerate(own.blocks) if block.source not in sources])
+        refuse_few_rows(kept)
+        if self.estimate.refit is not None:
+            return self.estimate.refit(kept.stacked(self.estimate.weights))
+        if methods.find(method).needs == "information":
+            data = EstimationData(self.model, kept, None, self.design, undetermined)
+            return methods.find(method).estimate(data).beta
+        if self.estimate.information is None:
+            return None
+        weights = self.estimate.weights
+        return fit_least_squares(kept, weights=weights, prior=self.design).beta
 
     @property
     def delay_shift(self) -> Array | None:
@@ -206,16 +235,19 @@ def fit_samples(
     threads: int | None = None,
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
     expected: ExpectedScores | None = None,
+    kept: KeptRows | None = None,
 ) -> Fit:
     """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
-    Scores that are expected of the true parameters are taken away (`expected`).
+    Scores that are expected of the true parameters are taken away (`expected`). Rows are shared
+    with others by `kept`.
     """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
     if not samples:
         raise UsageError(f"no samples are given to identify {model.name} from; give at least one")
     estimator = methods.find(method)
+    kept = kept or KeptRows()
     fitted: NonlinearFit | None = None
     if base is None and not drive.is_linear:
         fitted = fit_nonlinear(model, drive, samples)
@@ -225,7 +257,7 @@ def fit_samples(
 
     def accumulate(loading: RobotModel) -> SquareRootInformation:
         return accumulate_stream(
-            loading, base, samples, block_seconds=block_seconds, threads=threads
+            loading, base, samples, block_seconds=block_seconds, threads=threads, kept=kept
         )
 
     seen = accumulate(model)
@@ -245,6 +277,7 @@ def fit_samples(
             block_seconds,
             loading=loading,
             less=less,
+            kept=kept,
         )
 
     data = reduce(seen)

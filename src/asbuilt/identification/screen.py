@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import EFFECTS, FoundEffect
-from asbuilt.tables import WIDTH, Table, format_plus_minus, round_significant, wrap_text
+from asbuilt.tables import (
+    WIDTH,
+    Table,
+    format_plus_minus,
+    format_range,
+    round_significant,
+    wrap_text,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +49,8 @@ class ScreenRules:
 
 
 RULES = ScreenRules()
+IN_THE_FIRST_LINE = ("held_out_repeats", "nothing_held_out")
+"""Findings that the verdict, which the screen begins with, and the next command repeat."""
 
 
 def compose_screen(
@@ -65,7 +74,10 @@ def compose_screen(
     lines = [line for each in opening.split("\n") for line in wrap_text(each).split("\n")]
     lines += format_effects(effects, cure_text)
     lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
-    lines += shorten_findings(findings, RULES.lines - len(lines), cure_text)
+    named = {(each.effect, each.joint) for each in effects}
+    others = [each for each in findings if (each.effect, each.joint) not in named]
+    left = len(findings) - len(others)
+    lines += shorten_findings(others, RULES.lines - len(lines), cure_text, left=left)
     return "\n".join(lines) + "\n"
 
 
@@ -78,8 +90,12 @@ def _word_further_output(cure_text: Callable[[Cure], str]) -> str:
 def format_effects(
     effects: Sequence[FoundEffect], cure_text: Callable[[Cure], str] = str
 ) -> list[str]:
-    """Return a line for each effect: what is in the model that CAD lacks, then what is not."""
+    """Return a line for each effect: what is in the model that CAD lacks, then what is not.
+
+    What is not in the model and would not change the torque error is left out.
+    """
     ordered = sorted(effects, key=lambda each: each.error_after - each.error_before)
+    ordered = [each for each in ordered if each.in_model or format_effect_errors(each)]
     lines: list[str] = []
     for head, most, part in (
         ("In the model, which CAD lacks", RULES.effects, [e for e in ordered if e.in_model]),
@@ -100,24 +116,40 @@ def format_effect(each: FoundEffect) -> str:
     title = EFFECTS[each.effect].title if each.effect in EFFECTS else each.effect
     where = f"{title} at {each.joint}" if each.joint else title
     unit = "" if each.unit == "1" else each.unit
-    sizes = (format_plus_minus(each.estimate, each.std_error), round_significant(each.estimate, 2))
-    texts = [f"{where} {size} {unit}".rstrip() for size in sizes]
-    return next((text for text in texts if len(text) <= RULES.effect_width), texts[-1])
+    short = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
+    texts = [f"{where} {size}" for size in (format_size(each), short)]
+    return texts[0] if each.feasible or len(texts[0]) <= RULES.effect_width else texts[1]
+
+
+def format_size(each: FoundEffect) -> str:
+    """Return the size of an effect with its standard error, or its interval and what was chosen."""
+    unit = "" if each.unit == "1" else each.unit
+    if each.feasible is None:
+        return f"{format_plus_minus(each.estimate, each.std_error)} {unit}".rstrip()
+    chosen = round_significant(each.estimate)
+    return f"{format_range(*each.feasible, unit)}, chosen {chosen}"
 
 
 def format_effect_errors(each: FoundEffect) -> str:
-    """Return the relative torque errors without and with an effect."""
+    """Return the relative torque errors without and with an effect; empty where they are alike."""
     before, after = (round_significant(100.0 * e, 2) for e in (each.error_before, each.error_after))
-    return f"{before} -> {after} %"
+    return "" if before == after else f"{before} -> {after} %"
 
 
 def shorten_findings(
-    findings: Sequence[Finding], room: int, cure_text: Callable[[Cure], str] = str
+    findings: Sequence[Finding],
+    room: int,
+    cure_text: Callable[[Cure], str] = str,
+    *,
+    left: int = 0,
 ) -> list[str]:
-    """Return the first warnings, a sentence each, within `room` lines, and how many are left."""
+    """Return the first warnings, a sentence each, within `room` lines, and how many are left.
+
+    `left` findings more are left already.
+    """
     lines: list[str] = []
     shown = 0
-    warnings = [e for e in findings if e.severity != "info" and e.code != "effect_found"]
+    warnings = [e for e in findings if e.severity != "info" and e.code not in IN_THE_FIRST_LINE]
     for finding in warnings[: RULES.findings]:
         label = f"{finding.severity.upper():<7}  "
         # Lines end at spaces: each costs up to a word.
@@ -127,6 +159,6 @@ def shorten_findings(
             break
         lines += text
         shown += 1
-    left = len(findings) - shown
+    left += len(findings) - shown
     more = [f"... {left} more finding{'s' if left > 1 else ''} {_word_further_output(cure_text)}"]
     return [*([""] if lines and len(lines) + 2 <= room else []), *lines, *(more if left else [])]

@@ -7,13 +7,17 @@ from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
 
-USUAL_LEVEL = 0.95
-"""Level of confidence intervals, by convention."""
+USUAL_ALPHA = 0.05
+"""Probability outside a confidence interval, by convention."""
+LARGEST_ALPHA = 0.5
+"""What is larger is meant as the probability inside: nobody asks for an interval that is likelier
+wrong than right."""
 
 
 def confidence_intervals(
-    estimates: Array, std_errors: Array, degrees_of_freedom: Array, level: float
+    estimates: Array, std_errors: Array, degrees_of_freedom: Array, alpha: float
 ) -> Array:
     """Return `estimate -+ t std_error` (p, 2), t the quantile of Student's distribution.
 
@@ -21,22 +25,24 @@ def confidence_intervals(
     ----------
     estimates, std_errors, degrees_of_freedom
         Of each parameter, (p,); infinite degrees of freedom give the normal distribution.
-    level
-        Probability with which an interval holds the true value.
+    alpha
+        Probability with which an interval does not hold the true value, as in statsmodels.
 
     Raises
     ------
     UsageError
-        If the level is not between 0 and 1.
+        If alpha is not between 0 and 0.5.
     """
-    if not 0.0 < level < 1.0:
+    if not 0.0 < alpha < LARGEST_ALPHA:
         raise UsageError(
-            f"the level of a confidence interval lies between 0 and 1, got {level:g}",
-            value=level,
+            "alpha is the probability outside a confidence interval, between 0 and"
+            f" {LARGEST_ALPHA:g}, got {alpha:g}",
+            cure=Cure("write alpha=0.05 for an interval of 95 %"),
+            value=alpha,
             lower=0.0,
-            upper=1.0,
+            upper=LARGEST_ALPHA,
         )
-    width = stdtrit(degrees_of_freedom, 0.5 + 0.5 * level) * std_errors
+    width = stdtrit(degrees_of_freedom, 1.0 - 0.5 * alpha) * std_errors
     return np.column_stack([estimates - width, estimates + width])
 
 

@@ -6,6 +6,8 @@ from .comparison.comparison import compare as compare
 from .comparison.comparison import recording_name as recording_name
 from .comparison.drift import Drift as Drift
 from .comparison.drift import compare_results as compare_results
+from .comparison.significance import benjamini_hochberg as benjamini_hochberg
+from .comparison.significance import format_probability as format_probability
 from .generalisation.cad_verdict import PredictionVerdict as PredictionVerdict
 from .generalisation.cad_verdict import cad_verdict as cad_verdict
 from .nearest_consistent import NearestModel as NearestModel

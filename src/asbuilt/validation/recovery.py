@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,13 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
 from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
+from asbuilt.identification.result.feasible import (
+    FeasibleInterval,
+    evaluate_quantities,
+    feasible_intervals,
+)
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import Column, Table, round_significant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +28,8 @@ class Recovery:
     `truth`, `estimate` and `std_error` (p,) are of the base parameters `names`; `of_links` (p,)
     says which are of links, not of drives. `torque_error` is the torque error that the parameter
     errors make along a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` is CAD's.
+    `intervals` are the feasible intervals of masses, centres and armatures, `true_values` the truth
+    by quantity.
     """
 
     robot: str
@@ -31,6 +40,31 @@ class Recovery:
     of_links: NDArray[np.bool_]
     torque_error: float
     cad_error: float
+    intervals: tuple[FeasibleInterval, ...] = ()
+    true_values: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def held(self) -> int:
+        """How many feasible intervals hold the true value of their quantity."""
+        return sum(each.holds(self.true_values[each.quantity]) for each in self.intervals)
+
+    def interval_table(self) -> Table:
+        """Return the feasible intervals next to the truth."""
+        return Table.of(
+            self.intervals,
+            (
+                Column("quantity", width=30, of="quantity"),
+                Column("CAD", align="right", of=lambda each: round_significant(each.cad)),
+                Column("feasible (95 %)", of="text"),
+                Column("chosen", align="right", of=lambda each: round_significant(each.chosen)),
+                Column("truth", align="right", of=self._show_truth),
+            ),
+            "Feasible intervals and the truth",
+        )
+
+    def _show_truth(self, interval: FeasibleInterval) -> str:
+        truth = self.true_values[interval.quantity]
+        return round_significant(truth) + ("" if interval.holds(truth) else " (outside)")
 
     @property
     def deviations(self) -> Array:
@@ -81,6 +115,9 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
         columns=base.columns,
     )
     size = float(np.linalg.norm(W @ truth))
+    links = [link.name for link in result.model.links if not link.negligible]
+    rotors = ["armature"] * ("armature" in base.drive.keys)
+    names = ("mass", *(f"mass:{name}" for name in links), "com", *rotors)
     return Recovery(
         robot=result.model.name,
         names=base.names,
@@ -90,4 +127,6 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
         of_links=base.columns < 10 * result.model.n_links,
         torque_error=float(np.linalg.norm(W @ (result.estimates - truth))) / size,
         cad_error=float(np.linalg.norm(W @ (np.nan_to_num(result.cad_values) - truth))) / size,
+        intervals=feasible_intervals(result, names),
+        true_values=evaluate_quantities(result, names, simulated.truth),
     )

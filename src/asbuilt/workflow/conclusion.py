@@ -23,19 +23,24 @@ from asbuilt.identification.errors.bias import report_position_noise
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
+from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.torque_prediction import TorqueMetrics, TorqueTally
 from asbuilt.validation import Attribution, Validation, attribute, recording_name
 from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts, report_causes
 from asbuilt.validation.generalisation.consolidation import consolidate_findings
-from asbuilt.validation.generalisation.coverage import check_coverage, check_repetitions
+from asbuilt.validation.generalisation.coverage import (
+    check_coverage,
+    check_left_out,
+    check_repetitions,
+)
 from asbuilt.validation.generalisation.generalisation import check_validations
 from asbuilt.validation.generalisation.plateaus import report_plateaus
 from asbuilt.validation.generalisation.unexplained import report_nameless, report_unexplained
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import report_delays
-from asbuilt.workflow.fits import Fits, predict_samples
+from asbuilt.workflow.fits import Fits, predict_held_out, predict_samples
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import describe_servo_torque, report_servo
 
@@ -81,16 +86,18 @@ def conclude_study(
     prepared = fits.prepared
     held = (*prepared.held_out, *prepared.validation)
     trained = predict_samples(fits.final, fits.samples)
-    validations = predict_samples(fits.validated, held)
+    validations = predict_held_out(fits)
     cause_data, too_short = _build_cause_data(fits, options.block_seconds)
     train, train_cad = _merge_metrics(fits, trained)
+    # As in the verdict, the recording that is predicted worst decides.
+    decisive = max(validations, key=lambda each: each.metrics_as_built.relative_error, default=None)
     named = tuple(
         each for each in fits.effects.found if options.wanted_effects.named or each.in_model
     )
     conclude = partial(
         Fit.concluded,
         train=train,
-        cad=validations[0].metrics_cad if validations else train_cad,
+        cad=train_cad if decisive is None else decisive.metrics_cad,
         validation=[each.metrics_as_built for each in validations],
         cause_data=cause_data,
         chain=prepared.chain,
@@ -105,7 +112,7 @@ def conclude_study(
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
         encoders=fits.encoders,
-        trained=fits.validated.estimate.beta if fits.refitted else None,
+        trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
     lacking = fits.effects.lacking
     omitted = None if lacking is None else lacking.bias(fits.final)
@@ -114,14 +121,16 @@ def conclude_study(
         *(as_identified(each, result) for each in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
-    result = replace(result, effects=effects)
+    result = replace(result, effects=bound_effects(result, effects))
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
     if attribution and options.wanted_effects.named:
         result = replace(result, effects=(*result.effects, *attribution.bodies))
     validations = tuple(
-        with_exported(result.of_training, each, samples)
-        for each, samples in zip(validations, held, strict=True)
+        with_exported(result.without_recording(number), each, samples)
+        if number < len(prepared.held_out)
+        else with_exported(result.of_training, each, samples)
+        for number, (each, samples) in enumerate(zip(validations, held, strict=True))
     )
     findings = (
         *result.findings,
@@ -141,7 +150,11 @@ def conclude_study(
         *report_delays(result, prepared.delay, fits.final.delay_shift),
         *further,
         *_report_validation(fits, train, validations, further),
-        *check_repetitions(prepared.training, held),
+        *(
+            check_left_out(prepared.training, prepared.motions)
+            if prepared.motions
+            else check_repetitions(prepared.training, held)
+        ),
         *([] if prepared.validation else check_coverage(fits.model, prepared.training)),
         *too_short,
         *report_unexplained(trained),
@@ -151,6 +164,8 @@ def conclude_study(
         *report_springs(result),
         *leg_findings(result, fits.samples),
     )
+    modelled = {(each.effect, each.joint) for each in result.effects if each.in_model}
+    findings = tuple(each for each in findings if (each.effect, each.joint) not in modelled)
     shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
     return Conclusion(
         result, consolidate_findings(findings, shares), trained, validations, attribution
@@ -224,12 +239,16 @@ def _build_cause_data(
     fits: Fits, block_seconds: float | None
 ) -> tuple[CauseData | None, tuple[Finding, ...]]:
     """Return what causes are weighed by, or a finding that the recordings are too short for it."""
-    held = (*fits.prepared.held_out, *fits.prepared.validation)
+    prepared = fits.prepared
+    held = (*prepared.held_out, *prepared.validation)
+    # The first motion that is left out tests the causes that the others show.
+    first = prepared.motions[0] if prepared.motions else ()
+    used = [each for number, each in enumerate(prepared.training) if number not in first]
     try:
         return gather_cause_data(
             fits.model,
             fits.final.base,
-            fits.prepared.training,
+            used,
             held[:1],
             block_seconds=block_seconds,
         ), ()

@@ -33,6 +33,7 @@ from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
 from asbuilt.workflow.options import StudyOptions
@@ -63,6 +64,9 @@ class Fits:
     final, validated
         The fit whose values are the result, and the fit that validation data are predicted by; one
         and the same unless the final one has seen what was held out.
+    left_out
+        Where whole recordings are left out in turn, the base parameters (m, p) without each; None
+        otherwise.
     choice
         The drive terms, chosen on the training part.
     mounting
@@ -87,6 +91,7 @@ class Fits:
     servo: ServoEstimate | None
     refined: Refined | None
     encoders: tuple[EncoderPair, ...] = ()
+    left_out: Array | None = None
 
     @property
     def samples(self) -> tuple[Samples, ...]:
@@ -145,20 +150,20 @@ def fit_study(
 
 def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared) -> Fits:
     """Fit without what was held out by default, if that leaves enough."""
-    if prepared.whole:
+    if prepared.whole or prepared.motions:
         try:
             return fitted(prepared)
         except IdentifiabilityError:
+            training = prepared.whole or prepared.training
             prepared = replace(
-                prepared, training=prepared.whole, held_out=(), whole=(), holdout=None
+                prepared, training=training, held_out=(), whole=(), motions=(), holdout=None
             )
     return fitted(prepared)
 
 
 def _measure_torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
-    samples = fits.prepared.held_out or fits.prepared.training
-    predicted = predict_samples(fits.validated, samples)
+    predicted = predict_held_out(fits) or predict_samples(fits.validated, fits.prepared.training)
     return float(np.mean([each.metrics_as_built.relative_error**2 for each in predicted]))
 
 
@@ -209,7 +214,8 @@ def _fit_all(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    model, choice, effects, flat = _add_effects(model, prepared, options)
+    kept = KeptRows()
+    model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -223,6 +229,7 @@ def _fit_all(
             threads=options.threads,
             fitted_nonlinear=choice.fitted,
             expected=None if servo is None else servo.expected,
+            kept=kept,
         )
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)
@@ -235,7 +242,10 @@ def _fit_all(
             choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
             final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
-        return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
+        left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
+        return Fits(
+            model, prepared, final, validated, choice, effects, flat, servo, None, left_out=left_out
+        )
     from asbuilt.workflow.refinement import refine_study  # noqa: PLC0415 - light start
 
     final, servo, refined, drive = refine_study(
@@ -263,7 +273,10 @@ def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
     unsure, covariance = set[tuple[str, str]](), fit.uncertainty.covariance
     for each in effects.found:
         term = getattr(EFFECTS[each.effect], "term", None)
-        if not each.in_model or each.joint is None or term is None or term.stands_for:
+        if not each.in_model or each.joint is None or term is None:
+            continue
+        # That another form of friction is zero is no question, and fitted forms have values.
+        if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
             continue
         own = find_places(fit.base, each.effect, fit.model.joint_names.index(each.joint))
         values = fit.estimate.beta[own]
@@ -273,8 +286,28 @@ def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
     return unsure
 
 
+def _leave_out(
+    final: Fit,
+    prepared: Prepared,
+    options: StudyOptions,
+    fitted: Callable[[Sequence[Samples]], Fit],
+) -> Array | None:
+    """Return the base parameters (m, p) without each recording, and others of its motion."""
+    if not prepared.motions:
+        return None
+    rows = np.zeros((len(prepared.training), len(final.estimate.beta)))
+    for motion in prepared.motions:
+        left = {prepared.training[number].source for number in motion}
+        beta = final.without(left, options.undetermined)
+        if beta is None:
+            others = [each for each in prepared.training if each.source not in left]
+            beta = fitted(others).estimate.beta
+        rows[list(motion)] = beta
+    return rows
+
+
 def _add_effects(
-    model: RobotModel, prepared: Prepared, options: StudyOptions
+    model: RobotModel, prepared: Prepared, options: StudyOptions, kept: KeptRows
 ) -> tuple[RobotModel, DriveChoice, Effects, tuple[Plateau, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
 
@@ -292,7 +325,9 @@ def _add_effects(
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
     open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
     if fixed and (open_to_all or stated):
-        flat = find_plateaus(model, drive, samples, options.block_seconds) if open_to_all else ()
+        flat = (
+            find_plateaus(model, drive, samples, options.block_seconds, kept) if open_to_all else ()
+        )
         effects = find_effects(
             model,
             drive,
@@ -300,6 +335,7 @@ def _add_effects(
             keys=None if open_to_all else stated,
             applied=_list_open_effects(model, options) | stated,
             stated=stated,
+            kept=kept,
         ).beside_plateaus({model.joint_names[each.joint] for each in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
     choice = replace(choice, fitted=(*effects.fitted, *choice.fitted))
@@ -317,6 +353,19 @@ def _list_open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     if stated or not (every or options.drive):
         keys -= set(list_drive_effects(by_construction=True))
     return keys
+
+
+def predict_held_out(fits: Fits) -> tuple[Validation, ...]:
+    """Predict what was held out by values that have not seen it, then other recordings."""
+    held, others = fits.prepared.held_out, fits.prepared.validation
+    if fits.left_out is None:
+        return predict_samples(fits.validated, (*held, *others))
+    fit = fits.final
+    left_out = tuple(
+        predict_both(fit.model, fit.base, beta, fit.design, each)
+        for beta, each in zip(fits.left_out, held, strict=True)
+    )
+    return (*left_out, *predict_samples(fit, others))
 
 
 def predict_samples(fit: Fit, samples: Sequence[Samples]) -> tuple[Validation, ...]:

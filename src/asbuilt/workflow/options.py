@@ -95,8 +95,9 @@ HOLDOUT = {
 }
 HOLDOUT_AND_REFIT = HOLDOUT | {
     "help": (
-        "hold out for validation: auto (a third, the final fit is to everything; nothing if other"
-        " recordings validate), none, blocks:5s:3 (every third 5 s block) or last:0.3"
+        "hold out for validation: auto (recordings in turn, or a third of one; the final fit is to"
+        " everything; nothing if other recordings validate), none, blocks:5s:3 (every third 5 s"
+        " block) or last:0.3"
     ),
 }
 
@@ -117,8 +118,9 @@ class StudyOptions:
     sweep_cutoff
         Choose the cutoff of the low-pass by held-out error.
     holdout
-        "auto" holds out a third for the verdict and fits the final values to everything; with other
-        recordings to validate on, or recordings below 6 s, it holds nothing out. A rule of
+        "auto" leaves out whole recordings in turn for the verdict, of one recording a third, below
+        6 s its second half, and fits the final values to everything; with other recordings to
+        validate on it holds nothing out. A rule of
         `hold_out`, such as "blocks:5s:3", takes the part out of the result too; None holds nothing
         out.
     undetermined

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,12 +20,19 @@ from asbuilt.experiment import (
 )
 from asbuilt.experiment.command.servo_torque import drop_saturated
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
-from asbuilt.experiment.signal.hold_out import SHORTEST_DIVIDED, choose_usual_rule, hold_out
+from asbuilt.experiment.signal.hold_out import (
+    HALF,
+    RECORDINGS,
+    choose_usual_rule,
+    hold_out,
+)
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.pose_noise import with_equation_noise
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.comparison.comparison import HELD_OUT
+from asbuilt.validation.generalisation.coverage import repeats
 from asbuilt.workflow.delays import Delays, settle_delays, settle_rates
 from asbuilt.workflow.options import AUTOMATIC, StudyOptions
 
@@ -55,6 +63,9 @@ class Prepared:
         Delays of the recordings, empty for samples.
     whole
         The recordings undivided, if they were divided by default; else empty.
+    motions
+        Numbers of the recordings of each motion, which are left out in turn: `held_out` are then
+        the recordings whole; else empty.
     """
 
     chain: SignalChain | None
@@ -67,6 +78,7 @@ class Prepared:
     digests: tuple[str, ...]
     delay: tuple[RecordingDelay, ...] = ()
     whole: tuple[Samples, ...] = ()
+    motions: tuple[tuple[int, ...], ...] = ()
 
 
 def prepare(
@@ -83,6 +95,7 @@ def prepare(
     estimate_delay: bool = False,
     delays: Sequence[RecordingDelay] = (),
     filters: MotionFilters | None = None,
+    in_turn: bool = False,
     progress: Progress | None = None,
 ) -> Prepared:
     """Check recordings, choose the signal chain, filter and hold out.
@@ -103,9 +116,10 @@ def prepare(
     chain
         The signal chain; what it leaves open is chosen from the recordings.
     holdout
-        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out. "auto" holds out by the
-        usual rule if enough is left of both parts, estimates delays on both, and keeps the
-        recordings undivided too.
+        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out. "auto" leaves out whole
+        recordings (`in_turn`), or else holds out by the usual rule, of short recordings the second
+        half, if enough is left of both parts; it estimates delays on both, and keeps the recordings
+        undivided too.
     checked
         Refuse recordings in which `check_recording` finds errors.
     tolerated
@@ -119,6 +133,8 @@ def prepare(
         Delays that are known already.
     filters
         What filters motions, once for all who share it; None: of its own.
+    in_turn
+        Whether "auto" may leave out whole recordings of several motions in turn.
     progress
         Called with the name of a step and the fraction done.
 
@@ -156,7 +172,16 @@ def prepare(
     whole = with_equation_noise(
         model, [_prepare_samples(item, settled, filters, late) for item in recordings]
     )
-    parts = _divide_if_enough(whole, holdout) if automatic else _divide_samples(whole, holdout)
+    motions = group_by_motion(whole) if automatic and in_turn else ()
+    parts: tuple[tuple[Samples, ...], tuple[Samples, ...]] | None
+    if motions:
+        holdout = RECORDINGS
+        parts = whole, tuple(name_held_out(each, RECORDINGS) for each in whole)
+    elif automatic:
+        holdout = holdout or HALF
+        parts = _divide_if_enough(whole, holdout)
+    else:
+        parts = _divide_samples(whole, holdout)
     if parts is None:
         holdout, parts = None, (whole, ())
 
@@ -173,8 +198,31 @@ def prepare(
         others=tuple(tuple(alike(item) for item in group) for group in others),
         digests=digests,
         delay=late.recordings,
-        whole=whole if automatic and holdout is not None else (),
+        whole=whole if automatic and holdout is not None and not motions else (),
+        motions=motions,
     )
+
+
+def group_by_motion(recordings: Sequence[Samples]) -> tuple[tuple[int, ...], ...]:
+    """Return the numbers of the recordings of each motion; empty for a single motion.
+
+    One that repeats the states of another is of its motion: whichever is left out, the other would
+    show it. Recordings that share a name cannot be told apart, and count as one motion.
+    """
+    if len({each.source for each in recordings}) < max(len(recordings), 2):
+        return ()
+    motion = list(range(len(recordings)))
+    for one, other in itertools.combinations(motion[:], 2):
+        if motion[one] != motion[other] and repeats(recordings[one], recordings[other]):
+            joined = motion[other]
+            motion = [motion[one] if each == joined else each for each in motion]
+    groups = [tuple(k for k, each in enumerate(motion) if each == own) for own in set(motion)]
+    return tuple(sorted(groups)) if len(groups) > 1 else ()
+
+
+def name_held_out(samples: Samples, rule: str) -> Samples:
+    """Return samples whose source says that they were held out by a rule."""
+    return replace(samples, source=f"{samples.source}{HELD_OUT}{rule}")
 
 
 def divide_recordings(
@@ -187,7 +235,7 @@ def divide_recordings(
 
 
 def settle_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
-    """Return the rule that `AUTOMATIC` stands for: the usual rule of the shortest recording."""
+    """Return the rule that `AUTOMATIC` divides by: the usual rule of the shortest recording."""
     return choose_usual_rule(measure_shortest(recordings)) if holdout == AUTOMATIC else holdout
 
 
@@ -209,6 +257,21 @@ def is_trained_on(result: IdentificationResult, item: Recorded) -> bool:
     return not isinstance(item, Samples) and digest_recording(head_of(item)) in result.digests
 
 
+def find_unseeing(
+    result: IdentificationResult, item: Recorded
+) -> tuple[IdentificationResult, str | None]:
+    """Return a result with values that have not seen a recording, and the rule that divides it.
+
+    The rule is None if they have seen nothing of it, or all.
+    """
+    if result.holdout is None or not is_trained_on(result, item):
+        return result, None
+    if result.holdout == RECORDINGS:
+        number = result.digests.index(digest_recording(head_of(item)))
+        return result.without_recording(number), None
+    return result.of_training, result.holdout
+
+
 def _list_recording_heads(recordings: Sequence[Recorded]) -> list[Recording]:
     return [head_of(item) for item in recordings if not isinstance(item, Samples)]
 
@@ -222,7 +285,7 @@ def _divide_samples(
     parts = [hold_out(each, holdout, shared=shared) for each in whole]
     return (
         tuple(training for training, _ in parts),
-        tuple(replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts),
+        tuple(name_held_out(held, holdout) for _, held in parts),
     )
 
 
@@ -265,7 +328,7 @@ def with_settled_holdout(
     """
     if options.holdout != AUTOMATIC:
         return options
-    if validation or settle_rule(recordings, AUTOMATIC) is None:
+    if validation:
         return replace(options, holdout=None)
     if options.refine is not None:
         return replace(options, holdout=settle_rule(recordings, AUTOMATIC))
@@ -281,29 +344,29 @@ def report_holdout(
     """
     if wanted.holdout != AUTOMATIC:
         return ()
-    if prepared.whole:
+    if prepared.whole or prepared.motions:
+        fits = (
+            "fits without the recording that is predicted, and others of its motion"
+            if prepared.motions
+            else f"a fit without what was held out ({prepared.holdout})"
+        )
         return (
             Finding(
                 "final_fit",
                 "info",
-                f"Held-out errors are of a fit without what was held out ({prepared.holdout});"
-                " parameters, their errors and the training error are of the final fit to"
-                " everything",
+                f"Held-out errors are of {fits}; parameters, their errors and the training error"
+                " are of the final fit to everything",
             ),
         )
     if validated:
         return ()
     seconds = measure_shortest(recordings)
-    why = (
-        f"{seconds:.3g} s are too short to hold out a part ({SHORTEST_DIVIDED:g} s)"
-        if seconds < SHORTEST_DIVIDED
-        else f"too little of {seconds:.3g} s is left if a part is held out and filtered"
-    )
     return (
         Finding(
             "nothing_held_out",
             "warning",
-            f"No validation data: {why}; errors are of the training data and too small",
+            f"No validation data: too little of {seconds:.3g} s is left if a part is held out and"
+            " filtered; errors are of the training data and too small",
             Cure("validate on another recording, or record longer"),
         ),
     )

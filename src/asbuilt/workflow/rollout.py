@@ -29,7 +29,7 @@ from asbuilt.identification.trajectories.windows import (
 )
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.options import ValidationOptions
-from asbuilt.workflow.prepare import is_trained_on
+from asbuilt.workflow.prepare import find_unseeing
 from asbuilt.workflow.servo import with_described_servo, with_servo
 
 Simulated = tuple[Recording, Samples, DriveSignal]
@@ -81,10 +81,9 @@ def roll_out_result(
     results, parts = [], []
     for item in as_recordings(result.model, recordings):
         # What was held out of this recording is simulated by values that have not seen it.
-        held = options.chain is None and is_trained_on(result, item)
-        holdout = result.holdout if held else None
+        fitted, holdout = (result, None) if options.chain else find_unseeing(result, item)
         parts.append(_prepare_part(with_servo(item, result.servo), chain, holdout, MotionFilters()))
-        results.append(result if holdout is None else result.of_training)
+        results.append(fitted)
     return simulate_rollouts(results, parts, horizons, cad=cad, workers=workers)
 
 

@@ -25,6 +25,7 @@ from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification import Determination, FoundEffect, IdentificationResult, determination
 from asbuilt.identification.result.stored_document import parse_stored_document
 from asbuilt.identification.result.summary import Summary, summarise
+from asbuilt.identification.statistics import USUAL_ALPHA
 from asbuilt.registry import divide_settings
 from asbuilt.validation import (
     Attribution,
@@ -55,6 +56,8 @@ from asbuilt.workflow.prepare import (
 from asbuilt.workflow.servo import drop_unexplained, make_recording_delays, settle_servo
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
     from asbuilt.workflow.refinement import Refined
     from asbuilt.workflow.rollout import Simulated
@@ -126,9 +129,45 @@ class Study:
             return found
         return replace(found, joints=tabulate_joint_errors(self.result.model, simulated))
 
-    def plot(self, kind: str = "torque", axes: Any = None) -> Array:
-        """Draw a figure as `IdentificationResult.plot`, of what was held out if anything was."""
-        return self.result.plot(kind, (*self.validations, *self.training, None)[0], axes)
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters, in the order of every array of them."""
+        return self.result.names
+
+    @property
+    def params(self) -> Array:
+        """Estimates of the base parameters, shape (p,)."""
+        return self.result.params
+
+    @property
+    def bse(self) -> Array:
+        """Standard errors of the base parameters, shape (p,)."""
+        return self.result.bse
+
+    @property
+    def tvalues(self) -> Array:
+        """Estimates in standard errors, shape (p,)."""
+        return self.result.tvalues
+
+    def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
+        """Return confidence intervals, shape (p, 2): `IdentificationResult.conf_int`."""
+        return self.result.conf_int(alpha)
+
+    def to_frame(self, alpha: float = USUAL_ALPHA) -> pl.DataFrame:
+        """Return a polars frame with a row per base parameter: `IdentificationResult.to_frame`."""
+        return self.result.to_frame(alpha)
+
+    def predict(self, recording: Any, qd: Any = None, qdd: Any = None) -> Any:
+        """Predict the torque of a recording or of states: `IdentificationResult.predict`."""
+        return self.result.predict(recording, qd, qdd)
+
+    def plot(self, kind: str = "torque", of: Any = None, axes: Any = None) -> Array:
+        """Draw a figure: `IdentificationResult.plot`, of what was held out if anything was.
+
+        A study that was read from a file holds no recording: give one as `of`.
+        """
+        shown = (*self.validations, *self.training, None)[0] if of is None else of
+        return self.result.plot(kind, shown, axes)
 
     @cached_property
     def comparison(self) -> Comparison:
@@ -182,7 +221,7 @@ class Study:
 def identify(
     robot: RobotModel | str | Path,
     recordings: RecordingLike | Sequence[RecordingLike],
-    *,
+    *further: Any,
     validation: RecordingLike | Sequence[RecordingLike] = (),
     options: StudyOptions | None = None,
     workers: Workers | None = None,
@@ -222,7 +261,8 @@ def identify(
     IdentifiabilityError
         If the recordings are too short.
     UsageError
-        If no recording is given, there is no such option, or its value is wrong.
+        If no recording is given, or something after the recordings by its place; if there is no
+        such option, or its value is wrong.
 
     Examples
     --------
@@ -235,6 +275,15 @@ def identify(
     >>> study.result.rank == study.result.n_base
     True
     """
+    if further:
+        raise UsageError(
+            "identify takes a robot and its recordings; everything else goes by name, and a"
+            f" {type(further[0]).__name__} came third",
+            cure=Cure(
+                "several recordings are one list, identify(robot, [first, second]); one to"
+                " validate on is validation=..., arrays are {'t': t, 'q': q, 'tau': tau}"
+            ),
+        )
     of_study, of_reading = divide_settings(settings, StudyOptions, ReadingOptions)
     wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
@@ -317,6 +366,8 @@ def _prepare_recordings(
         settle=settle if options.sweep_cutoff else None,
         estimate_delay=servo is None,
         filters=filters,
+        # Simulated windows are cut from a part of each recording.
+        in_turn=servo is None and not options.rollout,
         progress=report,
     )
     prepared = drop_unexplained(prepared, trained, servo)

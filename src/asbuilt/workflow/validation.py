@@ -20,6 +20,7 @@ from asbuilt.experiment.logs.recordings import (
     as_recordings,
     read_fitted_recordings,
 )
+from asbuilt.experiment.signal.hold_out import RECORDINGS
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification import IdentificationResult, TorqueMetrics
 from asbuilt.validation import (
@@ -34,7 +35,13 @@ from asbuilt.validation import (
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.options import AUTOMATIC, StudyOptions, ValidationOptions
-from asbuilt.workflow.prepare import Progress, is_trained_on, prepare
+from asbuilt.workflow.prepare import (
+    Progress,
+    find_unseeing,
+    is_trained_on,
+    name_held_out,
+    prepare,
+)
 from asbuilt.workflow.servo import has_open_servo, with_servo
 from asbuilt.workflow.study import Study, identify
 
@@ -78,12 +85,7 @@ def validate(
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     found = []
     for recording in as_recordings(result.model, recordings):
-        samples = _prepare_recording(result, recording, options)
-        # Samples that were held out of the result are predicted with the values of its training.
-        held = result.holdout is not None and samples.source.endswith(
-            f", held out {result.holdout}"
-        )
-        fitted = result.of_training if held else result
+        fitted, samples = _prepare_recording(result, recording, options)
         found.append(with_exported(fitted, validate_samples(fitted, samples, cad=cad), samples))
     return tuple(found)
 
@@ -155,20 +157,23 @@ def validate_robot(
 
 def _prepare_recording(
     result: IdentificationResult, recording: Recorded, options: ValidationOptions
-) -> Samples:
-    """Return the samples of a recording; those held out, if the result was identified from it."""
+) -> tuple[IdentificationResult, Samples]:
+    """Return what predicts a recording, and its samples; those held out, if it was fitted."""
     recording = with_servo(recording, result.servo)
-    known = options.chain is None and is_trained_on(result, recording)
+    fitted, rule = (result, None) if options.chain else find_unseeing(result, recording)
     prepared = prepare(
         result.model,
         [recording],
         chain=options.chain or result.chain,
-        holdout=result.holdout if known else None,
+        holdout=rule,
         checked=options.checked,
         estimate_delay=True,
         delays=result.delay if options.chain is None else (),
     )
-    return (prepared.held_out or prepared.training)[0]
+    samples = (prepared.held_out or prepared.training)[0]
+    if fitted is not result and rule is None:
+        samples = name_held_out(samples, RECORDINGS)
+    return fitted, samples
 
 
 def review(

@@ -51,3 +51,17 @@ def file_lines(
         lines.append(f"  {kind:<{width}} {files[kind] if kind in files else remarks.pop(0)}")
         lines += [f"  {'':<{width}} note: {note}" for note in remarks]
     return lines
+
+
+def quote_yaml(text: str) -> str:
+    r"""Return a text as YAML, where JSON's pairs of surrogates would be two characters.
+
+    Examples
+    --------
+    >>> print(quote_yaml('a "b" \u540d'))
+    "a \U00000022b\U00000022 \U0000540d"
+    """
+    plain = (
+        each if " " <= each <= "~" and each not in '"\\' else f"\\U{ord(each):08x}" for each in text
+    )
+    return f'"{"".join(plain)}"'

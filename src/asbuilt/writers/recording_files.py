@@ -55,6 +55,14 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     return write_columns(path, recording.t, recording.joint_names, logged)
 
 
+def write_log(path: str | os.PathLike[str], recording: Recording) -> dict[str, Path]:
+    """Write a recording with the sheet that says what its torques are, and return both by kind."""
+    log = write_recording(path, recording)
+    sheet = log.with_name(f"{log.name}.toml")
+    atomic_write(sheet, _write_sheet_text(recording, log.name))
+    return {"recording": log, "sheet": sheet}
+
+
 def write_columns(
     path: str | os.PathLike[str],
     t: Array,

@@ -24,7 +24,6 @@ from asbuilt.errors import MissingExtraError
 from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
 from asbuilt.findings import Finding, Severity
 from asbuilt.validation import Validation, recording_name
-from asbuilt.workflow.watching.watched_log import WatchedLog
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.skeleton import build_round_mesh
 
@@ -198,13 +197,6 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
         stream.send_columns(rerun.new_entity_path(link), [times], columns)
 
 
-SEVERITY_OF_EVENT: dict[str, Severity] = {
-    "contact": "warning",
-    "fault": "error",
-    "payload": "info",
-}
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Hold a torque of all joints over time.
@@ -291,34 +283,6 @@ def timelines_of_validations(
         )
         for each in validations
     ]
-
-
-def timeline_of_watched(
-    model: RobotModel, watched: WatchedLog, recording: Recording | RecordingStream
-) -> Timeline:
-    """Return the timeline of a watched log: measured and external torque, thresholds, events."""
-    head, trace = head_of(recording), watched.trace
-    valid = np.all(np.isfinite(head.q), axis=1)
-    return Timeline(
-        recording_name(watched.source),
-        model,
-        head.t[valid],
-        head.q[valid],
-        (
-            Track("measured", head.t, head.tau),
-            Track("external", trace.t, trace.residual),
-            Track("threshold", trace.t, trace.limit),
-        ),
-        tuple(
-            Mark(
-                event.start,
-                SEVERITY_OF_EVENT[event.kind],
-                f"{event.kind} at {', '.join(event.joints)} from {event.start:.3f} to"
-                f" {event.end:.3f} s",
-            )
-            for event in watched.events
-        ),
-    )
 
 
 def _interpolate_positions(

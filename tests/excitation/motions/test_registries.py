@@ -55,7 +55,7 @@ PARAMETRISATIONS.register(Mirrored.key, Mirrored)
 JSON_FORMAT = """
 import json
 
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 
 
 class JsonFormat(ProgramFormat):
@@ -87,6 +87,7 @@ def site(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.apps("programs")
 @pytest.mark.study
 def test_a_family_and_a_format_from_outside_run_from_the_command_line(
     site: Path, tmp_path: Path

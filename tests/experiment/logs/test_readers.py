@@ -286,17 +286,9 @@ BAD = {
     "cell.csv": ("t,q1,tau1\n0,1,2\n0.1,oops,2\n", "line 3, column 'q1': 'oops' is not a number"),
     "long.csv": ("t,q1,tau1\n0,1,2\n0.1,1,2,3\n", "line 3: 4 fields where 3 columns are expected"),
     "twice.csv": ("t,q1,q1,tau1\n0,1,2,3\n", "column name 'q1' appears 2 times (columns 2, 3)"),
-    "alias.csv": (
-        "t,q1,actual_q_1,tau1\n0,1,2,3\n",
-        "columns 'q1' and 'actual_q_1' both look like the position of the same joint",
-    ),
     "gone.csv": (
         "t,q1,q3,tau1,tau3\n0,1,2,3,4\n",
         "the position column of joint number 2 is missing; there are q1, q3",
-    ),
-    "short.csv": (
-        "t,q1,q2,qd1,tau1,tau2\n0,1,2,3,4,5\n",
-        "2 position columns but 1 velocity columns (qd1)",
     ),
     "other.csv": (
         "t,x,y\n0,1,2\n",

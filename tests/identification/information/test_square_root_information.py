@@ -23,10 +23,12 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information import rows as rows_module
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.estimate import EstimationData
 from asbuilt.identification.information.rows import (
     FurtherColumns,
+    KeptRows,
     Rows,
     TimeBlock,
     divide_into_blocks,
@@ -353,6 +355,49 @@ def test_columns_beside_have_the_products_of_the_stacked_rows(robot):
         T = columns[:, k]
         rows = np.hstack([stack[:, [*support, -1]], T])
         np.testing.assert_allclose(further.products[k], rows.T @ T, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_rows_that_are_kept_are_those_of_the_stack_and_are_evaluated_once(
+    robot, parallel, monkeypatch
+):
+    model, base = robot
+    given = {"parallel": design_parallel_filter(10.0, 100.0)} if parallel else {}
+    samples = recording(model, 1200, segments=((0, 500), (520, 1200)), slowest=(0.5,) * 7, **given)
+    evaluated, evaluate = [], RegressorPlan.evaluate
+
+    def counted(plan, q, *further, **named):
+        evaluated.append(len(q))
+        return evaluate(plan, q, *further, **named)
+
+    monkeypatch.setattr(RegressorPlan, "evaluate", counted)
+    kept, expected = KeptRows(), FurtherColumns.tilts(model)
+    plain = accumulate_stream(model, base, [samples], block_seconds=2.0, further=expected)
+    once = sum(evaluated)
+    evaluated.clear()
+    for seconds in (2.0, 3.0):
+        tilts = FurtherColumns.tilts(model)
+        found = accumulate_stream(
+            model, base, [samples], block_seconds=seconds, further=tilts, kept=kept
+        )
+        for a, b in zip(found.joint_factors, plain.joint_factors, strict=True):
+            assert_same_gram(a, b)
+        for a, b in zip(tilts.products, expected.products, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-8)
+    assert 0 < sum(evaluated) <= once
+    # Another torque or another robot is another question.
+    other = replace(samples, tau=2.0 * samples.tau)
+    found = accumulate_stream(model, base, [other], kept=kept)
+    assert found.torque_energy == pytest.approx(4.0 * plain.torque_energy)
+
+
+def test_rows_that_would_take_much_memory_are_not_kept(robot, monkeypatch):
+    model, base = robot
+    samples = recording(model, 400)
+    plan = RegressorPlan.of(model, base.drive, base.columns)
+    assert KeptRows().find(plan, samples) is not None
+    monkeypatch.setattr(rows_module, "ROWS", replace(rows_module.ROWS, most_held=1e4))
+    assert KeptRows().find(plan, samples) is None
 
 
 def test_rows_of_an_estimator_are_summed_and_read_only(robot):

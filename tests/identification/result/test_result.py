@@ -477,14 +477,14 @@ def test_a_statistician_reads_the_result(arm):
     interval = result.conf_int()
     np.testing.assert_allclose(interval.mean(axis=1)[known], result.params[known], atol=1e-12)
     np.testing.assert_allclose(np.ptp(interval, axis=1), 2 * 1.959964 * result.bse, rtol=1e-6)
-    few = confidence_intervals(np.zeros(1), np.ones(1), np.array([4.0]), 0.95)
+    few = confidence_intervals(np.zeros(1), np.ones(1), np.array([4.0]), 0.05)
     np.testing.assert_allclose(few, [[-2.776445, 2.776445]], rtol=1e-6)
-    for level in (0.0, 1.0, 95.0):
-        with pytest.raises(UsageError, match="between 0 and 1"):
-            result.conf_int(level)
-    frame = result.to_frame(0.9)
+    for alpha in (0.0, 0.5, 0.95, 95.0):
+        with pytest.raises(UsageError, match=r"alpha=0\.05 for an interval of 95 %"):
+            result.conf_int(alpha)
+    frame = result.to_frame(0.1)
     assert frame["name"].to_list() == list(result.names)
-    assert frame["lower"].to_numpy() == pytest.approx(result.conf_int(0.9)[:, 0], nan_ok=True)
+    assert frame["lower"].to_numpy() == pytest.approx(result.conf_int(0.1)[:, 0], nan_ok=True)
     assert frame.height == result.n_base
 
 

@@ -22,7 +22,9 @@ def test_differences_are_those_of_the_estimates(example: Any) -> None:
         else:
             sigmas = (theirs.estimate - theirs.cad) / theirs.std_error
             assert np.isclose(ours.sigmas, sigmas)
-            assert ours.verdict == ("differs" if ours.false_discovery <= 0.05 else "agrees")
+            # As a review has it: a number that is right to a tenth is as claimed.
+            off = abs(theirs.estimate - theirs.cad) > 0.1 * abs(theirs.cad)
+            assert ours.verdict == ("differs" if ours.false_discovery <= 0.05 and off else "agrees")
     assert 0 < comparison.n_differing <= comparison.n_compared < example.result.n_base
 
 

@@ -9,15 +9,20 @@ import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.description.model import MassRange
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
 from asbuilt.identification.effects.effect import FoundEffect
+from asbuilt.tables import format_share
 from asbuilt.validation.prediction import validate_description
 from asbuilt.validation.verdicts.verdict import study_verdict
+from asbuilt.workflow.prepare import group_by_motion
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.validation import validate
 from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.models.robot_toml import write_robot_toml
 
@@ -54,16 +59,85 @@ def test_the_error_is_that_of_the_robot_file(
     assert study.verdict.error.exported == pytest.approx(written, rel=1e-9)
 
 
-def test_masses_are_those_of_the_robot_file(study: Study) -> None:
-    links = as_built(study.result).model.links
-    mass = sum(float(link.inertia.mass) for link in links)
-    assert f"{mass:.3g} kg for " in study.verdict.text
+def test_a_mass_that_torques_do_not_determine_is_not_in_the_first_line(study: Study) -> None:
+    """Nothing bounds the mass of all links; a scale does, and then it is the robot file's."""
+    assert study.result.feasible("mass").open_ends[1]
+    assert " kg" not in study.verdict.text
+    mass = sum(float(link.inertia.mass) for link in as_built(study.result).model.links)
+    limits = MassRange(study.result.model.link_names, 0.99 * mass, 1.01 * mass)
+    weighed = replace(study.result.model, mass_ranges=(limits,))
+    text = study_verdict(replace(study.result, model=weighed), (), study.validations).text
+    assert f", {mass:.3g} kg for " in text
 
 
-def test_training_data_alone_earn_no_use(logs: list[Recording]) -> None:
-    found = identify("scara", logs[:1], holdout="none").verdict
-    assert (found.use, found.reasons[0]) == ("with care", "nothing_held_out")
-    assert "tested on its training data only" in found.text
+def test_training_data_alone_are_no_test(logs: list[Recording]) -> None:
+    """The error of what was fitted is no promise: the sentence has it, the numbers have none."""
+    study = identify("scara", logs[:1], holdout="none")
+    found = study.verdict
+    assert (found.use, found.reasons[0]) == ("untested", "nothing_held_out")
+    fits = format_share(study.result.train.relative_error, 2)
+    assert found.text.startswith(f"UNTESTED: fits its log to {fits}; record another motion")
+    assert (found.error.as_built, found.error.exported) == (None, None)
+    assert {each.use for each in found.joints} == {"untested"}
+    assert {each.error for each in found.joints} == {None}
+
+
+def test_whole_recordings_are_left_out_in_turn(logs: list[Recording]) -> None:
+    """Each is predicted as by a study of the other with the same effects, to the last digits."""
+    named = [replace(each, source=f"log {k}") for k, each in enumerate(logs)]
+    options = {"method": "wls", "effects": "none", "chain": SignalChain(cutoff=10.0, delay=None)}
+    both = identify("scara", named, **options)
+    assert both.result.holdout == "recordings"
+    for k, found in enumerate(both.validations):
+        alone = identify("scara", named[1 - k], validation=named[k], **options).validations[0]
+        np.testing.assert_allclose(
+            found.metrics_as_built.rms, alone.metrics_as_built.rms, rtol=1e-6
+        )
+        (again,) = validate(both.result, named[k])
+        np.testing.assert_array_equal(again.metrics_as_built.rms, found.metrics_as_built.rms)
+    assert " predicts other motion to " in both.verdict.text
+    whole = identify("scara", named, holdout=None, **options)
+    np.testing.assert_array_equal(both.result.estimates, whole.result.estimates)
+
+
+def test_recordings_of_one_motion_are_not_left_out_alone(logs: list[Recording]) -> None:
+    """What a copy of the recording predicts is no other motion."""
+    robot = VirtualRobot.typical(load_robot("scara"), rng=5)
+    motion = random_fourier(load_robot("scara"), rng=1, duration=12.0)
+    copy = robot.record(motion, rate=200.0, rng=9).recording
+    twins = [replace(each, source=name) for name, each in (("a", logs[0]), ("b", copy))]
+    assert identify("scara", twins, method="wls", effects="none").result.holdout == "blocks:2s:3"
+    three = [*twins, replace(logs[1], source="c")]
+    samples = [prepare_samples(each, SignalChain(cutoff=10.0, delay=None)) for each in three]
+    assert group_by_motion(samples) == ((0, 1), (2,))
+
+
+def test_a_joint_that_is_not_explained_is_not_for_use(study: Study) -> None:
+    (validation,) = study.validations
+    metrics = validation.metrics_exported
+    assert metrics is not None
+    shares = metrics.relative_error_per_joint.copy()
+    # 97 % of the torque of a joint that carries little: the norm over all joints hides it.
+    shares[3] = 0.97
+    spoilt = replace(validation, metrics_exported=replace(metrics, relative_error_per_joint=shares))
+    found = study_verdict(study.result, (), (spoilt,))
+    assert [each.use for each in found.joints] == ["yes", "yes", "yes", "no"]
+    assert found.joints[3].error == pytest.approx(0.97)
+    assert found.text.startswith(
+        "USE WITH CARE: not for use at joint_4 (97 % of the torque unexplained); predicts"
+    )
+
+
+@pytest.mark.parametrize(("factor", "use"), [(1.0, "yes"), (1.2, "yes"), (4.0, "no")])
+def test_absurd_bodies_are_not_for_use_as_bodies(study: Study, factor: float, use: str) -> None:
+    """Against a description of another mass the bodies differ, and the torque is as good."""
+    model = study.result.model
+    light = model.with_parameters(model.parameters / factor)
+    result = replace(study.result, model=light)
+    found = study_verdict(result, (), study.validations)
+    assert found.bodies.use == use
+    assert found.text.startswith("USE" if use == "yes" else "USE for torque: predicts")
+    assert ("; DO NOT USE as bodies: " in found.text) == (use == "no")
 
 
 def test_data_that_repeat_the_training_motion_earn_no_use(study: Study) -> None:

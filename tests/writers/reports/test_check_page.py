@@ -11,7 +11,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.writers.reports.watch_files import write_check_page
+from asbuilt.writers import write_check_page
 
 
 def test_the_page_says_what_is_wrong_and_draws_every_joint(tmp_path: Path) -> None:

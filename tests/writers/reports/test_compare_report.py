@@ -47,7 +47,7 @@ def test_page_and_text_begin_with_what_matters(files: dict[str, Path]) -> None:
         files["text"].read_text(encoding="utf-8"),
     )
     order = (
-        "parameters differ from CAD",
+        "base parameters contradict CAD",
         "Causes of the CAD error",
         "Shares of the effects",
         "first moment along z, links 4 to 7",

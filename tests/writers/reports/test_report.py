@@ -105,7 +105,7 @@ def test_a_result_without_held_out_data_says_so(example: Any) -> None:
         example.result, validation=(), cad=replace(example.result.cad, source="train.csv")
     )
     text = report_html(Study(result, result.findings))
-    assert "tested on its training data only" in text
+    assert "UNTESTED: fits its log to " in text
     assert 'id="torque-plot"' not in text
 
 
@@ -119,11 +119,13 @@ def test_verdict_shouts_when_the_fit_is_worse_than_the_design(example: Any) -> N
     study = Study(result, ())
     cards = make_study_cards(study)
     assert cards[0].mood == "bad"
-    assert study.verdict.text.startswith("DO NOT USE: CAD is better; ")
+    assert study.verdict.text.startswith("DO NOT USE: CAD is better")
     assert cards[1].mood == "good"
     study = Study(example.result, ())
     good = make_study_cards(study)
-    assert study.verdict.text.startswith("USE WITH CARE: physically inconsistent")
+    assert study.verdict.text.endswith(
+        "; DO NOT USE as bodies: physically inconsistent, so that no simulator takes it."
+    )
     assert good[1].mood == "bad"
 
 

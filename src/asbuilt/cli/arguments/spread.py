@@ -20,6 +20,7 @@ SPELLING = {
     "size": "--harmonics",
     "unexcited": "--undetermined",
     "checked": "--unchecked",
+    "purpose": "--for",
 }
 """Options that are not named after their field; a flag of a field that is on turns it off."""
 
@@ -28,6 +29,7 @@ PANELS = {
     "Filtering": "Signal chain",
     "Reading": "Reading recordings",
     "ReadingOptions": "Reading recordings",
+    "RunOptions": "Rounds",
     "StudyOptions": "Identification",
     "WatchOptions": "Watching",
 }

@@ -182,6 +182,8 @@ def _make_refusal(node: ast.AST) -> ExpressionError:
     return ExpressionError(f"{ast.unparse(node)[:80]} is not allowed")
 
 
+SECONDS = 30
+"""CPU time [s] that an expansion may take."""
 MEMORY = 1_000_000_000
 """Bytes that an expansion may take; `'a' * 10**10` asks for any amount."""
 SUFFIXES = (".urdf", ".xacro", ".xml", ".yaml", ".yml")
@@ -203,7 +205,7 @@ def expand(path: str, largest: int, *, trusted: bool) -> None:
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
     status = 0
     try:
-        _limit_memory()
+        _limit_cost()
         xacro: Any = import_module("xacro")
         if not trusted:
             _restrict(xacro, Path(path).parent, largest)
@@ -275,7 +277,8 @@ def _is_file(place: Path, largest: int) -> bool:
     return stat.S_ISREG(state.st_mode) and state.st_size <= largest
 
 
-def _limit_memory() -> None:
+def _limit_cost() -> None:
     with contextlib.suppress(ImportError, ValueError, OSError):
         resource: Any = import_module("resource")  # not on Windows
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from asbuilt.description.formats.expansion import SECONDS
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
@@ -17,8 +19,8 @@ from asbuilt.findings import Cure
 from asbuilt.isolation import build_isolated_command, build_isolated_environment
 from asbuilt.untrusted import is_xacro_trusted, name_file_in_errors, read_bytes, shorten_line
 
-LONGEST = 30.0
-"""Seconds that an expansion may take."""
+PATIENCE = 600.0
+"""Seconds after which an expansion that does not use up its CPU time waits for what never comes."""
 PROGRAM = (
     "from asbuilt.description.formats.expansion import expand;"
     " expand({path!r}, {largest}, trusted={trusted})"
@@ -49,14 +51,18 @@ def read_xacro(path: str | Path) -> RobotModel:
             build_isolated_command(program),
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=LONGEST,
+            timeout=PATIENCE,
             check=False,
             env=dict(os.environ) if trusted else build_isolated_environment({}),
         )
     except subprocess.TimeoutExpired:
         raise DescriptionError(
-            f"{path}: xacro takes longer than {LONGEST:.0f} s to expand it", file=str(path)
+            f"{path}: xacro was stopped after {PATIENCE:.0f} s without progress", file=str(path)
         ) from None
+    if -done.returncode == getattr(signal, "SIGXCPU", None):
+        raise DescriptionError(
+            f"{path}: xacro takes more than {SECONDS} s of computing to expand it", file=str(path)
+        )
     if done.returncode:
         message = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
         raise DescriptionError(

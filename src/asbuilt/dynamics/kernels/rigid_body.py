@@ -265,7 +265,7 @@ def _write_block(codes, placements, n_slots, moves, places, rows, out, stride, s
                 _write_link_columns(rows, screw, terms, places[k, i], out, stride, start)
 
 
-@kernel("i2 f2 f1 i f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
+@kernel("i2 f2 f1 i f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i", usual=True)
 def regressor(
     codes,
     placements,
@@ -342,7 +342,7 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
             add(rows, parent_force + at + 3 * BLOCK, f[3], f[4], f[5])
 
 
-@kernel("i2 f2 f1 f2 f1 f1 f1 i i F1")
+@kernel("i2 f2 f1 f2 f1 f1 f1 i i F1", usual=True)
 def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
     """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980).
 

@@ -30,7 +30,7 @@ from asbuilt.excitation.design.designed_motion import (
 from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.search import DesignSearch, Task
-from asbuilt.excitation.information.criteria import select_criterion
+from asbuilt.excitation.information.criteria import AOptimality, Criterion, select_criterion
 from asbuilt.excitation.information.information import Information, parameter_scale
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds, refuse_open_postures
@@ -72,6 +72,7 @@ def design_fixed(
     options: DesignOptions,
     *,
     prior: Array | None = None,
+    purpose: Array | None = None,
     constraints: Sequence[StateConstraint] = (),
     with_bound: bool = True,
     cores: int | None = None,
@@ -83,13 +84,13 @@ def design_fixed(
     options, family = choose_size(options, bounds)
     noise = options.noise if isinstance(options.noise, float) else np.array(options.noise)
     information = Information.of(model, base, noise)
-    focus = [locate_base_parameter(base, name) for name in options.focus] or None
+    scale = parameter_scale(information, bounds)
     objective = Objective(
         information,
-        select_criterion(options.criterion, focus),
-        parameter_scale(information, bounds),
+        _select_criterion(base, options, purpose, scale),
+        scale,
         options.seconds * options.information_rate,
-        _check_prior(prior, base),
+        _check_matrix(prior, base, "prior information"),
     )
     _compile(information)
     whole, reserve = Deadline(options.time_limit), BUDGET.refinement * options.time_limit
@@ -207,16 +208,29 @@ def _report_refinement(progress: Progress, best: float, state: SearchProgress) -
     progress(replace(state, best=max(best, state.best), phase="refinement"))
 
 
-def _check_prior(prior: Array | None, base: BaseParameters) -> Array | None:
-    if prior is None:
+def _select_criterion(
+    base: BaseParameters, options: DesignOptions, purpose: Array | None, scale: Array
+) -> Criterion:
+    """Return the criterion of the options, or the variance of what the purpose weighs."""
+    weight = _check_matrix(purpose, base, "purpose")
+    focus = [locate_base_parameter(base, name) for name in options.focus] or None
+    if weight is None:
+        return select_criterion(options.criterion, focus)
+    if focus is not None:
+        raise UsageError("a purpose weighs all parameters; leave the focus out")
+    return AOptimality(weight * np.outer(scale, scale))
+
+
+def _check_matrix(given: Array | None, base: BaseParameters, what: str) -> Array | None:
+    if given is None:
         return None
-    given, shape = np.asarray(prior, dtype=np.float64), (base.n_base, base.n_base)
-    if given.shape != shape:
+    matrix, shape = np.asarray(given, dtype=np.float64), (base.n_base, base.n_base)
+    if matrix.shape != shape:
         raise UsageError(
-            f"the prior information has shape {given.shape}, expected {shape}; use the same drive"
+            f"the {what} has shape {matrix.shape}, expected {shape}; use the same drive"
             " terms as the earlier identification"
         )
-    return given
+    return matrix
 
 
 @dataclass(frozen=True)
@@ -331,6 +345,7 @@ def design_motion(
     *,
     base: BaseParameters | None = None,
     prior: Array | None = None,
+    purpose: Array | None = None,
     constraints: Sequence[StateConstraint] = (),
     with_bound: bool = True,
     cores: int | None = None,
@@ -351,6 +366,10 @@ def design_motion(
         Base parameters to determine; by default with the drive terms `options.drive`.
     prior
         Information (p, p) about the base parameters from earlier recordings.
+    purpose
+        Matrix A (p, p): the motion has the least `tr(A C)`, C the covariance of the base
+        parameters. With A the mean of `Y^T Y` over the states of a motion that is the variance of
+        the torque predicted there. It takes the place of the options' criterion.
     constraints
         Constraints in addition to the options'.
     with_bound
@@ -401,6 +420,7 @@ def design_motion(
         base or find_base_parameters(model, DriveSet.parse(asked.drive)),
         asked,
         prior=prior,
+        purpose=purpose,
         constraints=(*kept, *constraints),
         with_bound=with_bound,
         cores=cores,

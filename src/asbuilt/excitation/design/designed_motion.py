@@ -26,6 +26,7 @@ from asbuilt.excitation.motions.motion import Motion, check_limit_array
 from asbuilt.excitation.motions.parametrisation import Parametrisation
 from asbuilt.excitation.motions.point_to_point import CHECK_RATE
 from asbuilt.excitation.state_constraint import PowerLimit, StateConstraint, smallest_distance
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +195,7 @@ class Design:
     @property
     def scaled_condition_number(self) -> float:
         """Condition number of the weighted observation matrix with columns of unit length."""
-        size = 1.0 / np.sqrt(np.diag(self.mean_information))
-        return float(np.sqrt(np.linalg.cond(self.mean_information * np.outer(size, size))))
+        return float(np.sqrt(Scaled(self.mean_information).condition))
 
     @property
     def std_errors(self) -> Array:
@@ -203,15 +203,8 @@ class Design:
 
         Infinite for parameters that remain undetermined.
         """
-        total = self.information if self.prior is None else self.information + self.prior
-        size = 1.0 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
-        eigenvalues, vectors = np.linalg.eigh(total * np.outer(size, size))
-        kept = eigenvalues > len(eigenvalues) * np.finfo(float).eps * eigenvalues[-1]
-        errors = size * np.sqrt((vectors[:, kept] ** 2 / eigenvalues[kept]).sum(axis=1))
-        outside = (vectors[:, ~kept] ** 2).sum(axis=1)
-        # Squared share of a parameter in the null space of the information, above which its
-        # standard error is infinite.
-        return np.where(outside > 1e-6, np.inf, errors)
+        total = Scaled(self.information if self.prior is None else self.information + self.prior)
+        return np.where(total.determined, np.sqrt(total.inverse_diagonal), np.inf)
 
     @cached_property
     def torque_effects(self) -> Array:

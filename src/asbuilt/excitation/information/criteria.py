@@ -48,20 +48,28 @@ class DOptimality(Criterion):
         return 2.0 * float(np.log(np.diag(factor)).sum()), _invert_factored(factor)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AOptimality(Criterion):
-    """Maximise `-p log(tr M^-1 / p)`: the smallest mean variance of the scaled parameters."""
+    """Maximise `-p log(tr(A M^-1) / p)`: the smallest mean variance of what A weighs.
 
+    Without `weight` A is the identity, and the scaled parameters matter alike. With A (p, p) the
+    mean of `Y^T Y` over the states of a motion it is the variance of the torque predicted there.
+
+    Source: Atkinson, Donev & Tobias (2007), sections 10.2 and 10.6 (A-, V-optimality).
+    """
+
+    weight: Array | None = None
     key = "a"
 
     def value_and_gradient(self, information: Array) -> tuple[float, Array]:
-        """Return the value and `p M^-2 / tr M^-1`."""
+        """Return the value and `p M^-1 A M^-1 / tr(A M^-1)`."""
         factor = _try_cholesky(information)
         if factor is None:
             return -np.inf, np.zeros_like(information)
         inverse, p = _invert_factored(factor), len(information)
-        trace = float(np.trace(inverse))
-        return -p * np.log(trace / p), p * (inverse @ inverse) / trace
+        weighted = inverse if self.weight is None else self.weight @ inverse
+        trace = float(np.trace(weighted))
+        return -p * np.log(trace / p), p * (inverse @ weighted) / trace
 
 
 @dataclass(frozen=True)

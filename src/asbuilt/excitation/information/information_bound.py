@@ -22,6 +22,7 @@ from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information, draw_states, mean_information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_constraint import TorqueLimit
+from asbuilt.scaled import Scaled
 
 States = tuple[Array, Array, Array]
 
@@ -176,7 +177,7 @@ def _optimise_weights(
             mean[np.ix_(support, support)] += (w * weights) @ w.T
         value, inverse = DOptimality().value_and_gradient(mean)
         if not np.isfinite(value):
-            inverse = np.asarray(np.linalg.pinv(mean), dtype=np.float64)
+            inverse = Scaled(mean).pseudo_inverse
         worth = np.zeros(count)
         for support, w in parts:
             worth += np.einsum("is,is->s", w, inverse[np.ix_(support, support)] @ w)
@@ -339,15 +340,12 @@ def information_efficiency(
     base, bound = _find_bound(model, drive, widened)
     mean = mean_information(Information.of(model, base), q, qd, qdd)
     best = np.diag(np.linalg.inv(bound.information))
-    size = np.sqrt(np.maximum(np.diag(bound.information), np.finfo(float).tiny))
-    eigenvalues, vectors = np.linalg.eigh(mean / np.outer(size, size))
-    kept = eigenvalues > len(mean) * np.finfo(float).eps * eigenvalues[-1]
-    own = ((vectors[:, kept] ** 2) / eigenvalues[kept]).sum(axis=1) / size**2
-    determined = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
-    by_parameter = np.where(determined, best / np.maximum(own, np.finfo(float).tiny), 0.0)
+    own = Scaled(mean)
+    variances = np.maximum(own.inverse_diagonal, np.finfo(float).tiny)
+    by_parameter = np.where(own.determined, best / variances, 0.0)
     return InformationEfficiency(
         base,
-        min(bound.efficiency(mean), 1.0) if np.all(kept) else 0.0,
+        min(bound.efficiency(mean), 1.0) if own.rank == len(mean) else 0.0,
         by_parameter,
         beyond,
     )

@@ -17,6 +17,7 @@ from asbuilt.experiment.command.servo_torque import (
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, join_names
+from asbuilt.scaled import Scaled
 
 Kind = Literal["motor", "supply"]
 KINDS: tuple[Kind, ...] = ("motor", "supply")
@@ -262,6 +263,6 @@ def _estimate_lag_error(
     x = _evaluate_shape(kind, e, w, lag)
     J = np.stack([scale * (ahead - behind) / (2.0 * step), x, np.ones_like(x)], axis=1)
     residual = m - scale * x - rest
-    inverse = np.linalg.pinv(J.T @ J, hermitian=True)[0]
+    inverse = Scaled(J.T @ J).pseudo_inverse[0]
     scores = np.bincount(block, weights=residual * (J @ inverse))
     return float(np.sqrt(np.sum(scores**2)))

@@ -133,7 +133,10 @@ def build_recording(
         If there is neither a time column nor a rate.
     """
     notes, start = list(layout.notes), 0.0
-    if layout.time is not None:
+    stands = layout.time is not None and rate is not None and _stands_still(table, layout)
+    if stands:
+        notes.append(f"the time column {layout.time!r} stands still, so that the rate was used")
+    if layout.time is not None and not stands:
         t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
         start = find_clock_origin(t) if origin is None else origin
         t = t - start if start else t
@@ -174,6 +177,13 @@ def build_recording(
         command=command,
         started=start,
     )
+
+
+def _stands_still(table: LogTable, layout: Layout) -> bool:
+    """Return whether no time stamp differs from the first, as where too few digits were kept."""
+    times = table.columns[str(layout.time)]
+    whole = layout.nanoseconds is None
+    return whole and times.size > 1 and bool(np.all(times == times[0]))
 
 
 def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:

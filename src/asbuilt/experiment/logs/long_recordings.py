@@ -19,6 +19,7 @@ from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
 from asbuilt.experiment.logs.columns.layout import QUANTITIES
 from asbuilt.experiment.logs.formats.log_format import choose_log_format
+from asbuilt.experiment.logs.mending import LogMender
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
@@ -87,10 +88,13 @@ def stream_recording(
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     origin: float | None = None
     start: float | None = None
+    mender = LogMender(layout)
     for first, columns in stream.chunks(layout.columns, chunk_samples):
-        table = replace(stream.header, columns=columns)
+        table = mender.mend(replace(stream.header, columns=columns))
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
-        chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), sheet, chosen)
+        chunk = apply_sheet(
+            replace(chunk, notes=(*notes, *table.notes, *chunk.notes)), sheet, chosen
+        )
         origin = chunk.started
         start = float(chunk.t[0]) if start is None else start
         inside = sheet.in_windows(chunk.t, start)

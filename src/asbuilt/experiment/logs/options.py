@@ -258,7 +258,8 @@ class ReadingOptions:
             if getattr(self, name) is not None:
                 values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64)).ravel()
                 unlimited = np.isinf(values) & (name in LIMITS)
-                beyond = ~(unlimited | np.isnan(values) | np.vectorize(RANGES[name].holds)(values))
+                inside = [math.isnan(value) or RANGES[name].holds(value) for value in values]
+                beyond = ~(unlimited | np.array(inside))
                 if np.any(beyond):
                     raise make_range_error(name, float(values[beyond][0]), RANGES[name])
                 object.__setattr__(self, name, tuple(values.tolist()))

@@ -25,13 +25,18 @@ from asbuilt.experiment.logs.columns.roles import (
     parse_file_quantity,
     recognise,
 )
-from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
+from asbuilt.experiment.logs.columns.unnamed_columns import (
+    draft_sheet,
+    format_draft,
+    name_fields,
+)
 from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
     choose_log_format,
     is_columns,
     tabulate_columns,
 )
+from asbuilt.experiment.logs.mending import LogMender
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, merge_reading_options
 from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
 from asbuilt.experiment.recording import Recording
@@ -93,6 +98,7 @@ def read_recording(
         if len(paths) == 1 and not table.known:
             _refuse_lone_role_file(paths[0], table)
     layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
+    table = LogMender(layout).mend(table)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
@@ -197,13 +203,16 @@ def find_table_layout(
     """
     if not table.named and sheet.columns.position is None:
         count = len(table.order or table.columns)
+        content, others = draft_sheet(table, model, options.rate)
+        draft = format_draft(content, others)
         raise RecordingError(
             f"{table.source} has {count} columns without a header row",
             cure=Cure(
                 f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from"
                 " the values it may read as follows (column numbers from 1; check it, and add"
                 " gains = [...] and torque_source if the torques are currents):\n\n"
-                f"{suggest_sheet(table, model, options.rate)}\n"
+                f"{draft}\n",
+                sheet=name_fields(content),
             ),
             file=table.source,
             value=count,
@@ -215,10 +224,12 @@ def find_table_layout(
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
         if "absent" in problem.fields and table.n_samples:
-            draft = suggest_sheet(table, model, options.rate)
-            if DRAFT not in draft:
+            content, others = draft_sheet(table, model, options.rate)
+            if "columns" in content:
+                draft = format_draft(content, others)
                 problem.cure = Cure(
-                    f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n"
+                    f"{problem.cure}. From the values it may read (check it):\n\n{draft}\n",
+                    sheet=name_fields(content),
                 )
         raise
     if not (sheet.joint_units or table.open_units):

@@ -228,5 +228,14 @@ def _select_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
 
 
 def _list_items(items: Any) -> list[Any]:
-    one = isinstance(items, str | Path | Recorded) or is_columns(items)
-    return [items] if one else list(items)
+    if isinstance(items, str | Path | Recorded) or is_columns(items):
+        return [items]
+    listed = list(items)
+    nameless = next((item for item in listed if isinstance(item, np.ndarray | float | int)), None)
+    if nameless is not None:
+        shape = "" if not isinstance(nameless, np.ndarray) else f" of shape {nameless.shape}"
+        raise UsageError(
+            f"a recording holds an array{shape} that has no name",
+            cure=Cure("name them: {'t': t, 'q': q, 'tau': tau}, joints side by side"),
+        )
+    return listed

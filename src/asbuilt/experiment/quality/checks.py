@@ -44,6 +44,7 @@ from asbuilt.experiment.quality.signal_checks import (
     check_spikes,
 )
 from asbuilt.experiment.quality.torque_checks import check_torques
+from asbuilt.experiment.quality.unit_checks import find_counts
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
 from asbuilt.tables import preformat, wrap_text
@@ -309,6 +310,10 @@ def _check_in_time(
     """Find problems of motion, torque and excitation, which need a correct clock."""
     closer = run_second_pass(model, chunks, known)
     motion = closer.motion
+    counts = find_counts(model, known, motion)
+    if counts is not None:
+        yield counts.finding()
+        return
     excess = find_impossible_motion(model, known, motion)
     of_motion = list(check_recorded_motion(model, known, motion, excess))
     yield from of_motion

@@ -136,7 +136,10 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
             "error",
             f"the sampling rate is {rate:.3g} Hz ({step:.4g} s a sample): the time stamps look"
             f" like {unit}",
-            Cure(f'write the unit in a recording sheet: units = {{ time = "{unit}" }}'),
+            Cure(
+                f'write the unit in a recording sheet: units = {{ time = "{unit}" }}',
+                sheet={"units": {"time": unit}},
+            ),
         )
 
 

@@ -16,11 +16,14 @@ from asbuilt.experiment.quality.gravity_checks import measure_gravity_share
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
+from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
 FAR, KEPT = 2.0, 1.1
 """Multiples of its limit from which a position is far outside, and up to which it is inside."""
+FEWEST_ALIKE = 3
+"""Joints with one and the same limit from which it is a placeholder if the log exceeds it."""
 RATE_TOO_HIGH = 4.0
 """Share of gravity in that of accelerations from which a clock is too fast: by half. Armatures
 that the description lacks, and gains, make the share smaller."""
@@ -84,7 +87,7 @@ class Excess:
             "degrees",
             "error",
             f"the positions look like degrees{other}: {self.evidence}{kept}",
-            cure,
+            replace(cure, sheet={} if self.unit is None else {"units": {"position": "deg"}}),
         )
 
 
@@ -187,7 +190,8 @@ def check_recorded_motion(
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        velocities = list(check_velocities(recording, motion, motion.logged_qd))
+        velocities = list(find_velocity_unit(model, recording, motion, motion.logged_qd))
+        velocities = velocities or list(check_velocities(recording, motion, motion.logged_qd))
     if excess is None:
         yield from _find_millimetres(model, recording)
         yield from _check_limits(model, recording)
@@ -217,7 +221,10 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
             f"the positions of {joint.name} look like millimetres: it slides to {furthest:.4g},"
             f" {furthest / bound:.3g} times its limit of {bound:.4g} m, and as millimetres it"
             " keeps it",
-            Cure(f'write [joint_units] {joint.name} = "mm" in a recording sheet'),
+            Cure(
+                f'write [joint_units] {joint.name} = "mm" in a recording sheet',
+                sheet={"joint_units": {joint.name: "mm"}},
+            ),
             joint=joint.name,
         )
 
@@ -250,6 +257,17 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
     if np.median(ratio) <= 1.2:
         return
     k = int(np.argmax(ratio))
+    # Descriptions that are converted from drawings have one number as every limit.
+    if known.size >= FEWEST_ALIKE and np.ptp(limits[known]) == 0.0:
+        yield Finding(
+            "limits_doubted",
+            "info",
+            f"every limit of velocity of {model.name} is {limits[known[0]]:.4g}, and"
+            f" {model.joint_names[known[k]]} moves {ratio[k]:.3g} times as fast: they look like"
+            " placeholders, and say nothing of the log",
+            Cure("write the true limits into the description"),
+        )
+        return
     yield Finding(
         "velocity_limit",
         "warning",

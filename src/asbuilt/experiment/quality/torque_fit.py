@@ -18,6 +18,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
 from asbuilt.dynamics.drives.torque import spring_columns
 from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.scaled import Scaled
 
 T = TypeVar("T")
 
@@ -409,17 +410,12 @@ class NormalEquations:
         order = list(torque_of)
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
-        gram = np.tensordot(scale**2, self.grams, axes=1)
-        size = _replace_zeros(np.sqrt(np.diag(gram)))
-        eigenvalues, axes = np.linalg.eigh(gram / np.outer(size, size))
-        # Relative eigenvalue of the scaled equations of a direction that is not excited.
-        excited = eigenvalues > 1e-10 * eigenvalues[-1]
-        axes = axes[:, excited] / size[:, None]
-        return np.asarray(axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited]))
+        return Scaled(np.tensordot(scale**2, self.grams, axes=1)).solve(scale @ side)
 
     def unexplained(self, torque_of: tuple[int, ...]) -> Array:
         """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
-        order, beta = list(torque_of), self.solve(torque_of)
+        order = list(torque_of)
+        beta = self.solve(torque_of)
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         explained = scale**2 * (self.grams @ beta @ beta)

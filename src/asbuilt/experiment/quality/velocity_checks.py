@@ -73,7 +73,10 @@ def check_velocities(
             "error",
             f"the logged velocities are {middle:.4g} times the derivative of the positions: they"
             f" look like {unit}",
-            Cure('write the unit in a recording sheet: units = { velocity = "deg/s" }'),
+            Cure(
+                'write the unit in a recording sheet: units = { velocity = "deg/s" }',
+                sheet={"units": {"velocity": "deg/s"}} if middle > 1.0 else {},
+            ),
         )
         return
     rate = _find_right_rate(recording, np.diag(correlation), gain)

@@ -11,7 +11,11 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 
 SHORTEST_DIVIDED = 6.0
-"""Length of a recording [s] below which nothing is held out by default."""
+"""Length of a recording [s] below which it is cut in two by default: filters leave too little of
+shorter blocks, each of which borders at both ends on motion that is fitted."""
+HALF = "last:0.5"
+RECORDINGS = "recordings"
+"""Rule by which whole recordings are left out in turn, each predicted by a fit to the others."""
 FORMS = "blocks:5s:3 (every third 5 s block) or last:0.3 (the last 30 %)"
 
 

@@ -163,7 +163,7 @@ def _solve_steady_state(sections: bytes, count: int) -> Array:
     return np.asarray(gain[:, None] * states)
 
 
-@kernel("F2 f2 f2")
+@kernel("F2 f2 f2", usual=True)
 def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
     """Filter rows (4 k, L) forwards and backwards by second-order sections.
 

@@ -180,7 +180,7 @@ def _has_rows_in_memory(x: Array) -> bool:
     return x.size > 0 and step == x.itemsize and apart >= x.shape[1] * step
 
 
-@kernel("f1 i i f1 i F1 i i")
+@kernel("f1 i i f1 i F1 i i", usual=True)
 def _filter_rows(
     memory: Array,
     stride: int,

@@ -69,7 +69,7 @@ def _list_candidates(size: Array) -> Array:
     return np.unique(found)[::-1]
 
 
-@kernel("f1 f", fastmath=True)
+@kernel("f1 f", fastmath=True, usual=True)
 def _refine_step(size: Array, step: float) -> float:
     """Return the least-squares step of the differences that are near multiples of `step`.
 
@@ -89,7 +89,7 @@ def _refine_step(size: Array, step: float) -> float:
     return step
 
 
-@kernel("f1 f", fastmath=True)
+@kernel("f1 f", fastmath=True, usual=True)
 def _measure_share(size: Array, step: float) -> float:
     """Return the share of differences that are near multiples of `step`."""
     count = 0.0

@@ -58,7 +58,7 @@ def find_moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[in
     return find_true_ranges(keep)
 
 
-@kernel("B1 f")
+@kernel("B1 f", usual=True)
 def _keep_lasting(mask: Mask, samples: float) -> None:
     """Set runs of true values that are shorter than `samples` to false."""
     length = 0

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.errors import UsageError
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.registry import Registry
 
 Bound = tuple[Mapping[int, float], float, str]
 """Coefficients of standard parameters by place, an offset, and a label."""
@@ -76,6 +79,75 @@ def bound_known_masses(prior: CadPrior) -> BodyBounds:
 def bound_with_certainty(prior: CadPrior) -> BodyBounds:
     """Return the bounds of passive drives and of known masses."""
     return bound_passive_drives(prior).and_also(bound_known_masses(prior))
+
+
+LINK_SHAPES: Registry[Callable[[RobotModel], Mapping[int, tuple[Array, Array]]]] = Registry(
+    "reader of link shapes", None, "asbuilt.link_shapes"
+)
+"""Functions that give the corners (3,) of the box around each link that has shapes, by number."""
+STEEL = 7850.0
+"""Density of steel [kg/m^3], the heaviest material of which links are made throughout."""
+
+
+def bound_stated(
+    prior: CadPrior, model: RobotModel, tolerance: float | None, *, geometry: bool
+) -> BodyBounds:
+    """Return bounds that a user states: masses near CAD, and bodies within their shapes.
+
+    Parameters
+    ----------
+    prior, model
+        CAD values, and the robot as described.
+    tolerance
+        Largest relative error of a CAD mass; None: masses are not bounded by CAD.
+    geometry
+        Whether the mass of a link lies within the box around the shapes of the description, and no
+        part of it is denser than steel. With corners l and u, `integral (x - l)(u - x) dm >= 0`
+        along each axis, and the centre of mass is between l and u.
+
+    Raises
+    ------
+    UsageError
+        If the tolerance is not positive.
+    DescriptionError
+        If the description has no shapes.
+    """
+    bounds = _join_bounds(prior, [])
+    if tolerance is not None:
+        if not tolerance > 0.0:
+            raise UsageError(f"a tolerance of CAD is positive, such as 0.2; got {tolerance:g}")
+        # A link whose mass is guessed, as CAD has none, has less weight than the others.
+        masses = {
+            i: (max(1.0 - tolerance, 0.0) * mass, (1.0 + tolerance) * mass)
+            for i, mass in enumerate(prior.parameters[9 : 10 * prior.n_links : 10].tolist())
+            if prior.strength[i] == 1.0
+        }
+        bounds = bounds.and_also(bound_bodies(prior, mass=masses))
+    return bounds.and_also(_bound_by_shapes(prior, model)) if geometry else bounds
+
+
+def _bound_by_shapes(prior: CadPrior, model: RobotModel) -> BodyBounds:
+    """Return the bounds of links by the shapes of their description."""
+    bounds = list[Bound]()
+    for k, (lower, upper) in LINK_SHAPES.find("urdf")(model).items():
+        link, first, m = model.links[k], 10 * k, 10 * k + 9
+        heaviest = STEEL * float(np.prod(upper - lower))
+        bounds.append(({m: -1.0}, heaviest, f"m{k + 1} <= {heaviest:.3g} kg (steel)"))
+        for axis, low, high in zip(range(3), lower.tolist(), upper.tolist(), strict=True):
+            moment, label = first + 6 + axis, f"{link.name} within its shapes along {'xyz'[axis]}"
+            bounds.append(({moment: 1.0, m: -low}, 0.0, label))
+            bounds.append(({moment: -1.0, m: high}, 0.0, label))
+            # integral x^2 dm = (Iyy + Izz - Ixx) / 2, and so on.
+            second = {first + place: 0.5 for place in (0, 3, 5)}
+            second[first + (0, 3, 5)[axis]] = -0.5
+            spread = {place: -part for place, part in second.items()}
+            bounds.append((spread | {moment: low + high, m: -low * high}, 0.0, label))
+    if not bounds:
+        raise DescriptionError(
+            f"no link of {model.name} has shapes with a size, so geometry bounds nothing",
+            cure=Cure("leave geometry out, or place the meshes next to the URDF"),
+        )
+    return _join_bounds(prior, bounds)
 
 
 def bound_generously(prior: CadPrior) -> BodyBounds:

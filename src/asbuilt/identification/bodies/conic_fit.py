@@ -93,6 +93,20 @@ ROUGHLY: dict[str, float | bool] = EXACTLY | {
 }
 
 
+ABOUT: tuple[dict[str, float | bool], ...] = (
+    {"tol_gap_abs": ROUGH, "tol_gap_rel": ROUGH, "tol_feas": 0.1 * ROUGH},
+    {},
+    {"static_regularization_constant": 1e-7},
+)
+"""Settings for bounds, each tried where the one before fails: six digits, which optima at bodies
+without extent on a line or plane reach where the default of eight stalls."""
+FARTHEST, OPEN = 1e4, 0.9
+"""Distance of a value from zero, in bodies of CAD, at which its search ends, and the part of it
+from which the value counts as unbounded: a link of ten thousand times its mass is no bound. Of a
+ratio, such as a centre of mass, the square root, since inertia grows with the square of it.
+"""
+
+
 class ConicProblem:
     """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` over consistent chi.
 
@@ -167,9 +181,7 @@ class ConicProblem:
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None
             if inside is not None:
                 return self._unscale(inside)
-            constraints = self.pattern.copy()
-            constraints.data[self.places] = torque.T[self.nonzero]
-            constraints.eliminate_zeros()  # those between branches of the robot
+            constraints = self._fill_pattern(torque)
             quadratic = sparse.csc_matrix(
                 (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
                 (n + p, n + p),
@@ -195,6 +207,72 @@ class ConicProblem:
             f" iterations with solver status {solution.status}",
             cure=Cure("check the data for values of extreme size"),
         )
+
+    def find_extreme(
+        self, factor: Array, radius: float, value: Array, divisor: Array | None = None
+    ) -> float:
+        """Return the least `value @ chi / divisor @ chi` over consistent chi near the data.
+
+        Over all chi within the bounds with `|R K chi - z| <= radius` and, if there is a `divisor`
+        (n_standard,), with `divisor @ chi > 0`. Minus infinity if there is no least one, or the
+        solver finds none.
+        With `chi = x / t` the program is linear in (x, t) and its constraints are cones: `divisor @
+        x = 1`, or `t = 1` without one (Charnes & Cooper, Naval Research Logistics 9, 1962). t = 0
+        is a limit that bodies come arbitrarily near to.
+
+        Raises `IdentifiabilityError` if no chi meets the constraints.
+        """
+        z, n = factor[:-1, -1], len(self.q0)
+        p = len(z)
+        goal, normal = self.bodies.T @ value, np.zeros(n)
+        if divisor is not None:
+            normal = self.bodies.T @ divisor
+            goal, normal = goal / np.linalg.norm(normal), normal / np.linalg.norm(normal)
+        size = float(np.linalg.norm(goal))
+        farthest = FARTHEST if divisor is None else np.sqrt(FARTHEST)
+        rows = np.zeros((3, n + p + 1))
+        rows[0, :n], rows[0, -1] = normal, float(divisor is None)
+        rows[1, -1] = -1.0
+        rows[2, :n] = -goal / size
+        ball = np.zeros((p + 1, n + p + 1))
+        ball[0, -1] = -radius
+        ball[1:, n:-1] = -np.eye(p)
+        constraints = self._fill_pattern(factor[:-1, :-1] @ self.torque)
+        of_t = sparse.csc_matrix(-np.concatenate([z, self.limits])[:, None])
+        further = sparse.csc_matrix(np.vstack([rows, ball]))
+        whole = sparse.csc_matrix(sparse.vstack([sparse.hstack([constraints, of_t]), further]))
+        right = np.zeros(whole.shape[0])
+        right[constraints.shape[0]] = 1.0
+        right[constraints.shape[0] + 2] = farthest
+        cones = [
+            *self.cones,
+            clarabel.ZeroConeT(1),
+            clarabel.NonnegativeConeT(2),
+            clarabel.SecondOrderConeT(p + 1),
+        ]
+        nothing = sparse.csc_matrix((n + p + 1, n + p + 1))
+        towards = np.append(goal / size, np.zeros(p + 1))
+        for settings in ABOUT:
+            solution = solve_cone_program(nothing, towards, whole, right, cones, **settings)
+            if solution.is_solved or "PrimalInfeasible" in solution.status:
+                break
+        if "PrimalInfeasible" in solution.status:
+            raise IdentifiabilityError(
+                f"no physically consistent bodies of {self.prior.robot} within the bounds have"
+                " these torques",
+                cure=Cure("state wider bounds, or none"),
+            )
+        if not solution.is_solved:
+            return -np.inf
+        found = float(goal @ solution.x[:n])
+        return found if found > -OPEN * size * farthest else -np.inf
+
+    def _fill_pattern(self, torque: Array) -> sparse.csc_matrix:
+        """Return the constraints (q, r) with `R torque` at its places."""
+        constraints = self.pattern.copy()
+        constraints.data[self.places] = torque.T[self.nonzero]
+        constraints.eliminate_zeros()  # those between branches of the robot
+        return constraints
 
     def _unscale(self, q: Array) -> Array:
         """Return chi, with drive parameters moved to their bound if rounding left them beyond."""

@@ -34,6 +34,7 @@ from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProb
 from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
 from asbuilt.identification.information.random_motion import build_random_motion_rows
 from asbuilt.identification.information.triangular import factor_distance
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,10 +323,7 @@ def _find_root(beta: Array, motion: Array, information: ArrayLike | None) -> Arr
     if information is None:
         torque = float(np.sqrt(np.mean((motion @ beta) ** 2)))
         return motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
-    A = np.asarray(information, dtype=np.float64)
-    size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
-    eigenvalues, axes = np.linalg.eigh(A / np.outer(size, size))
-    return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * axes.T * size)
+    return Scaled(np.asarray(information, dtype=np.float64)).root
 
 
 def _measure_joint_rms(torque: Array, n_joints: int) -> Array:

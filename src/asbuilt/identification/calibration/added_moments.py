@@ -19,11 +19,10 @@ from asbuilt.identification.calibration.payload import (
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows, jackknife_covariance
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.scaled import Scaled
 
 NAMES = ("mx", "my", "mz", "m")
 """First moments [kg m] in the axes of the frame, and mass [kg]."""
-UNSEEN = 1e-9
-"""Length of a scaled direction below which it has no torque in the recording."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,47 +101,26 @@ def identify_added_moments(
     blocks = [
         _build_columns(result, rows.blocks, of, chosen, again=bool(unloaded)) for of in groups
     ]
-    solved = _Solution.of(np.asarray(sum(each.T @ each for each in blocks)))
-    if not solved.seen[:4].any():
+    total = np.asarray(sum(each.T @ each for each in blocks))
+    columns = Scaled(total[:-1, :-1])
+    seen = columns.determined[:4]
+    if not seen.any():
         raise IdentifiabilityError(
             f"a weight at {name} has no torque in this recording, so none of its moments is"
             " determined",
             cure=Cure("name the frame that carries it, or move the joints that lift it"),
         )
-    covariance = _jackknife_covariance(blocks, solved)[: len(chosen), : len(chosen)]
+    covariance = _jackknife_covariance(blocks, columns)[: len(chosen), : len(chosen)]
     if not unloaded:
-        covariance = covariance + _propagate_arm_covariance(result, rows, chosen, solved)
+        covariance = covariance + _propagate_arm_covariance(result, rows, chosen, columns)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    seen = solved.seen[:4]
     return AddedMoments(
         robot=result.robot,
         frame=name,
-        values=np.where(seen, solved.x[:4], np.nan),
+        values=np.where(seen, columns.solve(total[:-1, -1])[:4], np.nan),
         std_errors=np.where(seen, errors[:4], np.nan),
         n_samples=rows.n_samples,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Solution:
-    """Least squares by a Gram matrix `[A b]^T [A b]`: x, `(A^T A)^+`, and what has any torque."""
-
-    x: Array
-    inverse: Array
-    seen: Array
-    kept: Array
-
-    @classmethod
-    def of(cls, gram: Array) -> _Solution:
-        A, right = gram[:-1, :-1], gram[:-1, -1]
-        size = np.sqrt(np.diag(A))
-        kept = size > UNSEEN * size.max(initial=0.0)
-        scale = np.where(kept, size, 1.0)
-        values, axes = np.linalg.eigh(A / np.outer(scale, scale))
-        open_ = values > UNSEEN * values.max(initial=0.0)
-        inverse = (axes[:, open_] / values[open_]) @ axes[:, open_].T / np.outer(scale, scale)
-        lost = np.linalg.norm(axes[:, ~open_], axis=1) > np.sqrt(UNSEEN)
-        return cls(inverse @ right, inverse, kept & ~lost, kept)
 
 
 Group = tuple[tuple[int, bool], ...]
@@ -175,17 +153,18 @@ def _build_columns(
     return np.vstack(found)
 
 
-def _jackknife_covariance(blocks: Sequence[Array], whole: _Solution) -> Array:
+def _jackknife_covariance(blocks: Sequence[Array], columns: Scaled) -> Array:
     """Return the covariance from leaving out one time block at a time."""
     total = sum(each.T @ each for each in blocks)
-    found = np.array([_Solution.of(total - each.T @ each).x for each in blocks])
-    return jackknife_covariance(found) * np.outer(whole.kept, whole.kept)
+    rests = [total - each.T @ each for each in blocks]
+    found = np.array([Scaled(rest[:-1, :-1]).solve(rest[:-1, -1]) for rest in rests])
+    return jackknife_covariance(found) * np.outer(columns.present, columns.present)
 
 
 def _propagate_arm_covariance(
-    result: IdentificationResult, rows: PayloadRows, chosen: Sequence[int], solved: _Solution
+    result: IdentificationResult, rows: PayloadRows, chosen: Sequence[int], columns: Scaled
 ) -> Array:
     """Return the covariance that the bare arm's covariance causes, along the present motion."""
     p = result.n_base
-    slope = solved.inverse @ sum(block[:, chosen].T @ block[:, :p] for block in rows.blocks)
+    slope = columns.pseudo_inverse @ sum(block[:, chosen].T @ block[:, :p] for block in rows.blocks)
     return np.asarray(slope @ result.covariance @ slope.T)

@@ -11,6 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.experiment.quality.torque_fit import BREAKAWAY
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.scaled import Scaled
 from asbuilt.tables import format_plus_minus
 
 
@@ -316,7 +317,7 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
     def coefficients(normal: Array) -> Array:
         values = np.zeros(len(used))
         inner, right = normal[:-1, :-1][np.ix_(used, used)], normal[:-1, -1][used]
-        values[used] = np.linalg.lstsq(inner, right, rcond=1e-12)[0]
+        values[used] = Scaled(inner).solve(right)
         return np.asarray(values * scale[-1] / scale[:-1])
 
     raw = coefficients(whole)

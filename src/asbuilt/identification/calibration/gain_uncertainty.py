@@ -11,9 +11,9 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.identification.calibration.payload_rows import solve_scaled
 from asbuilt.identification.information.random_motion import draw_positions
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.scaled import Scaled
 
 
 def gravity_scales(result: IdentificationResult) -> Array:
@@ -190,4 +190,4 @@ def split_by_joint(
     factors = [factor * np.append(~result.dropped, True) for factor in factors]
     matrix = sum((factor[:, :-1].T @ factor[:, :-1] for factor in factors), start=np.zeros((p, p)))
     sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
-    return solve_scaled(matrix, sides, 1e-10)
+    return Scaled(matrix).solve(sides)

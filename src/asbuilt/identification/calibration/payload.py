@@ -34,17 +34,16 @@ from asbuilt.identification.calibration.gain_uncertainty import (
 from asbuilt.identification.calibration.payload_rows import (
     PayloadRows,
     jackknife_covariance,
-    measure_columns,
-    solve_scaled,
 )
 from asbuilt.identification.information.triangular import solve_factor, triangular_factor
-from asbuilt.identification.result.as_built_parameters import find_determined_directions
+from asbuilt.identification.result.as_built_parameters import scale_covariance
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import (
     TorqueMetrics,
     predict_torque,
     torque_metrics,
 )
+from asbuilt.scaled import Scaled
 from asbuilt.tables import Column, Table, format_plus_minus, round_with_error
 
 Arm = Literal["refined", "frozen"]
@@ -331,9 +330,9 @@ def _derive_gain_slopes(
     )
     matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]
     if arm == "frozen":
-        return solve_scaled(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm, 1e-14)
+        return Scaled(matrix[p:, p:]).solve(sides[p:] - matrix[p:, :p] @ of_arm)
     held = prior[:, :-1].T @ prior[:, :-1]
-    return solve_scaled(matrix + held, sides + held[:, :p] @ of_arm, 1e-14)[p:]
+    return Scaled(matrix + held).solve(sides + held[:, :p] @ of_arm)[p:]
 
 
 def _build_prior(result: IdentificationResult) -> Array:
@@ -341,10 +340,8 @@ def _build_prior(result: IdentificationResult) -> Array:
 
     Dropped parameters, whose columns are zero elsewhere, are held at zero.
     """
-    scale, variances, directions = find_determined_directions(result)
-    root = np.vstack(
-        [(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]]
-    )
+    determined = scale_covariance(result).inverse_root.T
+    root = np.vstack([determined, np.eye(result.n_base)[result.dropped]])
     return np.concatenate(
         [root, np.zeros((len(root), 10)), (root @ result.estimates)[:, None]], axis=1
     )
@@ -447,10 +444,10 @@ def _jackknife(
     if arm == "frozen":
         rows, held = [_subtract_arm(block, estimates) for block in blocks], vague
     total = sum((row.T @ row for row in rows), start=held.T @ held)
-    scale, found = measure_columns(total)[:-1], []
+    found = []
     for row in rows:
         rest = total - row.T @ row
-        found.append(solve_scaled(rest[:-1, :-1], rest[:-1, -1], 1e-14, scale)[-10:])
+        found.append(Scaled(rest[:-1, :-1]).solve(rest[:-1, -1])[-10:])
     return jackknife_covariance(np.array(found))
 
 
@@ -458,9 +455,8 @@ def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]
     """Return the nearest consistent parameters by the covariance, and whether they differ."""
     if LinkInertia(estimate).is_consistent:
         return estimate, False
-    scale = np.sqrt(np.diag(covariance))
-    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    root = (axes / np.sqrt(np.maximum(values, 1e-10 * values.max()))).T / scale
+    own = Scaled(covariance).raised()
+    root, scale = own.inverse_root.T, own.size
     floor = RULES.interior * float(np.abs(estimate[9]))
     solution = solve_cone_program(
         sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale))),

@@ -91,19 +91,6 @@ class PayloadRows:
         return cls(blocks, joints, under.n_samples, under.n_blocks)
 
 
-def measure_columns(gram: Array) -> Array:
-    """Return the column lengths of a Gram matrix, 1 for zero columns."""
-    length = np.sqrt(np.diag(gram))
-    return np.where(length > 0.0, length, 1.0)
-
-
-def solve_scaled(gram: Array, sides: Array, rcond: float, scale: Array | None = None) -> Array:
-    """Return the least solution of normal equations whose columns have been scaled to length 1."""
-    scale = measure_columns(gram) if scale is None else scale
-    solved = np.linalg.lstsq(gram / np.outer(scale, scale), (sides.T / scale).T, rcond=rcond)[0]
-    return np.asarray((solved.T / scale).T)
-
-
 def jackknife_covariance(found: Array) -> Array:
     """Return the covariance (m, m) of values, found (n, m) without one time block at a time."""
     apart = found - found.mean(axis=0)

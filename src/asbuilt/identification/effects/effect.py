@@ -31,7 +31,8 @@ class FoundEffect:
     effect, joint
         Key of the effect, and the joint it acts at; None: the whole robot.
     estimate, std_error, unit
-        Its size; of several parameters the length of their vector.
+        Its size; of several parameters the length of their vector. Without a standard error where
+        the recordings do not determine it by itself: then it is what was chosen.
     in_model
         Whether the model of the result has it.
     torque
@@ -42,12 +43,16 @@ class FoundEffect:
         Other effects that explain the recordings as well: such as `spring at elbow`.
     text
         A sentence.
+    feasible
+        Least and greatest size over physically consistent bodies, where it is not determined.
+    confounded_with
+        Standard parameters that take its place unseen.
     """
 
     effect: str
     joint: str | None
     estimate: float
-    std_error: float
+    std_error: float | None
     unit: str
     in_model: bool
     torque: float
@@ -55,6 +60,8 @@ class FoundEffect:
     error_after: float
     alternatives: tuple[str, ...]
     text: str
+    feasible: tuple[float, float] | None = None
+    confounded_with: tuple[str, ...] = ()
 
     @property
     def improvement(self) -> str:

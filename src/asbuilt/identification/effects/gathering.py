@@ -15,7 +15,7 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant
 from asbuilt.identification.effects.groups import find_places
-from asbuilt.identification.information.rows import ROWS, SampleBlock, divide_into_blocks
+from asbuilt.identification.information.rows import ROWS, KeptRows, SampleBlock, divide_into_blocks
 
 At = tuple[str, int | None]
 """Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
@@ -100,6 +100,7 @@ def gather_equations(
     samples: Iterable[Samples],
     effects: Iterable[Effect],
     block_seconds: float,
+    kept: KeptRows | None = None,
 ) -> EffectEquations:
     """Reduce samples to the normal equations of a model and of effects, in one pass.
 
@@ -115,6 +116,8 @@ def gather_equations(
         The effects.
     block_seconds
         Length of a time block [s].
+    kept
+        Rows of the model that are kept for others who ask for the same ones.
     """
     variants = [each for effect in effects for each in effect.variants(robot)]
     variants.sort(key=lambda each: not each.local)  # local columns first
@@ -127,7 +130,7 @@ def gather_equations(
     counts: list[int] = []
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
-        for part in divide_into_blocks(robot.model, samples, block_seconds):
+        for part in divide_into_blocks(robot.model, samples, block_seconds, kept):
             block = [np.zeros((len(s) + 1,) * 2) for s in support]
             for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):

@@ -14,6 +14,7 @@ from asbuilt.identification.effects.gathering import At, Candidate, EffectEquati
 from asbuilt.identification.effects.selection import Selection
 from asbuilt.identification.errors.bias import OmittedBias, derive_estimate_moves, shrink_effects
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.scaled import Scaled
 
 if TYPE_CHECKING:
     from asbuilt.identification.identify import Fit
@@ -100,11 +101,8 @@ class Lacking:
         kept = np.array([k for k, name in enumerate(fit.base.names) if name in place])
         own = np.array([place[fit.base.names[k]] for k in kept])
         gram = self.equations.stacked(weights)[:-1, :-1]
-        size = np.sqrt(np.maximum(np.diag(gram)[own], np.finfo(np.float64).tiny))
-        inverse = np.linalg.pinv(gram[np.ix_(own, own)] / np.outer(size, size), hermitian=True)
-        across = gram[np.ix_(own, self.columns)] / size[:, None]
         follows = np.zeros((fit.base.n_base, len(self.columns)))
-        follows[kept] = inverse @ across / size[:, None]
+        follows[kept] = Scaled(gram[np.ix_(own, own)]).solve(gram[np.ix_(own, self.columns)])
         return follows
 
 

@@ -59,7 +59,7 @@ def _report_missing(effects: Effects) -> Iterator[Finding]:
         if finding is not None:
             kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
             # the share of the squared torque error that the effect takes away
-            yield replace(finding, torque=max(0.0, 1.0 - kept**2))
+            yield replace(finding, torque=max(0.0, 1.0 - kept**2), effect=each.effect)
 
 
 def _report_unseen(effects: Effects) -> Iterator[Finding]:

@@ -29,7 +29,9 @@ from asbuilt.identification.estimators.auto import design_effect, prior_informat
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import group_different_motions
+from asbuilt.identification.information.rows import KeptRows
 from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +99,7 @@ def find_effects(
     keys: Collection[str] | None = None,
     applied: Collection[str] | None = None,
     stated: Collection[str] = (),
+    kept: KeptRows | None = None,
 ) -> Effects:
     """Find the effects that a description lacks, and add them to its model.
 
@@ -116,6 +119,8 @@ def find_effects(
     stated
         Keys of effects of the whole robot that can be taken out, such as its tilt, and that are in
         the model if they are sure, worth their torque or not.
+    kept
+        Rows that are kept for others who ask for the same ones.
 
     Raises
     ------
@@ -126,7 +131,8 @@ def find_effects(
     """
     wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
     own = {e.key for e in wanted if e.in_model and (applied is None or e.key in applied)}
-    search = _Search(model, drive, _thin_samples(samples, LIMITS.samples), wanted, own, stated)
+    searched = _thin_samples(samples, LIMITS.samples)
+    search = _Search(model, drive, searched, wanted, own, stated, kept or KeptRows())
     try:
         with use_one_blas_thread():
             return search.run()
@@ -147,8 +153,10 @@ class _Search:
         wanted: Sequence[Effect],
         applied: Collection[str],
         stated: Collection[str],
+        kept: KeptRows,
     ) -> None:
         self.model, self.drive, self.samples = model, drive, samples
+        self.kept = kept
         self.wanted, self.applied, self.stated = wanted, applied, stated
         self.impossible: set[At] = set()
         self.held = model.has_masses
@@ -246,7 +254,7 @@ class _Search:
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
         own = selection.own(removed.candidate.at)
         values, covariance = _select_acting(removed, selection), selection.values_of([own])[1]
-        square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+        square = Scaled(covariance).square(values)
         possible = own.effect.is_possible(removed.values, None, selection.equations.robot)
         return possible and float(chdtrc(len(values), square)) < RULES.level
 
@@ -348,7 +356,7 @@ class _Search:
         """Return the selection on a robot without effects, whose columns are taken."""
         model, samples = self._take_out(removed)
         base, prior = find_base_parameters(model, self.drive), build_cad_prior(model, self.drive)
-        seen = accumulate_stream(model, base, samples, block_seconds=self.seconds)
+        seen = accumulate_stream(model, base, samples, block_seconds=self.seconds, kept=self.kept)
         fit = fit_consistent(seen, prior)
         groups = group_different_motions(seen, fit.weights)
         if len(groups) < LIMITS.fewest_groups:
@@ -357,7 +365,7 @@ class _Search:
             )
         effect = design_effect(seen, fit)
         robot = _describe_robot(model, self.drive, fit.standard, samples)
-        equations = gather_equations(robot, base, samples, self.wanted, self.seconds)
+        equations = gather_equations(robot, base, samples, self.wanted, self.seconds, self.kept)
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )

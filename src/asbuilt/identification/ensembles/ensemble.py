@@ -20,7 +20,7 @@ from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_deg
 from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.identification.result.as_built_parameters import (
     as_built_parameters,
-    find_determined_directions,
+    scale_covariance,
 )
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -251,10 +251,9 @@ def draw_ensemble(
             cure=Cure("identify with physical consistency", {"method": "consistent"}),
         )
     random = np.random.default_rng(rng)
-    scale, variances, directions = find_determined_directions(result)
-    size = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    drawn = result.estimates + size * _draw_tails(result, n, random)[:, None] * (
-        random.normal(size=(n, len(variances))) * np.sqrt(variances) @ directions.T
+    covariance = scale_covariance(result)
+    drawn = result.estimates + _draw_tails(result, n, random)[:, None] * (
+        random.normal(size=(n, covariance.rank)) @ covariance.root
     )
     kp, kd, delay, notes = None, None, None, list[str]()
     errors = result.servo_errors
@@ -264,7 +263,7 @@ def draw_ensemble(
         kd = np.tile(np.nan_to_num(np.array(result.servo.kd)), (n, 1))
         late = (0.0 if errors is None else errors.delay) * random.normal(size=n)
         delay = np.maximum((result.servo.delay or 0.0) + late, 0.0)
-    root = (directions / np.sqrt(variances)).T * scale
+    root = covariance.inverse_root.T
     prior = build_cad_prior(result.model, result.base.drive)
     chi, chi_square = make_draws_consistent(
         prior, result.base, np.vstack([result.estimates, drawn]), root, workers=workers

@@ -16,6 +16,7 @@ from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.scaled import Scaled
 
 TOO_MUCH = 0.4
 """Bias in standard errors from which 95 % intervals hold less than 93 %."""
@@ -65,7 +66,7 @@ def shrink_effects(effects: Array, covariance: Array, size: Array) -> tuple[Arra
     ([1.0], [[0.5]])
     """
     T = np.diag(size**2)
-    gain = covariance @ np.linalg.pinv(covariance + T, hermitian=True)
+    gain = covariance @ Scaled(covariance + T).pseudo_inverse
     spread = covariance - gain @ covariance
     return np.asarray(effects - gain @ effects), np.asarray(0.5 * (spread + spread.T))
 

@@ -16,6 +16,7 @@ from asbuilt.codec import store_as
 from asbuilt.errors import ResultError
 from asbuilt.findings import join_names
 from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.scaled import Scaled
 
 ErrorKind = Literal["blocks", "bootstrap", "textbook"]
 ERROR_KINDS: tuple[ErrorKind, ...] = ("blocks", "bootstrap", "textbook")
@@ -170,9 +171,7 @@ class BlockScatter:
         If they include the square of a bias (p,), that is one move; the others are independent.
         """
         own = np.zeros_like(covariance) if bias is None else np.outer(bias, bias)
-        values, axes = np.linalg.eigh(covariance - own)
-        kept = values > 1e-12 * max(float(values[-1]), 0.0)
-        moves = [self.moves, (axes[:, kept] * np.sqrt(values[kept])).T]
+        moves = [self.moves, Scaled(covariance - own).root]
         if bias is not None:
             moves.append(bias[None])
         return BlockScatter(np.vstack(moves), self.degrees_alone, self.common_variance, bias)

@@ -23,6 +23,7 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
 from asbuilt.identification.result.torque_prediction import predict_in_spans
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +70,8 @@ class DelayColumns:
         return self.normal[:, :r, :r]
 
     @cached_property
-    def _known(self) -> Array:
-        return np.asarray(np.linalg.pinv(self.grams.sum(axis=0), hermitian=True))
+    def _known(self) -> Scaled:
+        return Scaled(self.grams.sum(axis=0))
 
     def increments(self, shares: Array) -> Array:
         """Return the delays (m,) [s] that lower the residual most, 0 for undetermined ones."""
@@ -108,7 +109,7 @@ class DelayColumns:
         A = np.einsum("brk,bkm->brm", across, spread)
         D = np.einsum("bkl,bkj,bjm->blm", spread, own, spread, optimize=True)
         of_delay = np.einsum("bkm,bk->bm", spread, late)
-        moved, whole = self._known @ A.sum(axis=0), D.sum(axis=0)
+        moved, whole = self._known.solve(A.sum(axis=0)), D.sum(axis=0)
         left = whole - moved.T @ grams.sum(axis=0) @ moved
         # Squared part of a delay's column outside all others below which it is undetermined.
         free = np.flatnonzero(
@@ -121,13 +122,12 @@ class DelayColumns:
         scores = np.hstack([self.normal[:, :r, -1], of_delay])
         total = scores.sum(axis=0)
         x = root @ root.T @ (total[r:] - moved.T @ total[:r])
-        solution = np.append(self._known @ (total[:r] - A.sum(axis=0) @ x), x)
+        solution = np.append(self._known.solve(total[:r] - A.sum(axis=0) @ x), x)
         return _Solved(grams, scores, solution, moved, root, free)
 
     def _variance(self, found: _Solved) -> Array:
         """Return the variances of delays from time blocks."""
-        values, axes = np.linalg.eigh(self._known)
-        own = (axes * np.sqrt(np.maximum(values, 0.0)))[:, values > 0.0]
+        own = self._known.inverse_root
         m, r = found.free.size, own.shape[1]
         whole = np.block([[own, -found.moved @ found.root], [np.zeros((m, r)), found.root]])
         data = BlockScores(
@@ -224,24 +224,22 @@ def build_delay_columns(
     root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints
     r = root.shape[1]
     every_normal, places, blocks = list[Array](), list[int](), list[TimeBlock]()
-    every = iter(rows)
+    every = zip(rows, rows.grams(), strict=True)
     for place, batch in enumerate(samples):
         rates = _derive_torque_rates(model, base, estimate.beta, batch)
         for part in divide_into_blocks(model, [batch], block_seconds):
             late = np.array([part.filtered(rate.__getitem__) for rate in rates])
             normal = np.zeros((r + 2 * n + 1,) * 2)
-            for k, (columns, support) in enumerate(
-                zip(next(every).rows, rows.support, strict=True)
-            ):
-                x = root[support].T @ columns[:-1] * weights[k]
+            block, grams = next(every)
+            for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                own = weights[k] * root[support].T
                 c = -weights[k] * late[:, k]
                 e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
                 both = slice(r + k, -1, n)
-                normal[:r, :r] += x @ x.T
-                normal[:r, both] += x @ c.T
+                normal[:r, :r] += own @ grams[k] @ own.T
+                normal[:r, [r + k, r + n + k, -1]] += own @ (columns[:-1] @ np.vstack([c, e]).T)
                 normal[both, both] += c @ c.T
                 normal[both, -1] += c @ e
-                normal[:r, -1] += x @ e
             every_normal.append(normal)
             places.append(place)
             blocks.append(part.time)

@@ -18,6 +18,7 @@ from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import divide_into_blocks
 from asbuilt.identification.result.torque_prediction import expand_parameters
+from asbuilt.scaled import Scaled
 from asbuilt.tables import round_with_error
 
 STEP = 1e-3
@@ -107,7 +108,7 @@ def estimate_nonlinear_errors(
         blocks.append(gram)
     together = np.sum(blocks, axis=0)
     known, across = together[:r, :r], together[:r, r : r + m]
-    own, moved = together[r : r + m, r : r + m], np.linalg.pinv(known, hermitian=True) @ across
+    own, moved = together[r : r + m, r : r + m], Scaled(known).solve(across)
     left = own - moved.T @ across
     # Squared part of that derivative outside all linear columns below which it is undetermined.
     determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(own)).tolist()

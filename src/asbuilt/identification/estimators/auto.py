@@ -412,9 +412,10 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         return fit
     finding = Finding(
         "consistent_fit_costly",
-        "warning",
+        "info",
         f"The physically consistent fit has {100 * rise:.0f} % more torque error on the data used"
-        f" than the values of {free.method}, which predict other motions no better",
+        f" than the values of {free.method}, which predict the groups of motion held out no better"
+        " beyond chance",
         CURE,
     )
     return replace(fit, findings=(*fit.findings, finding))

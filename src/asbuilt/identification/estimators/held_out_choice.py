@@ -16,6 +16,7 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.statistics import exceeds
+from asbuilt.scaled import Scaled
 
 Fits = Callable[[Array, float], Array]
 """Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, by descending weight."""
@@ -91,10 +92,6 @@ def _without_each(factors: Array) -> Array:
     before, after = [*accumulate(factors[:-1], join)], [*accumulate(factors[:0:-1], join)][::-1]
     between = [join(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
     return np.array([after[0], *between, before[-1]])
-
-
-SMALLEST_INFORMATION = 1e-11
-"""Scaled information, relative to the largest, below which least squares determine nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,21 +237,14 @@ def choose_candidate(
 
 def _project_determined(rows: Array, root: Array) -> Array:
     """Return rows without what they have in directions that no block excites."""
-    length = np.linalg.norm(root, axis=0)
-    scale = np.where(length > 0.0, length, 1.0)
-    _, s, vt = np.linalg.svd(root / scale)
-    kept = vt[s**2 > SMALLEST_INFORMATION * s[0] ** 2]
-    return np.asarray(((rows / scale) @ kept.T) @ kept * scale)
+    own = Scaled(root.T @ root)
+    return np.asarray(((rows / own.size) @ own.axes) @ own.axes.T * own.size)
 
 
 def _evaluate_leverage(rows: Array, gram: Array, prior: Array) -> float:
     """Return the trace of `rows (gram + prior)^-1 rows^T`."""
-    gram = gram + prior
-    size = np.sqrt(np.diag(gram))
-    size[size == 0.0] = 1.0
-    scaled, seen = gram / np.outer(size, size), rows / size
+    own = Scaled(gram + prior)
     if np.any(prior):
+        scaled, seen = own.matrix / np.outer(own.size, own.size), rows / own.size
         return float(np.sum(seen.T * cho_solve(cho_factor(scaled), seen.T)))
-    values, axes = np.linalg.eigh(scaled)
-    kept = values > SMALLEST_INFORMATION * values[-1]
-    return float(np.sum((seen @ axes[:, kept]) ** 2 / values[kept]))
+    return float(np.sum(own.whiten(rows.T) ** 2))

@@ -12,6 +12,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.methods import estimator
+from asbuilt.identification.fixed_point import FixedPoint
 from asbuilt.identification.information.estimate import (
     Estimate,
     EstimationData,
@@ -30,8 +31,8 @@ Weighting = Literal["joint"]
 
 WEIGHT_CONVERGENCE = 1e-8
 MOST_ITERATIONS = 50
-NEAR, KEPT_STEPS = 0.1, 5
-"""Relative change of weights below which steps are extrapolated, and from how many of the last."""
+NEAR = 0.1
+"""Relative change of weights below which steps are extrapolated."""
 LARGE_CONDITION = 200.0
 """Scaled condition number above which model errors are amplified (below 100 is good: Gautier and
 Khalil, Int. J. Robotics Research 11, 1992).
@@ -81,7 +82,7 @@ def fit_least_squares(
     seen = information.has_torque
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
     w = np.where(seen, check_weights(given, seen), 0.0)
-    iterations, converged, ahead = int(not iterated), True, _Extrapolation()
+    iterations, converged, ahead = int(not iterated), True, FixedPoint(NEAR)
     while iterated:
         iterations += 1
         x, root = solve_fast(information.stacked(w), rows, toward)
@@ -89,7 +90,9 @@ def fit_least_squares(
         converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
         if converged or iterations > MOST_ITERATIONS:
             break
-        w[seen] = ahead.weights(w[seen], renewed[seen])
+        image = np.log(renewed[seen])
+        tried = ahead.advance(np.log(w[seen]), image)
+        w[seen] = renewed[seen] if tried is image else np.exp(tried)
     solution = solve_factor(information.stacked(w), rows, toward)
     sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
@@ -119,32 +122,6 @@ def refuse_few_rows(information: SquareRootInformation) -> None:
             f" {information.base.robot}",
             cure=Cure("record longer, decimate less or choose fewer drive terms"),
         )
-
-
-class _Extrapolation:
-    """Extrapolate a fixed-point iteration of weights, in their logarithms.
-
-    The step is the combination of the last ones whose changes cancel best (Anderson, J. ACM 12,
-    1965; Walker and Ni, SIAM J. Numerical Analysis 49, 2011). Far from the fixed point, and after
-    a change that grew, it is the plain one, so that the iteration stays with its own fixed point.
-    """
-
-    def __init__(self) -> None:
-        self._changes: list[Array] = []
-        self._images: list[Array] = []
-
-    def weights(self, given: Array, renewed: Array) -> Array:
-        """Return the weights (n,) to try after those `given` became those `renewed`."""
-        image, change = np.log(renewed), np.log(renewed) - np.log(given)
-        size = float(np.max(np.abs(change)))
-        if size > NEAR or (self._changes and size > np.max(np.abs(self._changes[-1]))):
-            self._changes, self._images = [], []
-        self._changes = [*self._changes[-KEPT_STEPS:], change]
-        self._images = [*self._images[-KEPT_STEPS:], image]
-        if len(self._changes) < 2:
-            return renewed
-        share = np.linalg.lstsq(np.diff(self._changes, axis=0).T, change, rcond=None)[0]
-        return np.asarray(np.exp(image - np.diff(self._images, axis=0).T @ share))
 
 
 @estimator("ols", "ordinary least squares", "equal weight for every torque", held_fixed=())

@@ -14,6 +14,7 @@ from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
 from asbuilt.identification.information.estimate import Estimate, EstimationData, noise_floor
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +36,6 @@ class RobustRules:
     """Iterations after which the scales are held fixed, so that the steps converge."""
     step: float = 1e-6
     """Length of the last step, in standard errors of all parameters together."""
-    negligible: float = 1e-12
-    """Eigenvalue of the information, relative to the largest, below which a direction is
-    ignored."""
     least_slope: float = 0.1
     """Least mean of rho'', of a joint or along a direction."""
     outlying: float = 4.0
@@ -152,7 +150,7 @@ def reweight(
         for own, total in zip(support, sums, strict=True):
             gram += root[own].T @ total[:, :-1] @ root[own]
             score += root[own].T @ total[:, -1]
-        step = np.linalg.lstsq(gram, score, rcond=None)[0]
+        step = Scaled(gram).solve(score)
         beta = beta + root @ step
         converged = bool(step @ gram @ step <= ROBUST.step**2)
         iterations += 1
@@ -222,11 +220,9 @@ def _average_informed_slope(
             seen = root[support].T @ columns[:-1] / sigma[k]
             assumed += slope[k] * seen @ seen.T
             found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
-    eigenvalues, vectors = np.linalg.eigh(assumed)
-    kept = eigenvalues > ROBUST.negligible * eigenvalues.max(initial=0.0)
-    if not kept.any():
+    turned = Scaled(assumed).inverse_root
+    if not turned.size:
         return 1.0
-    turned = vectors[:, kept] / np.sqrt(eigenvalues[kept])
     parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), ROBUST.least_slope)
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 

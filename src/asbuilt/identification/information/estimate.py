@@ -15,7 +15,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
-from asbuilt.identification.information.rows import Rows
+from asbuilt.identification.information.rows import KeptRows, Rows
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import FactorSolution
 
@@ -170,6 +170,8 @@ class EstimationData:
     less
         Parameters of each joint (p_k,) whose torque was taken from the torque in `information`, and
         is taken from the torque of the rows; empty: none.
+    kept
+        Rows that are kept for others who ask for the same ones.
     """
 
     model: RobotModel
@@ -181,6 +183,7 @@ class EstimationData:
     every: int = 1
     loading: RobotModel | None = None
     less: tuple[Array, ...] = ()
+    kept: KeptRows | None = None
 
     @property
     def base(self) -> BaseParameters:
@@ -207,6 +210,7 @@ class EstimationData:
             self.block_seconds,
             self.every,
             self.less,
+            self.kept,
         )
 
     @property

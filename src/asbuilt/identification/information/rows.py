@@ -6,10 +6,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice, pairwise
+from threading import Lock
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import find_axes_across
 from asbuilt.dynamics import BaseParameters, gravity_torque
@@ -90,6 +91,61 @@ class TimeBlock:
     n_samples: int
 
 
+class KeptRows:
+    """Keep the filtered rows of samples, so that those who share it walk over a motion once.
+
+    Rows depend on robot, drive terms and samples alone, neither on time blocks nor on what else is
+    asked of them. The latest are kept, as many as `ROWS.most_held` has room for.
+    """
+
+    def __init__(self) -> None:
+        self._entries: list[tuple[RegressorPlan, Samples, dict[int, tuple[Array, ...]]]] = []
+        self._lock = Lock()
+
+    def find(self, plan: RegressorPlan, samples: Samples) -> dict[int, tuple[Array, ...]] | None:
+        """Return `[W_k | tau_k]^T` of each joint by the start of a segment; None if they are many.
+
+        Rows at contacts depend on forces that are projected away, and are not kept.
+        """
+        size = 8.0 * samples.n_filtered * sum(len(own) + 1 for own in plan.support)
+        if samples.contact is not None or size > ROWS.most_held:
+            return None
+        with self._lock:  # blocks of one motion are asked for by several threads
+            for entry in self._entries:
+                if entry[1] is samples and _same_columns(entry[0], plan):
+                    return entry[2]
+            rows = _evaluate_rows(plan, samples)
+            self._entries.append((plan, samples, rows))
+            while sum(_count_bytes(each) for *_, each in self._entries) > ROWS.most_held:
+                del self._entries[0]
+            return rows
+
+
+def _count_bytes(segments: dict[int, tuple[Array, ...]]) -> int:
+    return sum(rows.nbytes for segment in segments.values() for rows in segment)
+
+
+def _same_columns(one: RegressorPlan, other: RegressorPlan) -> bool:
+    """Return whether two plans have the same rows but for spare ones."""
+    alike = one.model is other.model and one.drive == other.drive
+    return alike and np.array_equal(one.columns, other.columns)
+
+
+def _evaluate_rows(plan: RegressorPlan, samples: Samples) -> dict[int, tuple[Array, ...]]:
+    """Return the rows of whole segments, each by its start."""
+    plan = RegressorPlan.of(plan.model, plan.drive, plan.columns, spare_rows=1)
+    found = {}
+    for start, stop in samples.segments:
+        parallel = samples.parallel
+        n = parallel.n_outputs(stop - start) if parallel else stop - start
+        if n < 1:
+            continue
+        whole = SampleBlock(samples, start, stop, 0, n, 0.0)
+        chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(plan)]
+        found[start] = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
     """Hold a time block: outputs `first` to `last` of the segment from `start` to `stop`."""
@@ -100,6 +156,7 @@ class SampleBlock:
     first: int
     last: int
     seconds: float
+    kept: KeptRows | None = None
 
     @property
     def n_outputs(self) -> int:
@@ -114,6 +171,28 @@ class SampleBlock:
         return TimeBlock(
             self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs
         )
+
+    def _insert(
+        self, rows: Sequence[Array], further: Sequence[Array], span: slice
+    ) -> tuple[Array, ...]:
+        """Return rows with further columns (L, n) of their span placed before the torque."""
+        filtered = [self._filter(each) for each in further]
+        speed = np.abs(self._filter(self.samples.qd[span])) if self.samples.slowest else ()
+        found = []
+        for k, own in enumerate(rows):
+            added = np.array([each[k] for each in filtered]).reshape(-1, own.shape[1])
+            if self.samples.slowest:
+                added[:, speed[k] < self.samples.slowest[k]] = 0.0
+            found.append(np.concatenate([own[:-1], added, own[-1:]]))
+        return tuple(found)
+
+    def rests_on(self, keep: Mask) -> Mask:
+        """Return which filtered samples (n_outputs,) are of samples to `keep` (N,) alone."""
+        parallel = self.samples.parallel
+        step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        left_out = np.concatenate([[0], np.cumsum(~keep)])
+        begin = self.start + step * np.arange(self.first, self.last)
+        return np.asarray(left_out[begin + width] == left_out[begin])
 
     def filtered(self, values: Callable[[slice], Array]) -> Array:
         """Return filtered values (n, n_outputs) of what is given (m, n) on a span of samples.
@@ -148,6 +227,15 @@ class SampleBlock:
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
         at_once = min(self.n_outputs, max(1, (ROWS.samples_at_once - width) // step + 1))
+        known = None if self.kept is None else self.kept.find(plan, samples)
+        if known is not None:
+            rows = known[self.start]
+            for first in range(self.first, self.last, at_once):
+                last = min(first + at_once, self.last)
+                span = slice(self.start + first * step, self.start + (last - 1) * step + width)
+                parts = tuple(each[:, first:last] for each in rows)
+                yield self._insert(parts, further(span), span) if further else parts
+            return
         buffer = plan.buffer((at_once - 1) * step + width)
         output = plan.buffer(at_once) if parallel else buffer
         for first in range(self.first, self.last, at_once):
@@ -177,9 +265,14 @@ class SampleBlock:
 
 
 def divide_into_blocks(
-    model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None
+    model: RobotModel,
+    stream: Iterable[Samples],
+    block_seconds: float | None = None,
+    kept: KeptRows | None = None,
 ) -> Iterator[SampleBlock]:
     """Yield the time blocks of samples, each within one contiguous segment.
+
+    Their rows come from those `kept`, if they are given.
 
     Raises `IdentifiabilityError` if the joints differ from the model's.
     """
@@ -199,7 +292,7 @@ def divide_into_blocks(
                 continue
             edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
             for first, last in pairwise(edges.tolist()):
-                yield SampleBlock(samples, start, stop, first, last, seconds)
+                yield SampleBlock(samples, start, stop, first, last, seconds, kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,14 +320,17 @@ class Rows:
         block_seconds: float | None = None,
         every: int = 1,
         less: Sequence[Array] = (),
+        kept: KeptRows | None = None,
     ) -> None:
         self._less = less
+        self._kept = kept
         self._plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
         self._samples = samples
         self._block_seconds = block_seconds
         self._every = every
         self._held: list[RowBlock] | None = None
         self._parts: list[tuple[Array, ...]] | None = None
+        self._grams: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
 
     def take_torque(self, samples: Sequence[Samples]) -> bool:
@@ -257,8 +353,21 @@ class Rows:
 
     def _divide(self, samples: Iterable[Samples]) -> Iterator[SampleBlock]:
         """Return the time blocks that are used."""
-        blocks = divide_into_blocks(self._plan.model, samples, self._block_seconds)
+        blocks = divide_into_blocks(self._plan.model, samples, self._block_seconds, self._kept)
         return islice(blocks, 0, None, self._every)
+
+    @property
+    def are_kept(self) -> bool:
+        """Whether the rows are held in memory, as they are after a first pass if they are few."""
+        return self._held is not None
+
+    def grams(self) -> list[tuple[Array, ...]]:
+        """Return `W_k W_k^T` of every block and joint, which outlast another torque."""
+        if self._grams is None:
+            self._grams = [
+                tuple(rows[:-1] @ rows[:-1].T for rows in block) for block in self.by_block()
+            ]
+        return self._grams
 
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""

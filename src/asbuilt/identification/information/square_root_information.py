@@ -22,6 +22,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import (
     FurtherColumns,
+    KeptRows,
     RowBlock,
     SampleBlock,
     TimeBlock,
@@ -250,6 +251,7 @@ def accumulate_stream(
     block_seconds: float | None = None,
     threads: int | None = None,
     further: FurtherColumns | None = None,
+    kept: KeptRows | None = None,
 ) -> SquareRootInformation:
     """Reduce a stream of samples to their square-root information, in bounded memory.
 
@@ -267,6 +269,8 @@ def accumulate_stream(
         Threads that share the blocks, by default one per core; the result does not depend on it.
     further
         Further columns, whose inner products it gathers in the same pass.
+    kept
+        Rows that are kept for others who ask for the same ones.
 
     Raises
     ------
@@ -286,7 +290,7 @@ def accumulate_stream(
 
     workers = choose_threads(threads, count_cores())
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        for part in divide_into_blocks(model, stream, block_seconds):
+        for part in divide_into_blocks(model, stream, block_seconds, kept):
             pending.append(pool.submit(_reduce_block, plan, part, further))
             gathered.seconds = max(gathered.seconds, part.seconds)
             if len(pending) > 2 * workers:

@@ -12,30 +12,20 @@ from asbuilt.identification.bodies.standard_parameters import (
     find_standard_parameters,
 )
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.scaled import Scaled
 
 
-def find_determined_directions(
-    result: IdentificationResult, *, with_bias: bool = True
-) -> tuple[Array, Array, Array]:
-    """Return scale (p,), variances (r,) and directions V (p, r) of the information of a result.
+def scale_covariance(result: IdentificationResult, *, with_bias: bool = True) -> Scaled:
+    """Return the covariance of a result in the directions that it determines.
 
-    `information = D V diag(1 / variances) V^T D`, D = diag(scale). The scale is one over the
-    standard errors, zero for dropped and undetermined parameters. Directions beyond the rank of the
-    result are left out if its covariance is singular there; the covariance of estimates
-    regularised toward CAD is not. Without bias the covariance counts scatter alone.
+    Its inverse is the information: dropped parameters have none, nor have directions beyond the
+    rank of least squares; estimates regularised toward CAD have a variance in all. Without bias
+    the covariance counts scatter alone.
     """
     covariance = np.array(result.covariance)
     if result.bias is not None and not with_bias:
         covariance -= result.bias
-    size = np.sqrt(np.diag(covariance))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-    variances, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
-    largest, short = max(float(variances[-1]), 0.0), max(0, len(variances) - result.rank)
-    kept = variances > largest * len(variances) * np.finfo(float).eps
-    # Variance of a direction, relative to the largest, that is rounding.
-    if short and variances[short - 1] <= 1e-10 * largest:
-        kept[:short] = False
-    return scale, variances[kept], directions[:, kept]
+    return Scaled(covariance)
 
 
 def known_information(result: IdentificationResult) -> Array:
@@ -44,8 +34,28 @@ def known_information(result: IdentificationResult) -> Array:
     Undetermined directions and dropped parameters carry no information. The information allows for
     correlated residuals, since the standard errors do.
     """
-    scale, variances, directions = find_determined_directions(result)
-    return np.asarray(((directions / variances) @ directions.T) * np.outer(scale, scale))
+    return scale_covariance(result).pseudo_inverse
+
+
+def find_estimable_root(result: IdentificationResult, covariance: Array) -> Array:
+    """Return R (r, p), `R^T R` the information of a covariance (p, p), of what is determined.
+
+    The r directions T (r, p) with variances `T C T^T` are those that the torques of the data show;
+    what these leave open has no row, whatever variance further errors gave it.
+    """
+    size = np.sqrt(np.diag(covariance))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    seen = np.diag(scale)
+    if result.rank < result.n_base:
+        information = _add_up_torque_information(result)
+        columns = np.sqrt(np.diag(information))
+        inverse = np.divide(1.0, columns, out=np.zeros_like(columns), where=columns > 0)
+        _, axes = np.linalg.eigh(information * np.outer(inverse, inverse))
+        seen = axes[:, result.n_base - result.rank :].T * columns
+    variances, directions = np.linalg.eigh(seen @ covariance @ seen.T)
+    # Rounding of the smallest variances, so that no direction is known without any error.
+    least = len(variances) * np.finfo(float).eps * variances.max(initial=0.0)
+    return np.asarray(directions.T / np.sqrt(np.maximum(variances, least))[:, None] @ seen)
 
 
 @lru_cache(maxsize=8)
@@ -59,8 +69,7 @@ def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> 
     """
     root = None
     if not any(parameter.dropped for parameter in result.parameters):
-        scale, variances, directions = find_determined_directions(result, with_bias=False)
-        root = (directions / np.sqrt(variances)).T * scale
+        root = scale_covariance(result, with_bias=False).inverse_root.T
     return find_standard_parameters(
         result.model,
         result.base,
@@ -86,11 +95,4 @@ def _add_up_torque_information(result: IdentificationResult) -> Array:
         pairs = zip(factors, np.maximum(result.sigma, quietest), strict=True)
         rows = [factor[:, places] / sigma for factor, sigma in pairs]
         return np.asarray(sum(R.T @ R for R in rows))
-    covariance = np.array(result.textbook_covariance)
-    size = np.sqrt(np.diag(covariance))
-    size[size == 0.0] = 1.0
-    # Least scaled variance relative to the largest; directions below it are undetermined.
-    return np.asarray(
-        np.linalg.pinv(covariance / np.outer(size, size), rcond=1e-13, hermitian=True)
-        / np.outer(size, size)
-    )
+    return Scaled(np.array(result.textbook_covariance)).pseudo_inverse

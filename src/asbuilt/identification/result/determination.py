@@ -20,6 +20,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.result.as_built_parameters import known_information
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.scaled import Scaled
 from asbuilt.tables import format_share, round_significant
 
 
@@ -261,9 +262,9 @@ def _find_replacements(result: IdentificationResult, k: int, others: Indices) ->
     error = result.std_errors
     if not (error[k] > 0.0 and others.size):
         return others[:0]
-    correlation = result.covariance[np.ix_(others, others)] / np.outer(error[others], error[others])
-    own = result.covariance[others, k] / (error[others] * error[k])
-    explained = float(own @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ own)
+    own = result.covariance[others, k] / error[k]
+    explained = Scaled(result.covariance[np.ix_(others, others)]).square(own)
+    own = own / error[others]
     left = float(np.sqrt(max(1.0 - explained, 0.0)))
     alone = abs(result.estimates[k]) > LIMITS.shown * left * error[k]
     if left > 1.0 / LIMITS.correlated or not alone:

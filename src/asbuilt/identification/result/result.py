@@ -44,7 +44,7 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.statistics import USUAL_LEVEL, confidence_intervals
+from asbuilt.identification.statistics import USUAL_ALPHA, confidence_intervals
 from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
@@ -54,6 +54,8 @@ FIGURES: Registry[Any] = Registry("figure", "asbuilt.writers.figures.kinds", "as
 """Functions of a result, a prediction or None, and axes or None, that draw and return the axes."""
 SUMMARY = "asbuilt.identification.result.summary"
 """Module that summarises results; it imports this one for its types, so it is loaded late."""
+FEASIBLE = "asbuilt.identification.result.feasible"
+"""Module of feasible intervals, loaded late for the same reason."""
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
@@ -163,7 +165,8 @@ class IdentificationResult:
         Errors of the time blocks, by which parameters are tested; None without blocks.
     trained
         Base parameters (p,) of the fit that `validation` is of, if `parameters` are of a further
-        fit to everything; else None.
+        fit to everything; where whole recordings are left out in turn (m, p), row by row without
+        recording m; else None.
     bias
         Part (p, p) of the covariance by effects that the model lacks; None without one.
     effects
@@ -232,7 +235,7 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
-            ("trained values", p if self.trained is None else len(self.trained)),
+            ("trained values", p if self.trained is None else self.trained.shape[-1]),
             ("rows of bias", p if self.bias is None or self.bias.shape == (p, p) else 0),
             ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
         ):
@@ -286,14 +289,23 @@ class IdentificationResult:
     @cached_property
     def of_training(self) -> IdentificationResult:
         """The result with the values of the fit that `validation` is of; itself if that is it."""
-        if self.trained is None:
+        if self.trained is None or self.trained.ndim > 1:
             return self
+        return self._with_estimates(self.trained)
+
+    def without_recording(self, number: int) -> IdentificationResult:
+        """Return the result with the values that have not seen a recording, counted from 0.
+
+        Where a part of every recording is held out it is `of_training`.
+        """
+        if self.trained is None or self.trained.ndim == 1:
+            return self.of_training
+        return self._with_estimates(self.trained[number])
+
+    def _with_estimates(self, values: Array) -> IdentificationResult:
+        parameters = zip(self.parameters, values.tolist(), strict=True)
         return replace(
-            self,
-            parameters=tuple(
-                replace(each, estimate=x)
-                for each, x in zip(self.parameters, self.trained.tolist(), strict=True)
-            ),
+            self, parameters=tuple(replace(each, estimate=value) for each, value in parameters)
         )
 
     @property
@@ -327,23 +339,24 @@ class IdentificationResult:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.estimates / self.std_errors)
 
-    def conf_int(self, level: float = USUAL_LEVEL) -> Array:
+    def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
         """Return confidence intervals, shape (p, 2), by Student's distribution.
 
-        Its `degrees_of_freedom` belong to the standard errors. NaN for dropped parameters.
-        Raises `UsageError` unless `level` lies between 0 and 1.
+        An interval misses the truth with probability `alpha`, as in statsmodels: 0.05 for 95 %.
+        The `degrees_of_freedom` belong to the standard errors. NaN for dropped parameters.
+        Raises `UsageError` unless `alpha` lies between 0 and 0.5.
         """
-        return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, level)
+        return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, alpha)
 
-    def to_frame(self, level: float = USUAL_LEVEL) -> pl.DataFrame:
+    def to_frame(self, alpha: float = USUAL_ALPHA) -> pl.DataFrame:
         """Return a polars frame with a row per base parameter.
 
         Its columns are the fields of `IdentifiedParameter`, `t_value`, and the ends `lower` and
-        `upper` of the confidence interval of this level.
+        `upper` of the confidence interval, which misses the truth with probability `alpha`.
         """
         import polars as pl  # noqa: PLC0415 - slow
 
-        lower, upper = self.conf_int(level).T
+        lower, upper = self.conf_int(alpha).T
         return pl.DataFrame([asdict(each) for each in self.parameters]).with_columns(
             t_value=self.tvalues, lower=lower, upper=upper
         )
@@ -351,6 +364,15 @@ class IdentificationResult:
     def summary(self) -> Any:
         """Summarise the result as text, HTML or CSV: the `Summary` of `summarise`."""
         return import_module(SUMMARY).summarise(self)
+
+    def feasible(self, quantity: str, of: str | None = None, **stated: Any) -> Any:
+        """Return the least and greatest value of a quantity: a `FeasibleInterval`.
+
+        Over all physically consistent bodies that the recordings allow, such as
+        `feasible("mass")`, `feasible("mass:link_3")` or `feasible("armature", "joint_2")`. `stated`
+        are keywords of `feasible_intervals`, such as `prior="cad"`.
+        """
+        return import_module(FEASIBLE).feasible_interval(self, quantity, of, **stated)
 
     def plot(self, kind: str = "parameters", of: Any = None, axes: Any = None) -> Array:
         """Draw a figure with matplotlib.

@@ -9,12 +9,14 @@ from pathlib import PurePath
 
 import numpy as np
 
+from asbuilt.experiment.signal.hold_out import RECORDINGS
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.calibration.encoders import describe_encoders
 from asbuilt.identification.effects.effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
+from asbuilt.identification.result.feasible import FeasibleInterval
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.screen import compose_screen
 from asbuilt.tables import (
@@ -135,19 +137,14 @@ class Summary:
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
 
-    def with_mass(
-        self,
-        totals: tuple[float | None, float],
-        links: Sequence[tuple[str, float | None, float]] = (),
-    ) -> Summary:
-        """Return the summary with masses by CAD and as built [kg]: total, and each of `links`."""
-        cad, built = (round_significant(mass) for mass in totals)
+    def with_mass(self, total: FeasibleInterval, links: Sequence[FeasibleInterval] = ()) -> Summary:
+        """Return the summary with masses: of all links together, and of each of `links`."""
         of_links = "; ".join(
-            f"{name} {_format_mass(cad)} -> {_format_mass(built)}" for name, cad, built in links
+            f"{each.quantity.partition(':')[2]} {_format_mass(each)}" for each in links
         )
         more = (("each link [kg]", of_links),) if len(links) > 1 else ()
-        mass = ("mass of links", f"CAD {cad} kg, as built {built} kg")
-        return replace(self, heading=(*self.heading, mass, *more))
+        whole = ("mass of links", _format_mass(total, " kg"))
+        return replace(self, heading=(*self.heading, whole, *more))
 
     def as_csv(self) -> str:
         """Return the table of parameters as CSV, numbers in full."""
@@ -194,8 +191,10 @@ def summarise(
     )
 
 
-def _format_mass(mass: float | None) -> str:
-    return "?" if mass is None else round_significant(mass)
+def _format_mass(mass: FeasibleInterval, unit: str = "") -> str:
+    """Return the interval of a mass, what was chosen in it, and CAD."""
+    cad, chosen = round_significant(mass.cad), round_significant(mass.chosen)
+    return f"{mass.text.replace(' kg', unit)}, chosen {chosen}{unit} (CAD {cad}{unit})"
 
 
 def format_ranked_findings(
@@ -306,10 +305,12 @@ def _build_joint_table(result: IdentificationResult) -> Table:
     kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
     mixed = len(set(kinds)) > 1
     unit = "" if mixed else kinds[0]
-    shown = result.validation[0] if result.validation else result.train
+    # The recording on which CAD is measured, which the verdict goes by, comes first.
+    held_out = sorted(result.validation, key=lambda each: each.source != result.cad.source)
+    shown = held_out[0] if held_out else result.train
     errors = {
         "training": result.train,
-        **{f"as built {i}" if i > 1 else AS_BUILT: e for i, e in enumerate(result.validation, 1)},
+        **{f"as built {i}" if i > 1 else AS_BUILT: e for i, e in enumerate(held_out, 1)},
         "CAD": result.cad,
     }
     first = AS_BUILT if result.validation else "training"
@@ -330,6 +331,7 @@ def _build_joint_table(result: IdentificationResult) -> Table:
         )
         for k, name in enumerate(result.joint_names)
     )
-    whole, _, held = shown.source.partition(", held out ")
-    source = f"{PurePath(whole).name}{', held out' if held else ''}"
+    whole, _, rule = shown.source.partition(", held out ")
+    held = ", left out" if rule == RECORDINGS else ", held out" if rule else ""
+    source = f"{PurePath(whole).name}{held}"
     return Table(columns, tuple(rows), title=f"RMS torque error on {source}")

@@ -9,6 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.identification.servo.servo_rows import ServoRows
+from asbuilt.scaled import Scaled
 
 CLUSTER = 5
 """Blocks together within which residuals are taken to be correlated."""
@@ -21,7 +22,7 @@ def fit_robust_residual(rows: ServoRows, k: int, used: Mask | None = None) -> Ar
     # 4: passes of the robust weights, own choice.
     for _ in range(4):
         gram = rows.total(k, weight)
-        x = solve_truncated(gram[:-1, :-1], gram[:-1, -1])
+        x = Scaled(gram[:-1, :-1]).solve(gram[:-1, -1])
         weight = counting * block_weights(rows, k, np.append(-x, 1.0))
     return np.append(-x, 1.0)
 
@@ -69,18 +70,6 @@ def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
     if np.all(np.isnan(left)):
         return np.ones(left.size)
     return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
-
-
-def solve_truncated(normal: Array, right: Array, smallest: float = 1e-10) -> Array:
-    """Return the least solution of normal equations, scaled, without directions of no information.
-
-    Eigenvalues of the scaled matrix below `smallest` times the largest count as none.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values, axes = np.linalg.eigh(normal * np.outer(scale, scale))
-    kept = values > smallest * values[-1]
-    along = axes[:, kept].T @ (scale * right) / values[kept]
-    return np.asarray(scale * (axes[:, kept] @ along))
 
 
 def sum_clusters(scores: Array, rows: ServoRows) -> Array:

@@ -26,6 +26,7 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
 from asbuilt.identification.servo.servo_rows import ServoRows
+from asbuilt.scaled import Scaled
 
 Scale = Literal["gravity", "inertia"]
 
@@ -131,13 +132,13 @@ def _estimate_own_scale(
     for _ in range(SCALE.passes):
         gram = rows.total(k, weight)
         normal = T.T @ gram @ T
-        x = np.linalg.lstsq(normal, T.T @ gram[:, -1], rcond=1e-12)[0]
+        x = Scaled(normal).solve(T.T @ gram[:, -1])
         a = -T @ x
         a[-1] += 1.0
         weight = block_weights(rows, k, a)
-    inverse = np.linalg.pinv(normal, hermitian=True)
+    inverse = Scaled(normal).pseudo_inverse
     scores = sum_clusters(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
-    rest, size = np.linalg.pinv(normal[1:, 1:], hermitian=True), {}
+    rest, size = Scaled(normal[1:, 1:]).pseudo_inverse, {}
     for name, part in parts.items():
         t = np.zeros(own.size + 3)
         t[: own.size] = K @ part

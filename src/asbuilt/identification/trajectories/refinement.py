@@ -12,6 +12,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.identification.errors.uncertainty import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
+from asbuilt.scaled import Scaled
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +138,7 @@ def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
     The windows of a recording share what the model gets wrong about its motion. From four
     recordings on, the scores of whole recordings count where they vary more.
     """
-    values, axes = np.linalg.eigh(quadratic.data)
-    there = values > 1e-9 * values[-1]
-    scores = quadratic.scores @ axes[:, there] / np.sqrt(values[there])
+    scores = Scaled(quadratic.data).whiten(quadratic.scores.T).T
     found, g = float(np.mean(np.sum(scores**2, axis=0))), len(weights.windows)
     if g < FEWEST_RECORDINGS:
         return found

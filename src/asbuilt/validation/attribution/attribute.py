@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -20,7 +21,9 @@ from asbuilt.identification.effects.groups import (
     name_group,
 )
 from asbuilt.identification.information.cause_data import TILT, CauseData
+from asbuilt.identification.result.feasible import bound_effects
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.screen import format_size
 from asbuilt.tables import format_plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
 from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
@@ -76,7 +79,9 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     sure = _find_significant(result, values, changes, bodies)
     added = {str(k): _regroup_body(result, each) for k, each in enumerate(bodies.bodies)}
     _, separate, _ = _predict_torques(result, data, values, added)
-    single = _find_single_bodies(result, bodies, separate, left, torque, data.n_judged)
+    single = bound_effects(
+        result, _find_single_bodies(result, bodies, separate, left, torque, data.n_judged)
+    )
     shares = [
         EffectShare(
             key,
@@ -133,7 +138,17 @@ def _estimate_bodies(
     known = free.determined & ~free.dropped & (free.std_errors > 0.0)
     difference = np.where(known, free.estimates - by_design, np.nan)
     wrong = any(EFFECTS[each.effect].of_log for each in result.effects)
-    return explain_bodies(cad, result.base, difference, free.covariance, right_log=not wrong)
+    found = explain_bodies(cad, result.base, difference, free.covariance, right_log=not wrong)
+    named = tuple(each for each in found.bodies if _is_supported(result, cad, each))
+    return replace(found, bodies=named, links_differ=found.links_differ or named != found.bodies)
+
+
+def _is_supported(result: IdentificationResult, cad: RobotModel, body: Body) -> bool:
+    """Return whether a body is a payload, or no consistent bodies give the link its CAD mass."""
+    if body.key == Payload.key:
+        return True
+    link = cad.links[body.link]
+    return not result.feasible("mass", link.name).holds(float(link.inertia.mass))
 
 
 def _list_changes(
@@ -221,9 +236,7 @@ def _word_sizes(
     n = result.model.n_joints
     if key in BODIES:
         masses = [each for each in bodies if each.effect == key]
-        texts = [
-            f"{format_plus_minus(each.estimate, each.std_error)} {each.unit}" for each in masses
-        ]
+        texts = [format_size(each) for each in masses]
         return (join_names(texts),) * n
     if key in (LINKS, TILT):
         texts = [each.text for each in result.effects if each.effect == key and each.in_model]

@@ -14,6 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
 from asbuilt.identification.effects.trials import RULES
+from asbuilt.scaled import Scaled
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 
 
@@ -228,9 +229,7 @@ class _Scale:
     @classmethod
     def of(cls, d: Array, C: Array, M: Array) -> _Scale:
         """Return the difference of covariance `C + s^2 M`."""
-        size = np.sqrt(np.diag(C))
-        values, axes = np.linalg.eigh(C / np.outer(size, size))
-        white = axes / np.sqrt(np.maximum(values, BODIES.weakest**2 * values[-1])) / size[:, None]
+        white = Scaled(C).raised(BODIES.weakest**2).inverse_root
         spread, own = np.linalg.eigh(white.T @ M @ white)
         turn = (white @ own).T
         return cls(turn, turn @ d, np.maximum(spread, 0.0))

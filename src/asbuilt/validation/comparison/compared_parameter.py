@@ -21,6 +21,7 @@ from asbuilt.tables import (
     format_share,
     round_beside,
 )
+from asbuilt.validation.comparison.significance import RESOLUTION
 from asbuilt.validation.comparison.torque_change import MATTERS
 
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
@@ -159,9 +160,8 @@ def tabulate_parameters(
             " parameters named could make up for the rest."
         )
     rule = (
-        f"DIFFERS: false discovery rate of {format_share(level, 0)} over all parameters"
-        " (Benjamini and"
-        " Hochberg)."
+        f"DIFFERS: off by more than {format_share(RESOLUTION, 0)} of CAD's value, at a false"
+        f" discovery rate of {format_share(level, 0)} over all parameters."
     )
     # Those that differ most are important: by their own torque, or by standard errors.
     most = sorted(

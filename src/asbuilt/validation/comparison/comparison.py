@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
+from asbuilt.experiment.signal.hold_out import RECORDINGS, Blocks, parse_rule
 from asbuilt.findings import join_names
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.tables import Table, format_share, round_significant, stack_tables, wrap_text
@@ -24,7 +24,7 @@ from asbuilt.validation.comparison.compared_parameter import (
 )
 from asbuilt.validation.comparison.equal_terms import select_tested_values
 from asbuilt.validation.comparison.parameter_text import describe_parameters
-from asbuilt.validation.comparison.significance import ChiSquare, compare_each
+from asbuilt.validation.comparison.significance import RESOLUTION, ChiSquare, compare_each
 from asbuilt.validation.comparison.torque_change import evaluate_torque_cost, tabulate_named_errors
 from asbuilt.validation.prediction import Validation, derive_cad_values, torque_units
 
@@ -75,7 +75,7 @@ class Comparison:
 
     @property
     def n_differing(self) -> int:
-        """Number of parameters that differ significantly."""
+        """Number of parameters that differ significantly, and by more than `RESOLUTION`."""
         return sum(parameter.verdict == "differs" for parameter in self.parameters)
 
     @property
@@ -117,7 +117,7 @@ class Comparison:
     def verdict(self) -> str:
         """Return the outcome in one or two sentences."""
         text = (
-            f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ"
+            f"The log contradicts {self.n_differing} of {self.n_compared} base parameters of CAD"
             f" ({self.rule()}){self.relevance()}."
             if self.n_compared
             else "No parameter has a CAD value."
@@ -134,8 +134,11 @@ class Comparison:
         )
 
     def rule(self) -> str:
-        """Return the rule by which parameters differ."""
-        return f"false discovery rate {format_share(self.level, 0)}"
+        """Return the rule by which parameters are contradicted."""
+        return (
+            f"off by more than {format_share(RESOLUTION, 0)}, false discovery rate"
+            f" {format_share(self.level, 0)}"
+        )
 
     def tests(self) -> tuple[str, ...]:
         """Return the tests of all parameters at once, as sentences."""
@@ -270,7 +273,8 @@ def compare(
         sigmas, p_value, false_discovery, familywise = make_plain(tests[:, j])
         verdict: Verdict = "no CAD value" if determined[j] else "not determined"
         if tested[j]:
-            verdict = "differs" if false_discovery <= level else "agrees"
+            beyond = abs(difference[j]) > RESOLUTION * abs(values[j])
+            verdict = "differs" if false_discovery <= level and beyond else "agrees"
         elif parameter.dropped:
             verdict = "dropped"
         found = ComparedParameter(
@@ -359,11 +363,15 @@ def recording_name(source: str) -> str:
     'a.csv, b.csv'
     >>> recording_name("data/a.csv, held out blocks:3.3s:3")
     'a.csv (every third 3.3 s)'
+    >>> recording_name("data/a.csv, held out recordings")
+    'a.csv (left out)'
     """
     whole, _, rule = source.partition(HELD_OUT)
     names = ", ".join(PurePath(part).name or part for part in whole.split(", "))
     if not rule:
         return names
+    if rule == RECORDINGS:
+        return f"{names} (left out)"
     part = parse_rule(rule)
     if isinstance(part, Blocks):
         ordinal = {2: "second", 3: "third"}.get(part.every, f"{part.every}th")
@@ -382,6 +390,8 @@ def _pair_metrics(
         return tuple((item.metrics_cad, item.metrics_as_built) for item in several)
     measured = result.validation or (result.train,)
     if cad is None:
+        # The recording on which CAD is measured comes first.
+        measured = tuple(sorted(measured, key=lambda each: each.source != result.cad.source))
         return tuple(
             (result.cad if metrics.source == result.cad.source else None, metrics)
             for metrics in measured

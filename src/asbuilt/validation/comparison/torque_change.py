@@ -11,7 +11,7 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import ResultError
 from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
-from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.scaled import Scaled
 from asbuilt.tables import Cell, Column, Shown, Table, format_share, round_significant
 from asbuilt.validation.comparison.significance import format_probability, holm, size_probability
 from asbuilt.validation.prediction import torque_units
@@ -165,8 +165,6 @@ def tabulate_named_errors(
 MATTERS = 0.5
 """Torque of a difference, relative to a joint's error as built, from which it matters: the error
 would grow by an eighth; own choice."""
-WEAKEST = 1e-10
-"""Squared singular value, relative to the largest, below which a direction has no torque."""
 ABLE = 0.25
 """Smallest part of the squared torque, or of what another partner leaves, of a named partner."""
 MOST_PARTNERS = 2
@@ -217,24 +215,17 @@ def evaluate_torque_cost(
     d = np.nan_to_num(difference, nan=0.0)
     rows = [factor[:, places] for factor in cause_data.whole(cause_data.judged)]
     torque = np.array([np.linalg.norm(W, axis=0) for W in rows]).T * np.abs(d)[:, None] / np.sqrt(n)
-    stacked = triangular_factor(np.vstack(rows))
-    length = np.linalg.norm(stacked, axis=0)
-    present = length > 1e-12 * length.max(initial=0.0)
-    scaled = stacked[:, present] / length[present]
-    eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
-    kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
-    variance = np.sum(vectors[:, kept] ** 2 / eigenvalues[kept], axis=1)
-    own = np.zeros(len(d))
-    own[present] = np.where(
-        np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6,
-        0.0,
-        length[present] * np.abs(d[present]) / np.sqrt(n * np.maximum(variance, 1e-300)),
-    )
+    gram = sum((W.T @ W for W in rows), start=np.zeros((len(d), len(d))))
+    whole = Scaled(gram)
+    spread = np.sqrt(n * np.maximum(whole.inverse_diagonal, 1e-300))
+    own = np.where(whole.determined, np.abs(d) / spread, 0.0)
+    present = np.flatnonzero(whole.present)
+    alike = (gram / np.outer(whole.size, whole.size))[np.ix_(present, present)]
     return TorqueCost(
         torque=torque,
         total=np.sqrt(np.sum(torque**2, axis=1)),
         own=own,
-        partners=_find_partners(np.flatnonzero(present), scaled.T @ scaled, len(d)),
+        partners=_find_partners(present, alike, len(d)),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -36,8 +36,6 @@ class VerdictRule:
     shortest: float = 1.0
 
 
-MANY = 100.0
-"""Standard errors from which on a text gives no number: few blocks show no more."""
 RULE = VerdictRule()
 
 
@@ -84,12 +82,17 @@ class PredictionVerdict:
 
     @property
     def sentence(self) -> str:
-        """The verdict in a sentence, bad news first."""
-        parts = [
-            f"{outcome.upper() if outcome == 'worse' else outcome} at {join_names(named, 7)}"
+        """The verdict in a sentence, bad news first and with its numbers."""
+        named = {
+            outcome: [joint for joint in self.joints if joint.outcome == outcome]
             for outcome in ("worse", "better")
-            if (named := [_word_joint(joint) for joint in self.joints if joint.outcome == outcome])
-        ]
+        }
+        parts = [f"WORSE at {join_names(list(map(_word_joint, named['worse'])), 7)}"]
+        parts = parts if named["worse"] else []
+        if len(named["better"]) == len(self.joints) > 1:
+            parts.append("better at every joint")
+        elif named["better"]:
+            parts.append(f"better at {join_names([joint.joint for joint in named['better']], 7)}")
         undecided = [
             joint.joint
             for joint in self.joints
@@ -166,7 +169,11 @@ def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[F
     """Return the causes of the CAD error, and links of another mass, if any were found."""
     if attribution is None or not attribution.chosen:
         return ()
-    masses = [EFFECTS[each.effect].finding(each, model) for each in attribution.masses]
+    masses = [
+        replace(finding, effect=each.effect)
+        for each in attribution.masses
+        if (finding := EFFECTS[each.effect].finding(each, model)) is not None
+    ]
     causes = Finding(
         "causes_of_cad_error",
         "info",
@@ -174,7 +181,7 @@ def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[F
         f" {join_names([name_group(key) for key in attribution.chosen])}, which explain"
         f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}",
     )
-    return (*(each for each in masses if each is not None), causes)
+    return (*masses, causes)
 
 
 def _number_blocks(t: Array) -> Array:
@@ -211,10 +218,5 @@ def _make_verdict(
 
 
 def _word_joint(joint: JointVerdict) -> str:
-    size = abs(joint.sigmas or 0.0)
-    errors = f"{size:.1f}" if size < MANY else f"over {MANY:g}"
-    return (
-        f"{joint.joint} ({round_significant(joint.as_built)} for {round_significant(joint.cad)}"
-        f" {joint.unit},"
-        f" {errors} standard errors)"
-    )
+    errors = f"{round_significant(joint.as_built)} for {round_significant(joint.cad)}"
+    return f"{joint.joint} ({errors} {joint.unit})"

@@ -140,6 +140,12 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
     return float(np.mean(np.isfinite(distance)))
 
 
+def repeats(one: Samples, other: Samples) -> bool:
+    """Return whether two recordings are of one motion: one comes near most states of the other."""
+    shares = (measure_repeated_share([a], b) for a, b in ((one, other), (other, one)))
+    return any(share > NEAR.repeated for share in shares)
+
+
 def _stack_states(samples: Sequence[Samples]) -> list[Array]:
     """Return all positions and velocities (N, n), without a copy if there is one recording."""
     pairs = zip(
@@ -152,6 +158,17 @@ def _thin_states(q: Array, qd: Array) -> Array:
     """Return states (q, qd), evenly spread."""
     step = max(1, len(q) // NEAR.most_states)
     return np.hstack([q[::step], qd[::step]])
+
+
+def check_left_out(
+    recordings: Sequence[Samples], motions: Sequence[Sequence[int]]
+) -> tuple[Finding, ...]:
+    """Return a finding for each recording that those of all other motions repeat together."""
+    found: list[Finding] = []
+    for motion in motions:
+        others = [each for k, each in enumerate(recordings) if k not in motion]
+        found += check_repetitions(others, [recordings[k] for k in motion])
+    return tuple(found)
 
 
 def check_repetitions(

@@ -7,11 +7,11 @@ of the log, and what it implies on the plateau has to exceed it and vary, while 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.errors import AsbuiltError
@@ -19,8 +19,14 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.information.rows import KeptRows, Rows, divide_into_blocks
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    reduce_rows,
+)
+from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
+from asbuilt.scaled import Scaled
 from asbuilt.validation.prediction import torque_units
 
 
@@ -81,21 +87,25 @@ def find_plateaus(
     drive: DriveSet,
     training: Sequence[Samples],
     block_seconds: float | None = None,
+    kept: KeptRows | None = None,
 ) -> tuple[Plateau, ...]:
     """Return the torques that saturate, both signs of a joint as two, in the order of joints.
+
+    Rows are shared with others by `kept`.
 
     None where the samples cannot be fitted.
     """
     base = find_base_parameters(model, drive)
     try:
-        values = _fit_weighted(model, base, training, block_seconds)
+        fits = _Fits(model, base, training, block_seconds, kept)
+        values = fits.fit()
     except (AsbuiltError, np.linalg.LinAlgError):
         return ()
     logged = [predict_torque(model, base, values, samples) for samples in training]
     return tuple(
         found
         for joint, sign in _find_crowded(logged)
-        if (found := _find_plateau(model, base, training, logged, joint, sign, block_seconds))
+        if (found := _find_plateau(model, base, training, logged, joint, sign, fits))
     )
 
 
@@ -155,17 +165,18 @@ def _find_plateau(
     logged: Sequence[Prediction],
     joint: int,
     sign: float,
-    block_seconds: float | None,
+    fits: _Fits,
 ) -> Plateau | None:
     """Return a plateau if the model that is fitted without it exceeds it, and it does not."""
     torque = [sign * each.measured[:, joint] for each in logged]
     level = float(np.percentile(np.concatenate(torque), RULES.highest))
     try:
-        rest = [
-            samples.within(np.interp(samples.t, each.t, x) < RULES.left_out * level)
-            for samples, each, x in zip(training, logged, torque, strict=True)
-        ]
-        values = _fit_weighted(model, base, rest, block_seconds)
+        values = fits.fit_without(
+            [
+                np.interp(samples.t, each.t, x) >= RULES.left_out * level
+                for samples, each, x in zip(training, logged, torque, strict=True)
+            ]
+        )
     except (AsbuiltError, np.linalg.LinAlgError):
         return None
     implied = np.concatenate(
@@ -188,9 +199,56 @@ def _find_plateau(
     return Plateau(joint, sign * level, sign * float(y.max()))
 
 
-def _fit_weighted(
-    model: RobotModel, base: BaseParameters, samples: Sequence[Samples], seconds: float | None
-) -> Array:
-    """Return weighted least squares estimates of base parameters (p,)."""
-    seen = accumulate_stream(model, base, samples, block_seconds=seconds)
-    return fit_least_squares(seen, weights="joint", prior=design_values(model, base)).beta
+class _Fits:
+    """Fit samples by weighted least squares, all of them or without some, after one walk."""
+
+    def __init__(
+        self,
+        model: RobotModel,
+        base: BaseParameters,
+        training: Sequence[Samples],
+        block_seconds: float | None,
+        kept: KeptRows | None,
+    ) -> None:
+        self._rows = Rows(model, base, training, block_seconds, kept=kept)
+        self._blocks = list(divide_into_blocks(model, training, block_seconds))
+        support = self._rows.support
+        whole = reduce_rows(base, model.joint_names, support, self._rows)
+        self._whole = whole.together()
+        self._design = design_values(model, base)
+
+    def fit(self) -> Array:
+        """Return base parameters (p,) of all samples."""
+        return self._estimate(self._whole)
+
+    def fit_without(self, left_out: Sequence[Mask]) -> Array:
+        """Return base parameters (p,) of filtered samples that have no part of those left out.
+
+        `left_out` (N,) are samples of each recording. Their rows are taken off the normal
+        equations: what they leave is as exact as these, half the digits, enough for a comparison.
+        """
+        grams = [factor.T @ factor for factor in self._whole.joint_factors]
+        kept = {id(part): ~mask for part, mask in zip(self._samples(), left_out, strict=True)}
+        n_samples = 0
+        for part, block in zip(self._blocks, self._rows, strict=True):
+            rests = part.rests_on(kept[id(part.samples)])
+            n_samples += int(np.count_nonzero(rests))
+            for gram, rows in zip(grams, block.rows, strict=True):
+                gone = rows[:, ~rests]
+                np.subtract(gram, gone @ gone.T, out=gram)
+        factors = tuple(_take_root(gram)[None] for gram in grams)
+        time = replace(self._whole.blocks[0], n_samples=n_samples)
+        return self._estimate(replace(self._whole, factors=factors, blocks=(time,)))
+
+    def _samples(self) -> list[Samples]:
+        """Return the recordings, in order."""
+        return list({id(each.samples): each.samples for each in self._blocks}.values())
+
+    def _estimate(self, information: SquareRootInformation) -> Array:
+        return fit_least_squares(information, weights="joint", prior=self._design).beta
+
+
+def _take_root(gram: Array) -> Array:
+    """Return a triangular R (q, q) with `R^T R` the normal equations."""
+    root = Scaled(gram).root
+    return triangular_factor(np.vstack([root, np.zeros((1, len(gram)))]))

@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description import LinkInertia, RobotModel
 from asbuilt.dynamics import DriveSet, parameter_units, parameter_values
+from asbuilt.scaled import Scaled
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 
 DRIVE_WORDS = {"armature": "armature", "viscous": "damping", "coulomb": "friction loss"}
@@ -203,10 +204,9 @@ def profile_numbers(
     size = np.array([each.size for each in numbers])
     spread = np.minimum(np.array([each.spread for each in numbers]) / size, WIDEST)
     J = regrouping @ np.column_stack([each.column for each in numbers]) * size
-    scale = np.sqrt(np.diag(covariance))
-    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    whitening = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    A, d = whitening.T @ (J / scale[:, None]), whitening.T @ (difference / scale)
+    errors = Scaled(covariance).raised()
+    A = errors.whiten(J)
+    d = errors.whiten(difference)
     P = _invert_information(A, spread)
     x = P @ (A.T @ d)
     held = spread < WIDEST

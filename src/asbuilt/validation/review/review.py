@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,9 +16,9 @@ from asbuilt.findings import Finding
 from asbuilt.identification.errors.block_scatter import mean_degrees, student_probability
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
+from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, compare
 from asbuilt.validation.comparison.equal_terms import ComparedValues
-from asbuilt.validation.comparison.significance import benjamini_hochberg
+from asbuilt.validation.comparison.significance import RESOLUTION, benjamini_hochberg
 from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.review.claimed_numbers import (
@@ -39,9 +40,6 @@ from asbuilt.validation.review.servo_claims import (
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
 """Plausible errors of masses, centres and inertias of a description; own choice."""
-RESOLUTION = 0.1
-"""Difference, relative to its size, up to which a number is as claimed whatever its standard error:
-filters and delays of a log bias by several percent, and tuned numbers claim no more; own choice."""
 NOT_NEGATIVE = (
     *("mass", "armature", "damping", "friction loss"),
     *("inertia xx", "inertia yy", "inertia zz"),
@@ -56,7 +54,7 @@ DETERMINED = 0.5
 """Standard error of a supported number, relative to its size, at most."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Review:
     """Hold the verdicts on the numbers of a description, contradicted ones first.
 
@@ -103,6 +101,16 @@ class Review:
     def letter(self) -> str | None:
         """The letter of the description, which was not fitted to the recordings, by `LETTERS`."""
         return LETTERS.letter(self.error) if np.isfinite(self.error) else None
+
+    @cached_property
+    def contradicted_sums(self) -> tuple[int, int]:
+        """Base parameters, sums of the numbers, that are contradicted, and how many are tested.
+
+        By the values, thresholds and tests of `compare`: a log can contradict a sum without
+        determining which of its numbers is wrong.
+        """
+        sums = compare(self.result, level=self.level)
+        return sums.n_differing, sums.n_compared
 
     def count(self, verdict: ClaimVerdict) -> int:
         """Return the number of claims with a verdict."""

@@ -1,11 +1,13 @@
-"""Reasons against an identified model, the weightiest first."""
+"""Reasons against an identified model, the weightiest first, and its use joint by joint."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Literal, NamedTuple
+
+import numpy as np
 
 from asbuilt.findings import Finding, join_names
 from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
@@ -20,12 +22,35 @@ SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_positio
 """Findings that name an effect which the selection of effects may name too."""
 
 
+Use = Literal["yes", "with care", "no", "untested"]
+
+
 class Reason(NamedTuple):
     """Hold the code of a finding, a phrase, and whether it forbids to use the model."""
 
     code: str
     text: str
     forbids: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class JointUse:
+    """Say whether to use a model at a joint.
+
+    Parameters
+    ----------
+    joint
+        Name of the joint.
+    use
+        Whether to use it there; "untested" without a torque channel, or without other motion.
+    error
+        Error at the joint as a share of its own torque, over all that the fit has not seen; None
+        if it is untested.
+    """
+
+    joint: str
+    use: Use
+    error: float | None
 
 
 def list_reasons_against(
@@ -35,20 +60,26 @@ def list_reasons_against(
     simulated: Rollout | None,
     error: VerdictError,
     measure: Measure,
+    joints: Sequence[JointUse] = (),
 ) -> tuple[Reason, ...]:
-    """Return what speaks against a model, the weightiest first; empty if nothing does."""
+    """Return what speaks against the torque of a model, the weightiest first; empty if nothing."""
     untested = is_untested(result, findings, validations)
+    unexplained = any(each.use == "no" for each in joints)
     # Errors of a recording that was used all the same.
     checks = [each for each in findings if each.severity == "error"]
     return (
         *(Reason(each.code, each.message, forbids=True) for each in checks),
         *_list_error_reasons(error, measure),
-        *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
-        *_list_finding_reasons(findings, result.effects, len(result.validation), measure),
+        *([Reason("nothing_held_out", "nothing could be left out")] if untested else []),
+        *_list_unexplained_joints(joints),
+        *_list_finding_reasons(
+            [each for each in findings if not (unexplained and each.code == "torque_unexplained")],
+            result.effects,
+            len(result.validation),
+            measure,
+        ),
         *(_make_effect_reason(each) for each in result.effects if _is_omitted(each)),
         *_list_joint_reasons(validations if measure == "torque" else ()),
-        *_list_consistency_reasons(result),
-        *_list_body_reasons(result),
         *_list_simulation_reasons(result, simulated),
     )
 
@@ -73,6 +104,61 @@ def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reaso
         yield Reason(
             "torque_unexplained", f"{much} of the torque is unexplained", found > RULES.useless
         )
+
+
+def decide_joints(
+    result: IdentificationResult, validations: Sequence[Validation], *, untested: bool
+) -> tuple[JointUse, ...]:
+    """Return the use of a model joint by joint, by the torque of all recordings together.
+
+    A joint is not for use if more than `VerdictRules.useless` of its own torque is unexplained,
+    which the norm over all joints hides where others carry more.
+    """
+    metrics = [each.metrics_exported or each.metrics_as_built for each in validations]
+    metrics = metrics or [*result.validation] or [result.train]
+    counts = np.array([[each.n_samples] for each in metrics])
+    rms = np.array([each.rms for each in metrics])
+    shares = np.array([each.relative_error_per_joint for each in metrics])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        torque = np.nan_to_num(rms / shares)
+        energy = np.sum(counts * np.nan_to_num(rms) ** 2, axis=0)
+        errors = np.sqrt(energy / np.sum(counts * torque**2, axis=0))
+    behind = {
+        joint.joint
+        for each in validations
+        for joint in cad_verdict(each).joints
+        if joint.outcome == "worse"
+    }
+    return tuple(
+        _decide_joint(name, error, behind=name in behind, untested=untested)
+        for name, error in zip(result.joint_names, errors.tolist(), strict=True)
+    )
+
+
+def _decide_joint(name: str, error: float, *, behind: bool, untested: bool) -> JointUse:
+    if not np.isfinite(error):
+        return JointUse(name, "untested", None)
+    shown = None if untested else error
+    if error > RULES.useless:
+        return JointUse(name, "no", shown)
+    if untested:
+        return JointUse(name, "untested", None)
+    return JointUse(name, "with care" if behind or error > RULES.weak else "yes", shown)
+
+
+def _list_unexplained_joints(joints: Sequence[JointUse]) -> Iterator[Reason]:
+    """Yield the joints that are not for use, if others are."""
+    lost = [each for each in joints if each.use == "no"]
+    if not lost or len(lost) == len(joints):
+        return
+    lost.sort(key=lambda each: -(each.error or 0.0))
+    at = join_names([each.joint for each in lost])
+    shares = join_names([f"{100 * each.error:.0f}" for each in lost if each.error is not None])
+    yield Reason(
+        "torque_unexplained",
+        f"not for use at {at} ({shares or 'most'}{' %' if shares else ''} of the torque"
+        " unexplained)",
+    )
 
 
 def _list_finding_reasons(
@@ -123,25 +209,39 @@ def _list_joint_reasons(validations: Sequence[Validation]) -> Iterator[Reason]:
         yield Reason("cad_predicts_better", f"CAD is better at {listed}")
 
 
+def list_reasons_against_bodies(result: IdentificationResult) -> tuple[Reason, ...]:
+    """Return why the exported links are no bodies to simulate or to reason about.
+
+    Torques can be right all the same: they depend on base parameters alone.
+    """
+    return (*_list_consistency_reasons(result), *_list_body_reasons(result))
+
+
 def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
     """Yield that simulators do not take the parameters."""
     if result.physically_consistent is not False:
         return
     if names := non_passive_drives(result.base, result.estimates):
         yield Reason(
-            "non_passive_drives", f"negative {join_names(names, 3)}, which no simulator takes"
+            "non_passive_drives", f"negative {join_names(names, 3)}, which no simulator takes", True
         )
     else:
-        yield Reason("inconsistent", "physically inconsistent, so that no simulator takes it")
+        yield Reason("inconsistent", "physically inconsistent, so that no simulator takes it", True)
 
 
 def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
-    """Yield a link whose mass imitates something that is not in the model."""
+    """Yield masses that imitate something that is not in the model: of all links, or of one."""
     found, links = export_parameters(result), result.model.links
     if found is None:
         return
     masses = found[9 : 10 * len(links) : 10].tolist()
     total = sum(float(link.inertia.mass) for link in links)
+    built = float(sum(masses))
+    known = all(link.inertia_known for link in links) and total > 0.0
+    if known and not 1.0 / RULES.far <= built / total <= RULES.far:
+        text = f"{round_significant(built)} kg for {round_significant(total)} of CAD"
+        yield Reason("link_mass_differs", text, forbids=True)
+        return
     off = [
         (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
         for link, mass in zip(links, masses, strict=True)
@@ -154,6 +254,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
         yield Reason(
             "link_mass_differs",
             f"{name} has {round_significant(mass)} kg for {round_significant(cad)} of CAD",
+            forbids=not 1.0 / RULES.material <= mass / cad <= RULES.material,
         )
 
 
@@ -193,7 +294,10 @@ class VerdictRules:
         Error in multiples of CAD's beyond which a model is not used; errors of one model on two
         motions of one robot differ by less.
     far
-        Ratio of a link's mass to its CAD mass, or its inverse, that no tolerance of CAD explains.
+        Ratio of a mass to its CAD mass, or its inverse, that no tolerance of CAD explains: covers,
+        cables and motors which CAD omits are less than half of a robot.
+    material
+        The same for a single link that was drawn in another material: steel to aluminium.
     heavier
         Share of the mass of all links by which a link far from CAD is heavier or lighter, beyond
         which its body imitates something that is not in the model. Light links of a wrist may be
@@ -206,6 +310,7 @@ class VerdictRules:
     weak: float = 0.3
     behind_cad: float = 1.25
     far: float = 1.5
+    material: float = 2.9
     heavier: float = 0.1
     named: int = 2
 

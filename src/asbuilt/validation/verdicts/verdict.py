@@ -7,17 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
-import numpy as np
-
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.experiment.signal.hold_out import RECORDINGS
 from asbuilt.findings import Finding, join_names
-from asbuilt.identification import IdentificationResult
+from asbuilt.identification import FeasibleInterval, IdentificationResult
 from asbuilt.tables import format_share, round_significant
+from asbuilt.validation.comparison.comparison import HELD_OUT
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.reasons import RULES, is_untested, list_reasons_against
+from asbuilt.validation.verdicts.reasons import (
+    RULES,
+    JointUse,
+    Reason,
+    Use,
+    decide_joints,
+    is_untested,
+    list_reasons_against,
+    list_reasons_against_bodies,
+)
 from asbuilt.validation.verdicts.verdict_error import (
     Measure,
     VerdictError,
@@ -27,10 +36,22 @@ from asbuilt.validation.verdicts.verdict_error import (
     summarise_rollout_error,
 )
 
-Use = Literal["yes", "with care", "no"]
-OPENING: dict[Use, str] = {"yes": "USE", "with care": "USE WITH CARE", "no": "DO NOT USE"}
+OPENING: dict[Use, str] = {
+    "yes": "USE",
+    "with care": "USE WITH CARE",
+    "no": "DO NOT USE",
+    "untested": "UNTESTED",
+}
 FINE = 0.01
 """Share of the torque below which an error is shown with two decimals."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodiesUse:
+    """Say whether to use the exported links as bodies, and why not."""
+
+    use: Use
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +71,10 @@ class Verdict:
         logged commands [rad or m].
     reasons
         Codes of the findings that speak against the model, the weightiest first.
+    joints
+        The same joint by joint; empty where simulated motion is measured.
+    bodies
+        The same for the links as bodies, apart from the torque.
     """
 
     use: Use
@@ -57,6 +82,8 @@ class Verdict:
     error: VerdictError
     measure: Measure
     reasons: tuple[str, ...] = ()
+    joints: tuple[JointUse, ...] = ()
+    bodies: BodiesUse = BodiesUse("yes")
 
     def __str__(self) -> str:
         return self.text
@@ -68,7 +95,7 @@ def study_verdict(
     validations: Sequence[Validation] = (),
     rollouts: Sequence[Rollout] = (),
 ) -> Verdict:
-    """Return the verdict on a result, by motion that it was not fitted to.
+    """Return the verdict on a result, by motion that it was not fitted to; without any, untested.
 
     Of several recordings the one with the largest error decides. Where commands stand for torques,
     which are what the law of the servo makes of them, the simulated motion is measured.
@@ -86,27 +113,60 @@ def study_verdict(
     """
     simulated = choose_decisive_rollout(rollouts) if result.servo is not None else None
     motion = _word_motion(result, findings, validations)
+    untested = is_untested(result, findings, validations)
+    joints: tuple[JointUse, ...] = ()
     if simulated is None:
         measure: Measure = "torque"
         error = find_worst_torque_error(result, validations)
         cad = "" if error.cad is None else f" (CAD {_format_percent(error.cad)})"
         outcome = f"predicts {motion} to {_format_percent(error.decisive)} of the torque{cad}"
+        joints = decide_joints(result, validations, untested=untested)
     else:
         measure, error = "rollout", summarise_rollout_error(simulated)
         outcome = f"simulates {motion} to {_word_rollout(result, simulated, error)}"
-    reasons = list_reasons_against(result, findings, validations, simulated, error, measure)
-    use: Use = "with care" if reasons else "yes"
+    reasons = list_reasons_against(result, findings, validations, simulated, error, measure, joints)
+    of_bodies = list_reasons_against_bodies(result)
+    bodies = _decide_bodies(of_bodies)
+    use: Use = "with care" if reasons or of_bodies else "yes"
     if any(each.forbids for each in reasons):
         use = "no"
-    weightiest = join_names(list(dict.fromkeys(each.text for each in reasons))[: RULES.named])
-    against = f"{weightiest}; " if reasons else ""
+    elif untested and measure == "torque":
+        use = "untested"
+        outcome = f"fits its log to {_format_percent(error.decisive)}; record another motion"
+        # The error of what was fitted is no promise, so the verdict carries none.
+        error = VerdictError(None, None, error.cad)
     return Verdict(
         use,
-        f"{OPENING[use]}: {against}{outcome}{_word_mass(result)}.",
+        _write_verdict(use, reasons, bodies, outcome, _word_mass(result)),
         error,
         measure,
-        tuple(dict.fromkeys(each.code for each in reasons)),
+        tuple(dict.fromkeys(each.code for each in (*reasons, *of_bodies))),
+        joints,
+        bodies,
     )
+
+
+def _decide_bodies(reasons: Sequence[Reason]) -> BodiesUse:
+    if not reasons:
+        return BodiesUse("yes")
+    forbidden = any(each.forbids for each in reasons)
+    return BodiesUse("no" if forbidden else "with care", reasons[0].text)
+
+
+def _write_verdict(
+    use: Use, reasons: Sequence[Reason], bodies: BodiesUse, outcome: str, mass: str
+) -> str:
+    """Return the sentence: the use of the torque, reasons and number, then the use as bodies."""
+    opening = "USE for torque" if use == "with care" and not reasons else OPENING[use]
+    if use == "untested":
+        # Other reasons wait for another motion, and masses are no reason to use it.
+        reasons = [each for each in reasons if each.code == "torque_unexplained"]
+        mass = ""
+    texts = list(dict.fromkeys(each.text for each in reasons))
+    against = f"{join_names(texts[: RULES.named])}; " if texts else ""
+    if bodies.text and use != "no":
+        mass = f"; {OPENING[bodies.use]} as bodies: {bodies.text}"
+    return f"{opening}: {against}{outcome}{mass}."
 
 
 def _word_motion(
@@ -119,8 +179,10 @@ def _word_motion(
     repeated = sum(each.code == "held_out_repeats" for each in findings)
     if repeated and repeated >= len(sources):
         return "the same motion"
-    held = all(source.endswith(f", held out {result.holdout}") for source in sources)
-    return "motion held out" if held else "other motion"
+    # A recording that is left out whole is another motion; a part of one belongs to its motion.
+    part = result.holdout != RECORDINGS
+    held = all(source.endswith(f"{HELD_OUT}{result.holdout}") for source in sources)
+    return "motion held out" if part and held else "other motion"
 
 
 def _format_percent(value: float | None) -> str:
@@ -135,15 +197,23 @@ def _word_rollout(result: IdentificationResult, simulated: Rollout, error: Verdi
 
 
 def _word_mass(result: IdentificationResult) -> str:
-    """Return the exported robot's mass of links compared with CAD's; empty without an export."""
-    found, links = find_as_built(result), result.model.links
+    """Return that nothing can be exported, or the mass of links and CAD's if that is determined."""
+    found = find_as_built(result)
     if found is None:
         return ", and no robot can be exported"
     if not found.consistent:
         return ""
-    built = float(np.sum(found.parameters[9 : 10 * len(links) : 10]))
-    cad = sum(float(link.inertia.mass) for link in links)
-    known = all(link.inertia_known for link in links) and cad > 0.0
-    return f", {round_significant(built)} kg" + (
-        f" for {round_significant(cad)} of CAD" if known else ""
-    )
+    mass = read_stated_mass(result)
+    if mass is None:
+        return ""
+    cad = "" if mass.cad is None else f" for {round_significant(mass.cad)} of CAD"
+    return f", {round_significant(mass.chosen)} kg{cad}"
+
+
+def read_stated_mass(result: IdentificationResult) -> FeasibleInterval | None:
+    """Return the mass of all links if its feasible interval lets one number stand for it."""
+    try:
+        mass: FeasibleInterval = result.feasible("mass")
+    except IdentifiabilityError:
+        return None
+    return mass if mass.is_narrow else None

@@ -1,4 +1,4 @@
-"""Figures over time: a recording as it was read, a watched log, a free simulation."""
+"""Figures over time: a recording as it was read, a free simulation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from asbuilt.experiment import FreeMotion, Recording, RecordingCheck
 from asbuilt.tables import shorten_text
-from asbuilt.workflow.watching.watched_log import WatchedLog, format_torque_unit
 from asbuilt.writers.figures.figure_style import (
     BLUE,
     GREEN,
@@ -18,7 +17,6 @@ from asbuilt.writers.figures.figure_style import (
     POINTS,
     VERMILION,
     break_name,
-    label_once,
     open_figure,
 )
 from asbuilt.writers.figures.thinning import thin_curves
@@ -54,48 +52,6 @@ def draw_recording(recording: Recording, check: RecordingCheck) -> Figure:
         ):
             axis.set_title(title)
             last.set_xlabel("time [s]")
-    return figure
-
-
-COLOURS = {"contact": VERMILION, "fault": ORANGE, "payload": "#009E73"}
-
-
-def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
-    """Draw the residual of every joint in its thresholds, with the events marked.
-
-    A narrow figure is for screens as wide as a telephone's.
-    """
-    # 600: bins of a narrow figure.
-    trace, n = watched.trace.thinned(600) if narrow else watched.trace, len(watched.joint_names)
-    start, last = float(trace.t.min()), float(trace.t.max())
-    subject = f"external torque [{format_torque_unit(watched.units)}] and its thresholds"
-    title = subject if narrow else f"{watched.robot}: {subject}"
-    mixed, width = len(set(watched.units)) > 1, 3.9 if narrow else 8.6
-    with open_figure(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):
-        for j, (axis, name) in enumerate(zip(axes, watched.joint_names, strict=True)):
-            t, limit, residual = trace.t[:, j], trace.limit[:, j], trace.residual[:, j]
-            axis.fill_between(
-                t, -limit, limit, color="#E9ECEF", linewidth=0.0, label="within threshold"
-            )
-            axis.plot(t, np.stack([limit, -limit], axis=1), color=GREY, linewidth=0.5)
-            axis.plot(t, residual, color=BLUE, linewidth=0.8, label="external torque")
-            for event in watched.events:
-                if name in event.joints:
-                    # Least width of an event, per length of the log.
-                    end = event.start + max(event.duration, 0.004 * (last - start))
-                    axis.axvspan(
-                        event.start,
-                        end,
-                        label=event.kind,
-                        color=COLOURS[event.kind],
-                        alpha=0.3,
-                        linewidth=0.0,
-                    )
-            tallest = 1.25 * float(max(np.abs(residual).max(), np.quantile(limit, 0.5)))
-            label = f"{name} [{watched.units[j]}]" if mixed else name
-            axis.set(ylim=(-tallest, tallest), ylabel=break_name(label, 12))
-        axes[-1].set(xlabel="time [s]", xlim=(start, last))
-        label_once(figure, axes, loc="outside lower right", ncols=2 if narrow else 5)
     return figure
 
 

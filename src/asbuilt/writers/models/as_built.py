@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,7 +16,13 @@ from asbuilt.dynamics import (
     drive_torque,
     inverse_dynamics,
 )
-from asbuilt.identification import IdentificationResult, StandardParameters, as_built_parameters
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification import (
+    IdentificationResult,
+    StandardParameters,
+    as_built_parameters,
+    feasible_intervals,
+)
 from asbuilt.identification.bodies.cad_prior import find_non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
 from asbuilt.writers.models.sample_states import draw_sample_states
@@ -44,8 +51,32 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
         with_standard_parameters(result.model, result.base.drive, found.parameters), result.servo
     )
     sources = ", ".join(result.sources)
-    notes = (*result.model.notes, f"identified ({result.method}) from {sources}; {found.verdict}")
+    notes = (
+        *result.model.notes,
+        f"identified ({result.method}) from {sources}; {found.verdict}",
+        *note_feasible(result),
+    )
     return AsBuilt(found, replace(robot, notes=notes, source=f"identified from {sources}"))
+
+
+FEASIBLE_NOTE = "of these masses and armatures"
+"""Beginning of the note on feasible intervals."""
+
+
+@lru_cache(maxsize=8)
+def note_feasible(result: IdentificationResult) -> tuple[str, ...]:
+    """Return a note on masses and armatures that are a choice; none if all are determined."""
+    try:
+        intervals = feasible_intervals(result)
+    except IdentifiabilityError:
+        return ()
+    open_ones = [f"{each.quantity} {each.text}" for each in intervals if not each.determined]
+    if not open_ones:
+        return ()
+    return (
+        f"{FEASIBLE_NOTE} the recordings determine only these ranges (95 %), the values of the file"
+        f" are the choice closest to CAD: {'; '.join(open_ones)}",
+    )
 
 
 def with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:

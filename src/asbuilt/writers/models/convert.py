@@ -14,7 +14,6 @@ from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, join_names
-from asbuilt.workflow.link_masses import LinkMasses
 from asbuilt.writers.files import file_lines
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.robot_toml import write_robot_toml
@@ -154,30 +153,3 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
         f"read back, the torque of {model.joint_names[worst]} differs by up to"
         f" {apart[worst]:.2g} N m",
     )
-
-
-def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path, tuple[str, ...]]:
-    """Write the robot with its computed mass properties: a URDF edited in place, or TOML.
-
-    Returns the path and notes on what the file cannot hold.
-
-    Raises
-    ------
-    UsageError
-        If the suffix is neither .urdf nor .toml, or nothing was computed.
-    InertiaError
-        If computed mass properties are physically inconsistent.
-    """
-    place, model = Path(path), masses.computed_model
-    computed = {each.name: each.computed for each in masses.links if each.computed is not None}
-    if not computed:
-        raise UsageError("no mass properties were computed, so there is nothing to write")
-    for name, inertia in computed.items():
-        if (reason := inertia.inconsistency()) is not None:
-            raise InertiaError(f"computed mass properties of link {name!r}: {reason}", link=name)
-    if place.suffix.lower() == ".toml":
-        return write_robot_toml(place, model), ()
-    if place.suffix.lower() != ".urdf":
-        raise UsageError(f"{place} must end in .urdf or .toml")
-    original = masses.model.source if masses.model.source.lower().endswith(".urdf") else None
-    return write_urdf(place, model, original=original)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +17,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification import IdentificationResult, StandardParameters
 from asbuilt.identification.information.random_motion import build_random_motion_rows
 from asbuilt.identification.result.torque_prediction import set_link_parameters
-from asbuilt.monitoring import ModelError, Thresholds
+from asbuilt.registry import Registry
 from asbuilt.tables import round_significant
 from asbuilt.validation.nearest_consistent import NearestModel, compare_with_nearest
 from asbuilt.writers.files import atomic_write, file_lines, path_texts
@@ -26,8 +26,7 @@ from asbuilt.writers.models.as_built import (
     keep_described_drives,
     note_load_friction,
 )
-from asbuilt.writers.models.c.c_code import write_c
-from asbuilt.writers.models.c.c_observer import generate_observer_code
+from asbuilt.writers.models.c.c_code import CCode, write_c
 from asbuilt.writers.models.mjcf import describe_rotors, write_mjcf
 from asbuilt.writers.models.physical import (
     note_left_out_servo,
@@ -35,10 +34,18 @@ from asbuilt.writers.models.physical import (
     refuse_poor_nearest_model,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.simulators.simulator_format import SIMULATOR_FORMATS, ExportedDrives
+from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS, ExportedDrives
 from asbuilt.writers.models.urdf import write_urdf
 
 Place = str | os.PathLike[str]
+ObserverCode = Callable[[IdentificationResult, Any], Callable[[str], CCode]]
+"""Function of a result and thresholds, or their file, that returns a writer of an observer's code.
+
+The writer takes the prefix of all names.
+"""
+
+OBSERVERS: Registry[ObserverCode] = Registry("C observer", None, "asbuilt.c_observers")
+"""Observers that C code of a robot as built may have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +102,7 @@ def export_result(
     toml: Place | None = None,
     c: Place | None = None,
     observer: Place | None = None,
-    thresholds: Thresholds | None = None,
+    thresholds: Any = None,
     original: Place | None = None,
     nearest: bool = False,
     force: bool = False,
@@ -113,7 +120,8 @@ def export_result(
     urdf, mjcf, toml, c
         Files to write; a `.c` file comes with its header.
     observer, thresholds
-        C file to write with the momentum observer and the dynamics it needs, and its thresholds.
+        C file to write with the momentum observer and the dynamics it needs, and its thresholds or
+        the file that `asbuilt watch` wrote them to.
         Its parameters are the identified ones, whether or not they are physically consistent.
     original
         URDF to edit; by default the description that the robot was identified with. Without one a
@@ -290,7 +298,7 @@ def write_observer(
     path: str | os.PathLike[str],
     result: IdentificationResult,
     *,
-    thresholds: Thresholds | None = None,
+    thresholds: Any = None,
 ) -> tuple[Path, Path]:
     """Write `NAME.c` and `NAME.h` with the dynamics of the robot as built and its observer.
 
@@ -300,21 +308,10 @@ def write_observer(
     Raises
     ------
     UsageError
-        If the file is not named `.c`, or thresholds belong to other joints.
+        If the file is not named `.c`, thresholds belong to other joints, or no observer is
+        installed.
     """
-    if thresholds is not None:
-        thresholds.check_joints(result.model.joint_names)
+    observer = OBSERVERS.find("momentum")(result, thresholds)
     torque = result.torque_model
     model = set_link_parameters(result.model, result.base, result.estimates)
-    return write_c(
-        path,
-        model,
-        drive=torque.drive,
-        drive_values=torque.values,
-        observer=lambda name: generate_observer_code(
-            name,
-            model.n_joints,
-            thresholds=thresholds,
-            factor=ModelError.of(result).factor,
-        ),
-    )
+    return write_c(path, model, drive=torque.drive, drive_values=torque.values, observer=observer)

@@ -15,6 +15,7 @@ from asbuilt.description.structure.free_base import classify_base
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
+from asbuilt.writers.models.as_built import FEASIBLE_NOTE
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
     note_left_out_drives,
@@ -29,9 +30,10 @@ TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1,
 def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, tuple[str, ...]]:
     """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
-    All other bytes are kept. The identified inertia of a moving link includes everything fixed to
-    it: links behind fixed joints keep their inertials and the moving link gets the remainder if
-    that is physically consistent; else it gets the whole and theirs are removed, with a note.
+    All other bytes are kept, and a comment says which masses are a choice. The identified inertia
+    of a moving link includes everything fixed to it: links behind fixed joints keep their inertials
+    and the moving link gets the remainder if that is physically consistent; else it gets the whole
+    and theirs are removed, with a note.
     Inertials are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values that
     the model does not have stay as they are.
 
@@ -90,7 +92,9 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, t
             driven = model.link_shares[model.n_joints :, model.joint_names.index(joint.name)]
             for follower, share in zip(model.followers, driven, strict=True):
                 edits += _list_zero_friction_edits(joints[follower.name], values) if share else []
-    edited = file.edited(edits)
+    feasible = [note for note in model.notes if note.startswith(FEASIBLE_NOTE)]
+    comments = "".join(f"\n  <!-- {note.replace('--', '- -')} -->" for note in feasible)
+    edited = file.edited([*edits, Edit(file.root.inner, file.root.inner, comments)])
     literal = measure_torque_difference(
         model, _lock_alike(read_urdf(edited, straighten=False, base=kind), model)
     )

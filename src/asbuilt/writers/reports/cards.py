@@ -9,7 +9,12 @@ from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.page import Card, Mood
 
-MOODS: dict[Use, Mood] = {"yes": "good", "with care": "neutral", "no": "bad"}
+MOODS: dict[Use, Mood] = {
+    "yes": "good",
+    "with care": "neutral",
+    "no": "bad",
+    "untested": "neutral",
+}
 
 
 def make_study_cards(study: Study) -> tuple[Card, ...]:
@@ -33,7 +38,8 @@ def make_error_card(found: Verdict, unit: str) -> Card:
 
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
     label = f"{measured} error of the exported robot{cad}"
-    return Card(MOODS[found.use], text(found.error.decisive), label)
+    shown = "untested" if found.use == "untested" else text(found.error.decisive)
+    return Card(MOODS[found.use], shown, label)
 
 
 def make_torque_card(comparison: Comparison) -> Card:
@@ -66,5 +72,5 @@ def make_determination_card(found: Determination) -> Card:
 
 def make_difference_card(comparison: Comparison) -> Card:
     """Return how many parameters differ from CAD."""
-    label = f"parameters differ from CAD{comparison.relevance()}"
+    label = f"base parameters contradict CAD{comparison.relevance()}"
     return Card("neutral", f"{comparison.n_differing} of {comparison.n_compared}", label)

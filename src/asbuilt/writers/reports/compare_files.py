@@ -86,9 +86,12 @@ class CadVerdict:
     def headline(self) -> str:
         """What a user decides by: how far off CAD is, and what explains that, in a sentence."""
         comparison = self.comparison
-        counts = f"{comparison.n_differing} of {comparison.n_compared} parameters differ"
+        counts = (
+            f"the log contradicts {comparison.n_differing} of {comparison.n_compared} base"
+            " parameters"
+        )
         if not comparison.torque:
-            return f"{counts}; the result has no torques to compare."
+            return f"{counts[0].upper()}{counts[1:]}; the result has no torques to compare."
         cad, built = comparison.torque[0]
         error, source = format_share(built.relative_error), recording_name(built.source)
         if cad is None:

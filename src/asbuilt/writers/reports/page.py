@@ -18,6 +18,9 @@ CITATION = (
     " between CAD and actual parameters, iNaCoMM 2015."
 )
 
+REPORT_TEMPLATES = Path(__file__).parent / "templates"
+"""Folder of the templates, styles and scripts of reports, some of which other pages share."""
+
 ENVIRONMENT = Environment(
     loader=PackageLoader("asbuilt.writers.reports", "templates"),
     autoescape=True,

@@ -17,7 +17,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.identification.calibration.payload import Payload
-from asbuilt.validation import ResidualAnalysis, Validation, VelocityCurve, recording_name
+from asbuilt.validation import Recovery, ResidualAnalysis, Validation, VelocityCurve, recording_name
 from asbuilt.workflow.study import Study
 from asbuilt.writers.figures.thinning import thin_curves
 from asbuilt.writers.files import atomic_write
@@ -31,6 +31,7 @@ def write_report(
     *,
     payload: Payload | None = None,
     command: Sequence[str] = (),
+    recovery: Recovery | None = None,
 ) -> Path:
     """Write the report of a study.
 
@@ -44,20 +45,27 @@ def write_report(
         The payload identified with it.
     command
         Command line that repeats the study.
+    recovery
+        The comparison with the truth, of a virtual robot.
 
     Returns
     -------
     Path
         The file written.
     """
-    return atomic_write(path, report_html(study, payload=payload, command=command))
+    text = report_html(study, payload=payload, command=command, recovery=recovery)
+    return atomic_write(path, text)
 
 
 def report_html(
-    study: Study, *, payload: Payload | None = None, command: Sequence[str] = ()
+    study: Study,
+    *,
+    payload: Payload | None = None,
+    command: Sequence[str] = (),
+    recovery: Recovery | None = None,
 ) -> str:
     """Return the report of a study as text; see `write_report`."""
-    report = Report(study, payload, command)
+    report = Report(study, payload, command, recovery)
     shown = []
     for identifier, section in sorted(sections.items(), key=lambda item: item[1].order):
         context = section.context(report)

@@ -23,8 +23,9 @@ from asbuilt.tables import (
     wrap_text,
 )
 from asbuilt.validation import Claim, recording_name
+from asbuilt.validation.comparison.significance import RESOLUTION
 from asbuilt.validation.letter import LETTERS
-from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
+from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, Review
 from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import encode_figure, save_figure
 from asbuilt.writers.files import atomic_write
@@ -44,6 +45,7 @@ DRIVES = ("armature", "damping", "damping + kv", "friction loss", "kp", "kv", "f
 
 def review_document(review: Review) -> dict[str, Any]:
     """Return plain numbers, lists and None, ready for JSON."""
+    wrong, tested = review.contradicted_sums
     return {
         "robot": review.robot,
         "recordings": list(review.sources),
@@ -51,6 +53,7 @@ def review_document(review: Review) -> dict[str, Any]:
         "letter": review.letter,
         "error": review.error,
         "counts": {verdict: review.count(verdict) for verdict in ORDER},
+        "base_parameters": {"contradicted": wrong, "tested": tested},
         "false_discovery_rate": review.level,
         "misfit": review.misfit,
         "plausible": {
@@ -87,15 +90,17 @@ def review_headline(review: Review) -> str:
     against = [claim for claim in review.claims if claim.verdict == "contradicted"]
     logs = join_names([recording_name(source) for source in review.sources], 2)
     rest = f"{review.count('supported')} are supported, {review.count('undetermined')} undetermined"
+    wrong, tested = review.contradicted_sums
+    sums = f"{wrong} of {tested} base parameters, which are sums of them"
     if not against:
-        return f"{logs} contradicts none of {len(review.claims)} claimed numbers: {rest}."
+        lost = f"; it contradicts {sums}: which number is wrong is undetermined" if wrong else ""
+        return f"{logs} contradicts none of {len(review.claims)} claimed numbers: {rest}{lost}."
     worst = max(against, key=lambda claim: claim.torque or 0.0)
     value = "" if worst.estimate is None else format_plus_minus(worst.estimate, worst.std_error)
     return (
         f"{logs} contradicts {len(against)} of {len(review.claims)} claimed numbers, most of all"
         f" {worst.what} of {worst.joint}: {value} {worst.unit} for"
-        f" {round_significant(worst.claimed)};"
-        f" {rest}."
+        f" {round_significant(worst.claimed)}; {rest}" + (f"; and {sums}." if wrong else ".")
     )
 
 

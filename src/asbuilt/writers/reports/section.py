@@ -9,17 +9,21 @@ from typing import Any
 
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.registry import Registry
-from asbuilt.validation import Validation, recording_name
+from asbuilt.validation import Recovery, Validation, recording_name
 from asbuilt.workflow.study import Study
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """Hold what a report shows: a study, the payload identified with it, and the command line."""
+    """Hold what a report shows: a study, the payload identified with it, and the command line.
+
+    `recovery` compares the result with the truth of a virtual robot.
+    """
 
     study: Study
     payload: Payload | None = None
     command: Sequence[str] = ()
+    recovery: Recovery | None = None
 
     @cached_property
     def predictions(self) -> tuple[tuple[str, Validation], ...]:

@@ -18,6 +18,7 @@ from asbuilt.identification import (
 )
 from asbuilt.tables import wrap_text
 from asbuilt.validation.prediction import Validation
+from asbuilt.validation.recovery import Recovery
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, file_set
 from asbuilt.writers.models.as_built import as_built, keep_described_drives, note_load_friction
@@ -62,7 +63,7 @@ def study_text(
         return text if payload is None else f"{text}\n{tabulate_payload(payload).as_text()}"
     summary, masses = study.summary(), exported_masses(study.result)
     if masses is not None:
-        summary = summary.with_mass((masses.total_cad, masses.total_as_built), masses.links)
+        summary = summary.with_mass(masses.total, masses.links)
     result, cutoffs, refined = study.result, study.cutoffs, study.refined
     motors = motor_side_parameters(result) if gear_ratios(result.model) else None
     parts = [
@@ -107,7 +108,12 @@ def write_result(path: str | os.PathLike[str], result: IdentificationResult | St
 
 
 def write_study(
-    folder: Path, study: Study, *, payload: Payload | None = None, command: Sequence[str] = ()
+    folder: Path,
+    study: Study,
+    *,
+    payload: Payload | None = None,
+    command: Sequence[str] = (),
+    recovery: Recovery | None = None,
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write the files of a study into a folder.
 
@@ -126,6 +132,8 @@ def write_study(
         What the flange carries, if that was identified too.
     command
         The command line that repeats the study.
+    recovery
+        The comparison with the truth, of a virtual robot; the report shows it.
 
     Returns
     -------
@@ -152,7 +160,11 @@ def write_study(
             files["cutoff"] = writers.save_figure(drawn, folder / "cutoff.png")
         if shown:
             files["report"] = writers.write_report(
-                folder / "report.html", study, payload=payload, command=command
+                folder / "report.html",
+                study,
+                payload=payload,
+                command=command,
+                recovery=recovery,
             )
         robots, notes = _write_robot(folder, result)
         return files | robots, notes

@@ -41,15 +41,21 @@ def payload_text(payload: Payload, full: bool = False) -> str:
 
 
 def describe_payload_outcome(payload: Payload) -> str:
-    """Return what a user decides by: what the flange carries, in a sentence with its errors."""
+    """Return the verdict: whether to use the payload, and what it is, in a sentence with errors."""
     values, errors = payload.values.tolist(), payload.std_errors.tolist()
     mass = format_plus_minus(values[0], errors[0])
     if "mass" not in payload.determined:
-        return f"Payload at {payload.frame}: its mass is undetermined ({mass} kg)."
+        return (
+            f"DO NOT USE: the mass of the payload at {payload.frame} is undetermined ({mass} kg)."
+        )
     known = [k for k in (1, 2, 3) if payload.names[k] in payload.determined]
     centre = ", ".join(f"{'xyz'[k - 1]} {format_plus_minus(values[k], errors[k])}" for k in known)
     where = f"{centre} m" if centre else "undetermined"
-    return f"Payload at {payload.frame}: {mass} kg, its centre {where}."
+    doubts = ["nearest consistent payload"] if payload.projected else []
+    if payload.gains_in_doubt:
+        doubts.insert(0, f"gains of {join_names(payload.gains_in_doubt)} in doubt")
+    opening = f"USE WITH CARE: {join_names(doubts)}; payload" if doubts else "USE: payload"
+    return f"{opening} at {payload.frame}: {mass} kg, its centre {where}."
 
 
 def tabulate_payload(payload: Payload) -> Table:

@@ -79,8 +79,6 @@ def identify_document(
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
     result, masses = study.result, exported_masses(study.result)
-    # The weightiest; summary.txt and result.json have all.
-    findings = study.findings[:12]
     return result.as_dict() | {
         "verdict": make_plain(study.verdict),
         "drive": str(result.base.drive),
@@ -92,8 +90,8 @@ def identify_document(
         ),
         "determination": study.determination.as_dict(),
         "mass": None if masses is None else masses.as_dict(),
-        "warnings": [{"code": each.code, "message": each.text} for each in findings],
-        "findings": make_plain(findings),
+        "warnings": [{"code": each.code, "message": each.text} for each in study.findings],
+        "findings": make_plain(study.findings),
         "files": path_texts(files),
     }
 

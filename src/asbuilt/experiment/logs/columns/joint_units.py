@@ -92,7 +92,11 @@ def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet
     raise RecordingError(
         f"{table.source}: the unit of {joint}, which runs from {first:.3g} to {last:.3g}, is not"
         f" known: {mostly}",
-        cure=Cure(cure, settings={"lock": f"{joint}=VALUE"} if gripper else {}),
+        cure=Cure(
+            cure,
+            settings={"lock": f"{joint}=VALUE"} if gripper else {},
+            sheet={"lock": {joint: 0.0}} if gripper else {},
+        ),
         file=table.source,
         value=joint,
     )

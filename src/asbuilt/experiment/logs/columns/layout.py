@@ -14,6 +14,7 @@ from asbuilt.description.joint_matching import (
 )
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.channels import choose_channel
 from asbuilt.experiment.logs.columns.roles import (
     GOALS,
     Role,
@@ -33,7 +34,9 @@ QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
 _SYMBOLS = {
     "q": "position",
     "qd": "velocity",
+    "dq": "velocity",
     "qdd": "acceleration",
+    "ddq": "acceleration",
     "tau": "torque",
     "q_command": "command",
 }
@@ -111,6 +114,7 @@ def find_layout(
     for (quantity, kind), listed in sheet.columns.by_group.items():
         groups[quantity, kind] = _group_listed_columns(table, quantity, listed, sheet)
     groups = {key: group for key, group in groups.items() if group}
+    chosen_channels = _choose_channels(groups, table, model, sheet)
     measured = next((key for key in _TORQUES if key in groups), None)
     position, command = groups.get(("position", "")), groups.get(("command", ""))
     torque = None if measured is None else groups[measured]
@@ -139,14 +143,18 @@ def find_layout(
         if not (group is position or group is torque) and quantity != "time" and kind != "unscaled":
             name = quantity if kind in ("", "sheet") else f"{quantity}_{kind}"
             chosen[_EXTRAS.get((quantity, kind), name)] = group
-    notes = [] if torque is not None else _leave_out_uncommanded(chosen, groups["command", ""])
+    notes = list(chosen_channels)
+    if torque is None:
+        notes += _leave_out_uncommanded(chosen, groups["command", ""])
+    _name_alike(chosen, sheet)
     labels = _sort_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(_list_columns(position))}
     for quantity in [each for each in chosen if each != "position"]:
         try:
             ordered[quantity] = _align_columns(source, quantity, chosen, labels, sheet)
         except RecordingError:
-            if quantity in QUANTITIES and (quantity != "command" or torque is None):
+            needed = quantity == ("command" if torque is None else "torque")
+            if needed or (quantity, "") in sheet.columns.by_group:
                 raise
             notes.append(
                 f"the {len(chosen[quantity])} columns of {quantity} do not match the {len(labels)}"
@@ -177,6 +185,52 @@ def find_layout(
         tuple(notes),
         find_nanoseconds(time.column, names) if time and own_time else None,
     )
+
+
+def _choose_channels(
+    groups: dict[tuple[str, str], _Group],
+    table: LogTable,
+    model: RobotModel | None,
+    sheet: RecordingSheet,
+) -> list[str]:
+    """Keep one channel of each quantity that has several, and return what was chosen."""
+    notes = []
+    count = None if model is None else model.n_joints + len(model.followers)
+    listed = sheet.columns.by_group
+    for key in sorted(groups, key=lambda key: key[0] != "position"):
+        quantity, kind = key
+        if quantity == "time" or kind == "sheet" or key in listed or not groups[key]:
+            continue
+        positions = groups.get(("position", ""), [])
+        known = len(positions) if quantity != "position" and positions else count
+        groups[key], note = choose_channel(
+            quantity, groups[key], known, table.columns, model, positions
+        )
+        notes += [note] if note else []
+    return notes
+
+
+def _name_alike(chosen: dict[str, _Group], sheet: RecordingSheet) -> None:
+    """Let columns that count joints count them alike, as `u_torque_1` beside `y_angle_1`.
+
+    Where the names of a quantity are not the positions' joints, and both differ in their number
+    alone, the number says the joint.
+    """
+    places = {role.index: role.joint for role in chosen["position"]}
+    counted = None not in places and len(places) == len(chosen["position"])
+    stems = {_strip_number(role.joint) for role in chosen["position"]}
+    if not counted or len(stems) > 1 or isinstance(sheet.joints, list):
+        return
+    for quantity, group in chosen.items():
+        own = {role.index for role in group}
+        alone = {_strip_number(role.joint) for role in group}
+        joints = {role.joint for role in group}
+        if len(alone) == 1 and own == set(places) and joints != set(places.values()):
+            chosen[quantity][:] = [replace(role, joint=places[role.index]) for role in group]
+
+
+def _strip_number(joint: str) -> str:
+    return joint.rstrip("0123456789")
 
 
 def _leave_out_uncommanded(chosen: Mapping[str, _Group], command: _Group) -> list[str]:

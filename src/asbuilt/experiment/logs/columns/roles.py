@@ -66,6 +66,12 @@ _DESIRED = {
     "command",
     "commands",
     "commanded",
+    "cmptd",
+    "computed",
+    "planned",
+    "requested",
+    "ff",
+    "feedforward",
     "ref",
     "reference",
     "references",
@@ -79,7 +85,7 @@ _DESIRED = {
     "error",
     "err",
 }
-COMMANDS = {"command", "commands", "commanded", "cmd"}
+COMMANDS = {"command", "commands", "commanded", "cmd", "cmptd"}
 """Words that make a command of a column without another quantity."""
 GOALS = {
     *("ref", "reference", "references", "setpoint", "setpoints", "goal", "goals"),
@@ -131,6 +137,8 @@ _MEASURED = {
 }
 _PREFIXES = _MEASURED - {"hat", "joint", "joints", "j"}
 """Words before a joint's name that do not belong to it."""
+_PROCESSED = {"raw", "filtered", "filt", "meas", "measured"}
+"""Words behind a joint's name that do not belong to it."""
 _MOTOR = {"motor", "motors"}
 _NO_FACTOR = {"percent", "pct", "percentage", "count", "counts", "tick", "ticks"}
 """Units that another quantity, such as the rated torque, has to turn into SI."""
@@ -146,6 +154,8 @@ _UNITS: dict[str, float] = {
     **dict.fromkeys(("ncm", "n cm"), 1e-2),
     "ns": 1e-9,
 }
+_COUNTED = re.compile(r"(\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?)(?:/(\d+(?:\.\d*)?))?\s+([^\d\s].*)")
+"""A unit with a number before it, or a part of one: "0.229 rpm", "1/4096 turn"."""
 _TIMES = {"s", "sec", "ms", "us", "µs", "ns"}
 _ANGLES = ("rad", "deg", "degree", "degrees", "grad", "°", "mrad", "rev", "turn")
 _QUANTITY_OF_UNIT: dict[tuple[str, int], Quantity] = {
@@ -189,8 +199,16 @@ def parse_unit_scale(unit: str) -> float | None:
     --------
     >>> parse_unit_scale("mNm"), parse_unit_scale("rad/s"), parse_unit_scale("furlong")
     (0.001, 1.0, None)
+    >>> round(parse_unit_scale("1/4096 turn") * 4096, 6), round(parse_unit_scale("0.229 rpm"), 6)
+    (6.283185, 0.023981)
     """
-    return _UNITS.get(unit.strip().split("/")[0].strip().lower())
+    counted = _COUNTED.fullmatch(unit.strip())
+    if counted is None:
+        return _UNITS.get(unit.strip().split("/")[0].strip().lower())
+    number, part, of_what = counted.groups()
+    scale = _UNITS.get(of_what.split("/")[0].strip().lower())
+    factor = float(number) / float(part or 1.0) if float(part or 1.0) else 0.0
+    return None if scale is None or not 0.0 < factor < 1e12 else factor * scale
 
 
 def recognise(name: str) -> Role | None:
@@ -252,6 +270,8 @@ def _find_joint(
     named = len(numbers) > 1 or any(k not in numbers and words[k] not in _MEASURED for k in rest)
     while named and words[rest[0]] in _PREFIXES and len(rest) > 1:
         rest = rest[1:]
+    while named and words[rest[-1]] in _PROCESSED and len(rest) > 1:
+        rest = rest[:-1]
     whole = [*rest] == [*range(rest[0], rest[-1] + 1)] if rest else False
     if not (
         named or (counts and whole and words[rest[0]] == "joint" and words[rest[-1]].isdigit())

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,8 @@ CLOCK_STEPS = (0.99, 0.5)
 """Share of the steps of a clock that are forward, and of one that does not lead the columns also
 within this of the median step."""
 
+EVEN_SORTED = 0.9
+"""Share of even steps of a clock whose rows are out of order here and there."""
 FOLLOWS = 0.8
 """Correlation with a derivative from which a group is one."""
 MOST_QUANTITIES = 32
@@ -55,25 +59,42 @@ def suggest_sheet(
     clearly with its gravity torques at the positions, which are degrees if that correlates better;
     without one, the first of the groups left over. `rate` is the sampling rate that was given [Hz].
     """
-    values, order = list(table.columns.values()), table.order or tuple(table.columns)
-    places = [order.index(name) + 1 for name in table.columns]  # the sheet counts text columns too
+    return format_draft(*draft_sheet(table, model, rate))
+
+
+def draft_sheet(
+    table: LogTable, model: RobotModel | None = None, rate: float | None = None
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the fields of a sheet that `suggest_sheet` writes, and other torques it may be.
+
+    Without `columns` where the values decide nothing.
+    """
+    order = table.order or tuple(table.columns)
+    values = list(table.columns.values())
+    # The sheet counts text columns too.
+    places = [order.index(name) + 1 for name in table.columns]
     time, others = _find_time_column(values)
-    rest = [values[k] for k in others]
     rows = values[0].size if values else 0
     t = np.arange(rows) / (rate or 1.0) if time is None else values[time]
+    if time is not None and np.any(np.diff(t) < 0):
+        order_of_time = np.argsort(t, kind="stable")
+        t = t[order_of_time]
+        values = [column[order_of_time] for column in values]
+    rest = [values[k] for k in others]
     n_joints = _count_joints_by_derivative(rest, t) if model is None else model.n_joints
-    head = [] if table.named else ["header = false"]
+    content: dict[str, Any] = {} if table.named else {"header": False}
     if rate is not None:
-        head.append(f"rate = {rate:g}")
+        content["rate"] = rate
     fits = n_joints and 2 * n_joints <= len(rest) <= MOST_QUANTITIES * n_joints
     if not n_joints or not fits or rows < 2:
-        return "\n".join([*head, DRAFT])
+        return content, []
     begins = range(0, len(rest) - n_joints + 1, n_joints)
     groups = [np.column_stack(rest[k : k + n_joints]) for k in begins]
     spans = [_format_span([places[j] for j in others[k : k + n_joints]]) for k in begins]
     units: dict[str, str] = {}
     if time is not None and (unit := _guess_time_unit(t)) != "s":
-        units["time"], t = unit, t * (parse_unit_scale(unit) or 1.0)
+        units["time"] = unit
+        t = t * (parse_unit_scale(unit) or 1.0)
     position, command, velocity, torques, degrees = _assign_roles(t, groups, model)
     if degrees:
         units |= dict.fromkeys(["position"] if command is None else ["position", "command"], "deg")
@@ -83,31 +104,68 @@ def suggest_sheet(
         found = None
         if velocity is not None:
             found = _estimate_rate(groups[position], groups[velocity], degrees)
-        head.append("rate = 100  # Hz" if found is None else f"rate = {found:g}  # Hz")
+        content["rate"] = found
         ratio = 0.0 if velocity is None else ratio / (found or 1.0)
     if velocity is not None and ratio > (RADIANS_ARE_LESS if degrees else DEGREES_ARE_MORE):
         units["velocity"] = "deg/s"
     if units:
-        stated = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
-        head.append(f"units = {{ {stated} }}")
-    also = ", ".join(spans[k] for k in torques[1:])
+        content["units"] = units
     entries = {
         "time": None if time is None else places[time],
         "position": spans[position],
         "velocity": None if velocity is None else spans[velocity],
         "command": None if command is None else spans[command],
-        "torque": spans[torques[0]] + (f"  # or {also}" if also else "") if torques else None,
+        "torque": spans[torques[0]] if torques else None,
     }
-    listed = [f"{name} = {value}" for name, value in entries.items() if value is not None]
+    content["columns"] = {name: each for name, each in entries.items() if each is not None}
     over = len(rest) - n_joints * len(groups)
-    further = [f"# {over} more columns follow"] if over else []
-    return "\n".join([*head, "[columns]", *listed, *further])
+    if over:
+        content["over"] = over
+    return content, [spans[k] for k in torques[1:]]
+
+
+def name_fields(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is certain of a draft as fields of a sheet, {} where it has no columns."""
+    if "columns" not in content:
+        return {}
+    found = {name: value for name, value in content.items() if name != "over" and value is not None}
+    spans = content["columns"].items()
+    return {**found, "columns": {name: _read_span(span) for name, span in spans}}
+
+
+def _read_span(span: Any) -> Any:
+    """Return the column or columns that the text of a span stands for in a sheet."""
+    return json.loads(span) if isinstance(span, str) else span
+
+
+def format_draft(content: Mapping[str, Any], alternatives: Sequence[str]) -> str:
+    """Return the text of a sheet that `draft_sheet` found."""
+    lines = ["header = false"] if "header" in content else []
+    if "columns" not in content:
+        rate = content.get("rate")
+        return "\n".join([*lines, *([] if rate is None else [f"rate = {rate:g}"]), DRAFT])
+    if "rate" in content:
+        found = content["rate"]
+        timed = "time" in content["columns"]
+        end = "" if timed else "  # Hz"
+        lines.append("rate = 100  # Hz" if found is None else f"rate = {found:g}{end}")
+    if "units" in content:
+        stated = ", ".join(f'{name} = "{unit}"' for name, unit in content["units"].items())
+        lines.append(f"units = {{ {stated} }}")
+    also = ", ".join(alternatives)
+    lines.append("[columns]")
+    for name, span in content["columns"].items():
+        lines.append(f"{name} = {span}" + (f"  # or {also}" if name == "torque" and also else ""))
+    if "over" in content:
+        lines.append(f"# {content['over']} more columns follow")
+    return "\n".join(lines)
 
 
 def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
-    """Return which column is time, and which are neither time nor counters that lead the others.
+    """Return which column is time, and which are neither time nor what stands before it.
 
-    Time leads and rises, but may be set back once or twice, or it rises in steps alike elsewhere.
+    Time leads and rises, but may be set back once or twice, or it rises in steps alike elsewhere,
+    behind counters and marks; rows out of order are no matter, if time is even when it is sorted.
     """
     leads = next((k for k, each in enumerate(values) if not _counts_rows(each)), len(values))
     others = list(range(leads, len(values)))
@@ -116,13 +174,26 @@ def _find_time_column(values: Sequence[Array]) -> tuple[int | None, list[int]]:
     rises = finite.size > 1 and finite[-1] > finite[0]
     if rises and np.mean(np.diff(finite) >= 0) >= CLOCK_STEPS[0]:
         return leads, others[1:]
-    for k in others:
-        steps = np.diff(values[k])
-        middle = float(np.median(steps)) if steps.size else 0.0
-        even = np.abs(steps - middle) <= CLOCK_STEPS[1] * middle
-        if middle > 0.0 and float(np.mean(even)) >= CLOCK_STEPS[0]:
-            return k, [each for each in others if each != k]
+    for share in (CLOCK_STEPS[0], EVEN_SORTED):
+        for k in others:
+            if _is_even(values[k], share):
+                behind = [each for each in others if each > k]
+                marks = all(np.ptp(values[each]) == 0.0 for each in others if each < k)
+                return k, behind if marks else [each for each in others if each != k]
     return None, others
+
+
+def _is_even(values: Array, share: float) -> bool:
+    """Return whether this share of the steps is alike, and of the sorted values' steps as well."""
+    steps = np.diff(values)
+    middle = float(np.median(steps)) if steps.size else 0.0
+    if not middle > 0.0:
+        return False
+    of_sorted = np.diff(np.sort(values))
+    return all(
+        float(np.mean(np.abs(each - middle) <= CLOCK_STEPS[1] * middle)) >= share
+        for each in (steps, of_sorted)
+    )
 
 
 def _counts_rows(values: Array) -> bool:
@@ -185,12 +256,21 @@ def _assign_roles(
     ]
     known: int | None = None
     command: int | None = None
+    velocities = _list_derivatives(t, groups, moving)
     if len(close) == 1:
         (i, k) = close[0]
-        leads = moving[0] == k if moving is not None else not _is_later(t, groups[i], groups[k])
+        # With two velocities, measured and commanded, both positions have a derivative.
+        clear = moving is not None and len(velocities) < 2
+        leads = clear and moving is not None and moving[0] == k
+        if not clear:
+            leads = not _is_later(t, groups[i], groups[k])
         known, command = (k, i) if leads else (i, k)
     rest = [k for k in range(len(groups)) if k != command]
     pair = _find_derivative_pair(t, groups, rest if known is None else [known], rest)
+    if pair is not None and command is not None and len(velocities) == 2:
+        # Measured and commanded quantities stand in the same order.
+        pair = (pair[0], velocities[int(pair[0] > command)])
+        rest = [k for k in rest if k not in velocities or k == pair[1]]
     position, velocity = pair or (rest[0] if known is None else known, None)
     turned = bool(_find_largest(groups[position]) > LARGEST_RADIANS)
     others = [k for k in rest if k not in (position, velocity)]
@@ -252,6 +332,14 @@ def _find_derivative_pair(
     found = [(_correlate_derivative(t, groups[i], groups[k]), (i, k)) for i, k in pairs]
     best = max(found, key=lambda each: np.nan_to_num(each[0]), default=(0.0, (0, 0)))
     return best[1] if best[0] > FOLLOWS else None
+
+
+def _list_derivatives(t: Array, groups: list[Array], moving: tuple[int, int] | None) -> list[int]:
+    """Return the groups that follow the derivative of the positions that move."""
+    if moving is None:
+        return []
+    q = groups[moving[0]]
+    return [k for k in range(len(groups)) if _correlate_derivative(t, q, groups[k]) > FOLLOWS]
 
 
 def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:

@@ -1,4 +1,7 @@
-"""Binary logs of unknown origin, read in another process with limits of memory and time.
+"""Binary logs of unknown origin, read in another process with limits of what they may cost.
+
+Limits are bytes of memory and of temporary files, and CPU time, which a slow computer does not use
+up sooner. Only files that the reader of a format reads count.
 
 A process that has read a file well reads the next; one that has met an error is not used again.
 """
@@ -7,10 +10,11 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import json
 import pickle
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
@@ -18,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asbuilt.children import Child, ChildEnded
+from asbuilt.children import STILL, Child, ChildEnded
 from asbuilt.errors import AsbuiltError, MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.findings import Cure
@@ -43,7 +47,10 @@ class Limits:
         Bytes in addition to the libraries', and further bytes per byte of the file; arrays of
         doubles compress to a tenth, seldom further.
     time, time_ratio
-        Seconds, and further seconds per byte of the file; bags are decoded at about 1 MB/s.
+        Seconds of CPU time, and further ones per byte of the file; bags are decoded at about 1
+        MB/s.
+    disk
+        Bytes of temporary files, as of a compressed bag that is unpacked.
     columns
         Most columns of a log; 30 joints with 10 quantities have 300.
     """
@@ -53,6 +60,7 @@ class Limits:
     memory_ratio: float = 16.0
     time: float = 10.0
     time_ratio: float = 2e-6
+    disk: int = 4_000_000_000
     columns: int = 10_000
 
     def memory_for(self, n_bytes: float) -> int:
@@ -60,7 +68,7 @@ class Limits:
         return int(self.memory + self.memory_ratio * n_bytes)
 
     def time_for(self, n_bytes: float) -> float:
-        """Return the time [s] that a file of this size may take."""
+        """Return the CPU time [s] that a file of this size may take."""
         return self.time + self.time_ratio * n_bytes
 
 
@@ -79,11 +87,14 @@ class FileKind:
         The extra of asbuilt that has the library which reads it.
     cure
         What to do with a file that cannot be read.
+    reads
+        Suffixes of the files of a folder that are read; others, such as videos, do not count.
     """
 
     title: str = ""
     extra: str = ""
     cure: str = "record or export it again"
+    reads: tuple[str, ...] = ()
 
 
 def isolate(
@@ -110,6 +121,8 @@ def read_guarded(
     except (AsbuiltError, MemoryError):
         raise
     except BaseException as problem:
+        if isinstance(problem, OSError) and problem.errno == errno.EFBIG:
+            raise  # beyond the limit of temporary files, which the caller knows
         if isinstance(problem, ImportError) and kind.extra:
             raise MissingExtraError(str(problem.name), kind.extra, f"reading {path}") from problem
         raise RecordingError(
@@ -143,7 +156,7 @@ def read_isolated(
     MissingExtraError
         If a library is missing.
     """
-    size = _measure_size(path)
+    size = _measure_size(path, kind.reads)
     answer, arrays = _call((read, path, kind), settings, size)
     if "error" in answer:
         raise _rebuild_error(answer["error"], path)
@@ -170,17 +183,21 @@ def _call(
     A process that was idle may end before it sees the request; then another one is asked.
     """
     memory = LIMITS.memory_for(size)
-    request = pickle.dumps((_answer, (asked, dict(settings), memory)))
+    request = pickle.dumps((_answer, (asked, dict(settings), memory, LIMITS.disk)))
     while True:
         child = _take_idle() or Child({"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"})
         try:
             content, *columns = child.call(
-                request, memory=memory, seconds=LIMITS.time_for(size), largest=memory
+                request,
+                memory=memory,
+                seconds=LIMITS.time_for(size),
+                largest=memory,
+                disk=LIMITS.disk,
             )
         except ChildEnded as ended:
             if child.calls > 1:
                 continue
-            return {"error": _describe_crash(asked[1], size, ended.status)}, []
+            return {"error": _describe_crash(asked[1], size, ended)}, []
         except BaseException:
             child.end()
             raise
@@ -205,9 +222,18 @@ def _take_idle() -> Child | None:
     return None
 
 
-def _describe_crash(path: Path, size: float, status: int) -> dict[str, Any]:
-    if -status in (signal.SIGALRM, signal.SIGXCPU):
-        what = f"takes longer than {LIMITS.time_for(size):.0f} s to read"
+def _describe_crash(path: Path, size: float, ended: ChildEnded) -> dict[str, Any]:
+    """Return why a process gave no answer; what took too long may still be sound."""
+    status = ended.status
+    if ended.stopped == "still":
+        return {
+            "message": f"{path} was not read: stopped after {STILL:g} s without progress",
+            "cure": "check the disk or network on which it lies, or copy it here, and try again",
+        }
+    if ended.stopped == "disk":
+        what = f"unpacks to more than {LIMITS.disk / 1e9:.3g} GB"
+    elif -status in (signal.SIGPROF, signal.SIGXCPU):
+        what = f"takes more than {LIMITS.time_for(size):.3g} s of computing to read"
     elif status < 0:
         what = f"crashes its reader ({signal.Signals(-status).name})"
     else:
@@ -223,17 +249,22 @@ def _rebuild_error(error: Mapping[str, Any], path: Path) -> AsbuiltError:
     return RecordingError(error["message"], cure=Cure(cure), **{"file": str(path)} | fields)
 
 
-def _measure_size(path: Path) -> float:
-    """Return the size [bytes] of a regular file or of the files in a folder."""
-    files = [path, *path.rglob("*")] if path.is_dir() else [path]
+def _measure_size(path: Path, reads: Sequence[str] = ()) -> float:
+    """Return the size [bytes] of a regular file, or of the files in a folder that are read."""
+    files = [path]
+    if path.is_dir():
+        inside = (file for file in path.rglob("*") if not file.is_dir())
+        files = [file for file in inside if not reads or file.suffix.lower() in reads]
     for file in files:
-        if not file.is_dir():
-            check_regular(file, "recording", RecordingError, LIMITS.size)
+        check_regular(file, "recording", RecordingError, LIMITS.size)
     return float(sum(file.stat().st_size for file in files))
 
 
 def _answer(
-    asked: tuple[Callable[..., LogTable], Path, FileKind], settings: Mapping[str, Any], memory: int
+    asked: tuple[Callable[..., LogTable], Path, FileKind],
+    settings: Mapping[str, Any],
+    memory: int,
+    disk: int,
 ) -> list[Any]:
     """Return the table of a file, or why it has none, as JSON, and its columns.
 
@@ -251,6 +282,8 @@ def _answer(
         error = {"message": problem.message, "cure": str(problem.cure or ""), "fields": fields}
     except MemoryError:
         error = {"message": f"{path} needs more than {memory / 1e6:.0f} MB to read"}
+    except OSError:
+        error = {"message": f"{path} unpacks to more than {disk / 1e9:.3g} GB"}
     else:
         document = {entry.name: getattr(table, entry.name) for entry in dataclass_fields(table)}
         values = [np.ascontiguousarray(each, np.float64) for each in table.columns.values()]

@@ -153,7 +153,12 @@ FORMATS.register(
     "lerobot",
     LogFormat(
         suffixes=(),
-        read=isolate(read_lerobot, FileKind("a LeRobot dataset", cure="export the dataset again")),
+        read=isolate(
+            read_lerobot,
+            FileKind(
+                "a LeRobot dataset", cure="export the dataset again", reads=(".parquet", ".json")
+            ),
+        ),
         folders=True,
         recognises=is_lerobot,
     ),
@@ -211,7 +216,10 @@ FORMATS.register(
     "sage",
     LogFormat(
         suffixes=(),
-        read=isolate(read_sage, FileKind("a motion of SAGE", cure="export the motion again")),
+        read=isolate(
+            read_sage,
+            FileKind("a motion of SAGE", cure="export the motion again", reads=(".csv", ".txt")),
+        ),
         folders=True,
         recognises=is_sage,
     ),

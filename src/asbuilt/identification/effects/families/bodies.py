@@ -65,12 +65,13 @@ class LinkMass(_Body):
         return f"{super().size_text(values, covariance, revolute=revolute)} beyond CAD"
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
-        """Return how much heavier a link is than the other links let expect."""
+        """Return that the link cannot have its CAD mass, whatever the others have."""
         others = f" (or {join_names(found.alternatives)})" if found.alternatives else ""
         return Finding(
             "link_mass_differs",
             "warning",
-            f"A link differs from CAD by more than the others do: {found.text}{others}",
+            f"No physically consistent robot with these torques has the CAD mass of a link:"
+            f" {found.text}{others}",
             Cure("check the link, and what is mounted on it"),
             joint=found.joint,
         )

@@ -343,7 +343,8 @@ class Warming(_OfTorque):
 
 
 def _format_percent(found: FoundEffect) -> str:
-    return f"{format_plus_minus(100.0 * abs(found.estimate), 100.0 * found.std_error)} %"
+    error = None if found.std_error is None else 100.0 * found.std_error
+    return f"{format_plus_minus(100.0 * abs(found.estimate), error)} %"
 
 
 def _word_worth(found: FoundEffect) -> str:

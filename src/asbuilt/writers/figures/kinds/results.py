@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +19,6 @@ from asbuilt.writers.figures.figure_style import (
     INK,
     add_headline,
     apply_style,
-    make_blank_figure,
 )
 from asbuilt.writers.figures.study_figures import draw_errors, draw_torque, label_torque_axis
 
@@ -31,7 +31,9 @@ def _make_axes(axes: Any, count: int, width: float, height: float) -> Axes:
     Raises `UsageError` for another number of axes.
     """
     if axes is None:
-        axes = make_blank_figure(width, height).subplots(count, 1, sharex=True, squeeze=False)
+        # By pyplot, so that a notebook shows the figure and a script's `plt.show()` does.
+        figure = plt.figure(figsize=(width, height), layout="constrained", facecolor="white")
+        axes = figure.subplots(count, 1, sharex=True, squeeze=False)
     given: Axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
     if given.size != count:
         raise UsageError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,15 +26,25 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.monitoring.observer import armature_matrix
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_dynamics import Mechanism, add_drives, list_drive_entries
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
-from asbuilt.writers.models.c.c_observer import CCode
 from asbuilt.writers.models.sample_states import draw_sample_states
 
 CHECKED_STATES = 3
 """States in the self-test of the C file."""
+
+
+@dataclass(frozen=True, slots=True)
+class CCode:
+    """Hold the header and the source of a robot, or what its observer adds to them.
+
+    All names begin with `prefix`.
+    """
+
+    prefix: str
+    header: str
+    source: str
 
 
 def generate_c_code(
@@ -147,7 +157,7 @@ def _write_controller_functions(
 ) -> list[str]:
     """Return mass matrix, Coriolis torque, friction and momentum as functions."""
     n = model.n_joints
-    armature = armature_matrix(TorqueModel(model, terms, values))
+    armature = TorqueModel(model, terms, values).armature()
     still, moving = Mechanism(model, at_rest=True), Mechanism(model, steady=True)
     rubbing = Mechanism(model, steady=True)
     weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)

@@ -6,12 +6,18 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.identification import feasible_intervals
 from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.tables import Column, Table, format_plus_minus, round_significant
 from asbuilt.writers.reports.compare_files import draw_shares
-from asbuilt.writers.reports.page import list_markup, paragraph_markup, table_markup
+from asbuilt.writers.reports.interval_bars import draw_intervals
+from asbuilt.writers.reports.page import (
+    list_markup,
+    paragraph_markup,
+    table_markup,
+)
 from asbuilt.writers.reports.section import Report, Section, sections
-from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
+from asbuilt.writers.tables.mass_tables import exported_masses, feasible_table, mass_table
 from asbuilt.writers.tables.payload_tables import tabulate_payload, tabulate_payload_torques
 
 PARTS = "{% for part in parts %}{{ part }}\n{% endfor %}"
@@ -29,8 +35,20 @@ def _collect_comparison(report: Report) -> dict[str, Any]:
 
 
 def _collect_masses(report: Report) -> dict[str, Any] | None:
-    masses = exported_masses(report.study.result)
-    return None if masses is None else _collect_parts({"mass-table": mass_table(masses)})
+    result, recovery = report.study.result, report.recovery
+    masses = exported_masses(result)
+    if masses is None:
+        return None
+    truth = {} if recovery is None else recovery.true_values
+    tables = {"mass-table": mass_table(masses)}
+    bars = {"Masses": (*masses.links, masses.total)}
+    if "armature" in result.base.drive.keys:
+        bars["Armatures"] = feasible_intervals(result, ("armature",))
+        tables["armature-table"] = feasible_table(bars["Armatures"])
+    if recovery is not None:
+        tables["truth-table"] = recovery.interval_table()
+    drawn = [draw_intervals(each, truth, title) for title, each in bars.items()]
+    return _collect_parts(tables, *drawn)
 
 
 def _collect_payload(report: Report) -> dict[str, Any] | None:

@@ -62,7 +62,8 @@ const asbuiltPlot = (function () {
     holder.textContent = "";
     const svg = make(holder, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": spec.label });
     const all = spec.panels.flatMap((panel) => panel.traces);
-    const range = holder.range || extent(all.flatMap((trace) => trace.x));
+    holder.whole = extent(all.flatMap((trace) => trace.x));
+    const range = holder.range || holder.whole;
     const across = (x) => left + (width - left - 10) * (x - range[0]) / (range[1] - range[0]);
     make(make(svg, "clipPath", { id: holder.id + "-clip" }), "rect", { x: left, y: 0, width: width - left - 10, height });
     const sum = spec.panels.reduce((total, panel) => total + (panel.share || 1), 0);
@@ -150,6 +151,53 @@ const asbuiltPlot = (function () {
     svg.addEventListener("dblclick", () => { holder.range = null; plot(holder, spec); });
   }
 
+  /* Show a share of the present range around its middle; zero: all there is. */
+  function zoom(holder, factor) {
+    const [first, last] = holder.range || holder.whole;
+    const [middle, half] = [(first + last) / 2, factor * (last - first) / 2];
+    const wanted = [Math.max(middle - half, holder.whole[0]), Math.min(middle + half, holder.whole[1])];
+    holder.range = factor && wanted[1] - wanted[0] < holder.whole[1] - holder.whole[0] ? wanted : null;
+  }
+
+  /* The drawing alone, with the colours that it has here. */
+  function standalone(holder) {
+    const shown = holder.firstElementChild;
+    const copy = shown.cloneNode(true);
+    const [, , width, height] = shown.getAttribute("viewBox").split(" ");
+    for (const [name, value] of Object.entries({ xmlns: "http://www.w3.org/2000/svg", width, height })) copy.setAttribute(name, value);
+    const pairs = [[shown, copy], ...[...shown.querySelectorAll("*")].map((node, k) => [node, copy.querySelectorAll("*")[k]])];
+    for (const [node, twin] of pairs) {
+      const style = getComputedStyle(node);
+      for (const name of ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity", "font-family", "font-size"]) twin.setAttribute(name, style.getPropertyValue(name));
+    }
+    const paper = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+    for (const [name, value] of Object.entries({ width, height, fill: getComputedStyle(document.body).backgroundColor })) paper.setAttribute(name, value);
+    copy.prepend(paper);
+    return { text: new XMLSerializer().serializeToString(copy), width: Number(width), height: Number(height) };
+  }
+
+  function download(address, name) {
+    const link = document.createElement("a");
+    link.href = address;
+    link.download = name;
+    link.click();
+  }
+
+  /* Download the drawing as "svg", or as "png" with twice the points of the screen. */
+  function save(holder, kind, name) {
+    const { text, width, height } = standalone(holder);
+    const address = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(text);
+    if (kind === "svg") { download(address, name); return; }
+    const image = new Image();
+    image.onload = () => {
+      const canvas = document.createElement("canvas");
+      [canvas.width, canvas.height] = [2 * width, 2 * height];
+      canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
+      download(canvas.toDataURL("image/png"), name);
+    };
+    image.src = address;
+  }
+
   const difference = (a, b) => a.map((value, i) => (value === null || b[i] === null ? null : value - b[i]));
 
   /* Measured and predicted torque of one joint, and the errors of both models. */
@@ -162,7 +210,7 @@ const asbuiltPlot = (function () {
           { x: of.t, y: of.cad, name: "CAD", shade: "cad" },
           { x: of.t, y: of.built, name: "as built", shade: "built" } ] },
         { title: "error [" + of.unit + "]", share: 2, traces: [
-          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + (of.rms_cad ?? "unknown"), shade: "cad" },
+          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + (of.rms_cad ?? "unknown"), shade: "cad-error" },
           { x: of.t, y: difference(of.measured, of.built), name: "error as built, RMS " + (of.rms ?? "unknown"), shade: "error" } ] },
       ],
     });
@@ -181,5 +229,5 @@ const asbuiltPlot = (function () {
     shares.forEach((share, k) => make(svg, "rect", { class: k ? "after" : "before", x: 0, y: 2 + 10 * k, width: 100 * Math.max(share || 0, 0), height: 8 }));
   }
 
-  return { plot, torques, small, bars };
+  return { plot, torques, zoom, save, small, bars };
 })();

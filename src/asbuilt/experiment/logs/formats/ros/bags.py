@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -22,8 +23,8 @@ from asbuilt.experiment.logs.formats.ros.messages import (
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
-UNPACKED = 4_000_000_000
-"""Bytes that a compressed bag may unpack to."""
+READ = (".db3", ".mcap", ".zstd", ".bag", ".yaml")
+"""Suffixes of the files of a bag."""
 
 
 def read_ros_bag(path: Path, sheet: RecordingSheet) -> LogTable:
@@ -128,17 +129,10 @@ def _find_storage(path: Path) -> Path:
 
 
 def _unpack(packed: Path, target: Path) -> Path:
-    """Unpack a file compressed with Zstandard, up to a limit."""
+    """Unpack a file compressed with Zstandard; the process has a limit of what it may write."""
     zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
-    size = 0
     with zstd.open(packed, "rb") as file, target.open("wb") as out:
-        while chunk := file.read(1 << 20):
-            size += len(chunk)
-            if size > UNPACKED:
-                raise RecordingError(
-                    f"{packed} unpacks to more than {UNPACKED / 1e9:.0f} GB", file=str(packed)
-                )
-            out.write(chunk)
+        shutil.copyfileobj(file, out)
     return target
 
 
@@ -146,7 +140,9 @@ FORMATS.register(
     "rosbag",
     LogFormat(
         suffixes=(".db3", ".zstd"),
-        read=isolate(read_ros_bag, FileKind("a ROS 2 bag", extra="bags"), by_sheet=True),
+        read=isolate(
+            read_ros_bag, FileKind("a ROS 2 bag", extra="bags", reads=READ), by_sheet=True
+        ),
         folders=True,
     ),
 )

@@ -56,8 +56,9 @@ def tabulate_joint_states(
 ) -> LogTable:
     """Return states and commands as a table with one row for each joint state.
 
-    Joints are matched by name in every message; messages that name other joints than most are left
-    out. The command of a row is the last one that held by then. Commands that cannot be used are
+    Joints are matched by name in every message. Publishers that share the topic and have a part of
+    the joints each are joined by time; messages that name other joints than these are left out. The
+    command of a row is the last one that held by then. Commands that cannot be used are
     left out with a note where the states have efforts, unless they are required.
 
     Raises
@@ -74,9 +75,12 @@ def tabulate_joint_states(
             cure=Cure("record the joint states' topic"),
             file=str(topics.path),
         )
+    publishers = _list_publishers(states)
     names = _find_usual_names(states)
     kept = _select_naming(states, names)
-    stamped, notes = is_stamped(kept), list[str]()
+    stamped = is_stamped(kept)
+    notes: list[str] = []
+    joined = 0
     stamps = read_times(kept, stamped)
     try:
         commands = _select_commands(topics, commands, names, sheet)
@@ -94,6 +98,15 @@ def tabulate_joint_states(
         for field, quantity in FIELDS
         if (values := _stack_values(kept, field, names)) is not None
     ]
+    for others in publishers:
+        if not set(others) & set(names):
+            of_others = _select_naming(states, others)
+            groups += _join_publisher(of_others, others, stamps, stamped)
+            notes.append(
+                f"{len(of_others)} messages name {', '.join(others)} alone and were interpolated at"
+                f" the times of the {len(kept)} that name {', '.join(names)}"
+            )
+            joined += len(of_others)
     commanded = tuple(name for name in names if commands and name in commands[0].names)
     values = _stack_values(commands, "position", commanded) if commands else None
     if values is not None:
@@ -110,7 +123,7 @@ def tabulate_joint_states(
             file=str(topics.path),
             available=list(several),
         )
-    if dropped := len(states) - len(kept):
+    if dropped := len(states) - len(kept) - joined:
         notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
     t = (stamps - stamps[0]).astype(np.float64) * 1e-9
     table = tabulate_joints(str(topics.path), t, groups, notes)
@@ -193,6 +206,54 @@ def _find_usual_names(states: list[JointMessage]) -> tuple[str, ...]:
         votes[tuple(sorted(state.names))] += 1000 if state.effort.size == len(state.names) else 1
     best = max(votes, key=lambda key: (votes[key], len(key)))
     return next(state.names for state in states if tuple(sorted(state.names)) == best)
+
+
+PUBLISHER = 0.2
+"""Messages of other joints, relative to the most frequent, from which they are a publisher's of its
+own: a gripper that reports now and then is none."""
+
+
+def _list_publishers(states: Sequence[JointMessage]) -> list[tuple[str, ...]]:
+    """Return the joints of each publisher of complete messages on a topic, if there are several.
+
+    Those of different publishers are different joints, and all of them have efforts.
+    """
+    counts = Counter[frozenset[str]]()
+    orders: dict[frozenset[str], tuple[str, ...]] = {}
+    for state in states:
+        joints = frozenset(state.names)
+        orders.setdefault(joints, state.names)
+        counts[joints] += state.effort.size == len(state.names)
+    most = max(counts.values(), default=0)
+    found = [orders[joints] for joints, count in counts.items() if count > PUBLISHER * most]
+    named = [name for names in found for name in names]
+    apart = len(set(named)) == len(named)
+    return found if len(found) > 1 and apart else []
+
+
+def _join_publisher(
+    states: list[JointMessage], names: tuple[str, ...], at: NDArray[np.int64], stamped: bool
+) -> list[tuple[str, str, tuple[str, ...], Array]]:
+    """Return the values of a publisher at the times [ns] of another, NaN in its gaps."""
+    own = read_times(states, stamped)
+    order = np.argsort(own, kind="stable")
+    own = own[order]
+    t = (own - own[0]).astype(np.float64)
+    wanted = (at - own[0]).astype(np.float64)
+    period = float(np.median(np.diff(t))) if t.size > 1 else 0.0
+    after = np.clip(np.searchsorted(t, wanted), 1, max(t.size - 1, 1))
+    gap = np.diff(t, append=t[-1])[after - 1] > SPARSE * period
+    # A message that comes within a period of the ends holds there.
+    beyond = (wanted < t[0] - period) | (wanted > t[-1] + period)
+    groups = []
+    for field, quantity in FIELDS:
+        values = _stack_values(states, field, names)
+        if values is None:
+            continue
+        columns = [np.interp(wanted, t, column) for column in values[order].T]
+        joined = np.where((gap | beyond)[:, None], np.nan, np.column_stack(columns))
+        groups.append((field, quantity, names, joined))
+    return groups
 
 
 def _stack_values(states: list[JointMessage], field: str, names: Sequence[str]) -> Array | None:

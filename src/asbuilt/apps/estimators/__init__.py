@@ -1,0 +1,1 @@
+"""Estimators for those who compare methods; none is chosen of itself."""

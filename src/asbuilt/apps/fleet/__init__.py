@@ -1,0 +1,5 @@
+"""Fleets: many robots over time, kept as information in a ledger."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,217 @@
+"""Which effects explain a change, how large they are, and the torque that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc
+
+from asbuilt.apps.fleet.drift.columns import Day, FleetColumns, sum_days
+from asbuilt.apps.fleet.drift.directions import PAYLOAD, Directions, Source, list_sources
+from asbuilt.apps.fleet.drift.variation import Variation
+from asbuilt.arrays import Array
+from asbuilt.identification import EFFECTS, LINKS, FoundEffect, evaluate_worth, name_group
+from asbuilt.scaled import Scaled
+from asbuilt.tables import format_plus_minus, round_significant
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeRules:
+    """Say how many effects of a change are named.
+
+    What the worth of two effects differs by less than `same` of it is rounding. Chance takes any
+    but the first with probability `level`, over all candidates, and an effect explains `named` of
+    the change at least.
+    """
+
+    most: int = 3
+    same: float = 1e-6
+    level: float = 0.05
+    named: float = 0.06
+
+
+CHANGE = ChangeRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stepping:
+    """Normal equations of a step in all columns, the mean in the directions eliminated."""
+
+    information: Array
+    score: Array
+
+    def fit(self, design: Array) -> tuple[float, Array, Array, int]:
+        """Return the statistic of a step along a design, its parameters, covariance and rank."""
+        N, u = design.T @ self.information @ design, design.T @ self.score
+        own = Scaled(N)
+        found = own.solve(u)
+        return float(u @ found), found, own.pseudo_inverse, own.rank
+
+
+def explain_change(
+    directions: Directions,
+    variation: Variation,
+    days: Sequence[Day],
+    place: int,
+    inflation: float,
+) -> tuple[FoundEffect, ...]:
+    """Return the effects in a step of a robot at a day, the most important first.
+
+    Each effect alone is fitted to the step by generalised least squares, together with the robot's
+    mean and the variation from day to day in the covariance. The rule of a search for effects takes
+    the most worthy, then further ones in addition that are no chance and much of the change.
+    """
+    columns = directions.columns
+    beta = columns.fit(sum_days(days[: max(place, 1)]), directions.weights, directions.beta)
+    step = _accumulate_stepping(directions, variation.covariance, days, place, beta)
+    taken = _select_effects(step, list_sources(columns), inflation)
+    _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
+    after = sum_days(days[place:])
+    all_days, n = sum_days(days), sum(day.n_samples for day in days)
+    effects, edges = [], np.cumsum([0, *(each.design.shape[1] for each in taken)])
+    x = np.zeros(columns.size)
+    for source, part in zip(taken, map(slice, edges, edges[1:]), strict=True):
+        own = source.design @ found[part]
+        rms = np.sqrt(columns.energies(all_days, own, beta) / n)
+        errors = tuple(_measure_relative_error(columns, after, each, beta) for each in (x, x + own))
+        x = x + own
+        spread = inflation * covariance[part, part]
+        size = _word_size(source, found[part], spread, columns, beta, all_days)
+        effects.append(_make_effect(source, size, rms, errors, columns))
+    return tuple(sorted(effects, key=lambda each: -each.torque))
+
+
+def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float) -> list[Source]:
+    """Return the effects that are taken, in order; residuals of the best scale the statistics."""
+    whole, _, _, _ = step.fit(np.eye(len(step.score)))
+    taken: list[Source] = []
+    reached, rank = 0.0, 0
+    while len(taken) < CHANGE.most:
+        left = [each for each in sources if not any(_has_overlap(each, own) for own in taken)]
+        fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
+        gains = np.array([fit[0] for fit in fits]) - reached
+        ranks = [fit[3] - rank for fit in fits]
+        spread = max(inflation, (whole - reached - gains.max()) / len(step.score))
+        worth = [
+            evaluate_worth(0.5 * g / spread, m) for g, m in zip(gains.tolist(), ranks, strict=True)
+        ]
+        # Of effects that explain the same, as links and a payload of few joints do, the first.
+        best = int(np.flatnonzero(np.array(worth) >= max(worth) - CHANGE.same * abs(max(worth)))[0])
+        chance = float(chdtrc(max(ranks[best], 1), max(gains[best], 0.0) / spread)) * len(left)
+        if taken and (chance > CHANGE.level or gains[best] < CHANGE.named * whole):
+            break
+        taken.append(left[best])
+        reached, rank = fits[best][0], fits[best][3]
+    return taken
+
+
+def _has_overlap(source: Source, other: Source) -> bool:
+    """Return whether two effects are one, or one contains the other."""
+    same = source.effect == other.effect and source.joint == other.joint
+    return same or {source.effect, other.effect} == {LINKS, PAYLOAD}
+
+
+def _accumulate_stepping(
+    directions: Directions, V: Array, days: Sequence[Day], place: int, beta: Array
+) -> _Stepping:
+    columns, Q, w = directions.columns, directions.basis, directions.weights
+    size, r = columns.size, directions.count
+    A, b = np.zeros((size, size)), np.zeros(size)
+    C, D, d = np.zeros((r, size)), np.zeros((r, r)), np.zeros(r)
+    ridge = 1e-9 * max(float(np.trace(V)) / r, 1.0) * np.eye(r)
+    inverse = np.linalg.inv(V + ridge)
+    for t, day in enumerate(days):
+        gram = columns.information(day.grams, beta, w)
+        J, s = gram[:-1, :-1], gram[:-1, -1]
+        JQ = J @ Q
+        reduced = np.linalg.solve(inverse + Q.T @ JQ, np.column_stack([JQ.T, Q.T @ s]))
+        P, score = J - JQ @ reduced[:, :-1], s - JQ @ reduced[:, -1]
+        D += Q.T @ P @ Q
+        d += Q.T @ score
+        if t >= place:
+            A += P
+            b += score
+            C += Q.T @ P
+    across = C.T @ Scaled(D).pseudo_inverse
+    return _Stepping(A - across @ C, b - across @ d)
+
+
+def _measure_relative_error(
+    columns: FleetColumns, grams: Sequence[Array], x: Array, beta: Array
+) -> float:
+    """Return the torque error about the parameters beta changed by x, relative to the torque."""
+    torque = columns.residual_energy(grams, np.zeros(columns.base.n_base)).sum()
+    left = columns.energies(grams, np.append(-x, 1.0), beta).sum()
+    return float(np.sqrt(left / torque)) if torque > 0.0 else 0.0
+
+
+def _make_effect(
+    source: Source,
+    size: tuple[float, float, str, str],
+    rms: Array,
+    errors: Sequence[float],
+    columns: FleetColumns,
+) -> FoundEffect:
+    """Return an effect with the RMS torque (n,) that it makes, and the errors around it."""
+    at = int(np.argmax(rms))
+    joint = None if source.joint is None else columns.joint_names[source.joint]
+    where = f"{name_group(source.effect)}{f' of {joint}' if joint else ''} {size[3]}".rstrip()
+    return FoundEffect(
+        effect=source.effect,
+        joint=joint,
+        estimate=size[0],
+        std_error=size[1],
+        unit=size[2],
+        in_model=False,
+        torque=float(rms[at]),
+        error_before=errors[0],
+        error_after=errors[1],
+        alternatives=(),
+        text=(
+            f"{where}, {round_significant(float(rms[at]))} {columns.joint_units[at]} RMS at"
+            f" {columns.joint_names[at]}"
+        ),
+    )
+
+
+def _word_size(
+    source: Source,
+    values: Array,
+    covariance: Array,
+    columns: FleetColumns,
+    beta: Array,
+    grams: Sequence[Array],
+) -> tuple[float, float, str, str]:
+    """Return size, standard error, unit and text of an effect: of friction the share of before."""
+    k = source.joint
+    if source.effect == LINKS:
+        return np.nan, np.nan, "", "changed"
+    if source.effect in EFFECTS:
+        family = EFFECTS[source.effect]
+        revolute = k is None or columns.joint_units[k] == "N m"
+        size, error, unit = family.size(values, covariance, revolute=revolute)
+        text = family.text_of(size, error, revolute=revolute)
+    else:
+        size, error, unit = _measure_torque_share(source, values, covariance, columns, beta, grams)
+        text = f"{format_plus_minus(size, error)} {unit}"
+    return size, error, unit, f"+{text}" if size > 0.0 else text
+
+
+def _measure_torque_share(
+    source: Source,
+    values: Array,
+    covariance: Array,
+    columns: FleetColumns,
+    beta: Array,
+    grams: Sequence[Array],
+) -> tuple[float, float, str]:
+    """Return the change of the torque of a drive, in percent of that before, and its error."""
+    places, k = np.flatnonzero(source.design.any(axis=1)), source.joint or 0
+    if len(places) == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0])), columns.base.units[places[0]]
+    local = np.array([np.flatnonzero(columns.support[k] == j)[0] for j in places])
+    row = beta[places] @ grams[k][np.ix_(local, local)]
+    row = 100.0 * row / max(float(row @ beta[places]), 1e-300)
+    return float(row @ values), float(np.sqrt(max(row @ covariance @ row, 0.0))), "%"

@@ -1,0 +1,267 @@
+"""Natural variation from day to day: a variance component from all robots of a type."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from asbuilt.apps.fleet.drift.change_points import (
+    NullDistribution,
+    Scan,
+    scan,
+    scan_probability,
+)
+from asbuilt.arrays import Array
+from asbuilt.scaled import Scaled
+
+CLEAR = 1e-3
+"""Probability of a scan below which a robot's history is cut for the estimate of variation."""
+OUTLYING = 0.01
+"""Probability of a squared distance from which on a day has less weight."""
+OWN_DAYS = 12.0
+"""Days of its siblings that count in addition to a robot's own spread."""
+ITERATIONS = 3
+STEPS = 4
+"""Scoring steps between two scans."""
+SHUFFLES = 8
+FEWEST_SHUFFLED = 40
+"""Shuffled histories from which the tail of the distribution is calibrated."""
+LEVEL = 0.05
+"""Probability at which it is."""
+MOST_SHUFFLED = 60
+"""Robots whose days are shuffled."""
+WEAK = 1e-2
+"""Information that is added to a day's in every direction, of a mean of 1."""
+WIDE = 3
+"""Days on both sides of a change that may belong to a gradual one, and do not count."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """Hold the days of a robot in r directions.
+
+    Parameters
+    ----------
+    information, score
+        (d, r, r) and (d, r), as in `scan`.
+    covariates
+        Temperatures (d, c); NaN where there is none.
+    """
+
+    information: Array
+    score: Array
+    covariates: Array
+
+    @property
+    def n_days(self) -> int:
+        """Number of days d."""
+        return len(self.score)
+
+    @property
+    def estimates(self) -> Array:
+        """Estimate of each day, (d, r), weakly determined directions toward the reference."""
+        weak = WEAK * np.eye(self.score.shape[1])
+        return np.asarray(np.linalg.solve(self.information + weak, self.score[..., None])[..., 0])
+
+    def without(self, coefficients: Array) -> History:
+        """Return the history less what its temperatures explain, by coefficients (c, r)."""
+        if not coefficients.size:
+            return self
+        centred = self.covariates - np.nanmedian(self.covariates, axis=0)
+        y = np.nan_to_num(centred, nan=0.0) @ coefficients
+        return replace(self, score=self.score - np.einsum("drs,ds->dr", self.information, y))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variation:
+    """Hold the variation from day to day of the robots of a type.
+
+    Parameters
+    ----------
+    covariance
+        V (r, r) of a day about its robot's mean, without the noise of its log.
+    degrees
+        Degrees of freedom behind it.
+    inflations
+        Factor of the variance of each robot: autocorrelation and its own spread.
+    null
+        Distribution of the statistic of a change without one.
+    autocorrelation
+        Of neighbouring days.
+    coefficients
+        Change by a unit of temperature, (c, r).
+    """
+
+    covariance: Array
+    degrees: float
+    inflations: Array
+    autocorrelation: float
+    coefficients: Array
+    null: NullDistribution
+
+
+def estimate_variation(histories: Sequence[History]) -> Variation:
+    """Estimate the variation of robots of a type by moments of weighted residuals.
+
+    `y_t = mu + v_t + e_t` with a mean for each robot; V by scoring steps, which solve the moment
+    equations of restricted maximum likelihood (Harville, J. Am. Stat. Assoc. 72, 1977), from
+    differences of neighbouring days, which one
+    change of a robot hardly moves. Robots whose scan then finds a change get a mean before and
+    after it, and days far off less weight, so robots that changed do not count as varying (Huber,
+    Robust Statistics, 1981, chapter 8).
+    """
+    coefficients = _fit_temperature(histories)
+    found = [each.without(coefficients) for each in histories]
+    r = found[0].score.shape[1]
+    V = _estimate_first(found)
+    inflations, degrees, rho = np.ones(len(found)), 0.0, 0.0
+    for _ in range(ITERATIONS):
+        parts = [
+            _split_history(each, scan(each.information, each.score, V, inflation=s))
+            for each, s in zip(found, inflations.tolist(), strict=True)
+        ]
+        counts = np.array([sum(len(score) - 1 for _, score in each) for each in parts])
+        degrees = float(counts.sum())
+        if not degrees:
+            return Variation(V, 0.0, inflations, 0.0, coefficients, NullDistribution.theoretical(r))
+        for _ in range(STEPS):
+            V = _step_scoring([segment for each in parts for segment in each], V)
+        whitened = [[_whiten_residuals(J, s, V) for J, s in each] for each in parts]
+        own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
+        rho = _estimate_autocorrelation([z for each in whitened for z in each])
+        inflations = np.maximum((r * OWN_DAYS + own) / (r * (OWN_DAYS + counts)), 1.0)
+    quiet = [
+        (each, s)
+        for each, s, segments in zip(found, inflations.tolist(), parts, strict=True)
+        if len(segments) == 1 and len(segments[0][1]) == each.n_days
+    ]
+    null = _simulate_null_distribution(quiet, V, degrees)
+    return Variation(V, degrees, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null)
+
+
+def _simulate_null_distribution(
+    quiet: Sequence[tuple[History, float]], V: Array, degrees: float
+) -> NullDistribution:
+    """Return the distribution of the statistic in histories with their days in random order.
+
+    Order means nothing without a change, so shuffled histories have none, and all else that the
+    estimate of V does to the statistic (Good, Permutation, Parametric and Bootstrap Tests of
+    Hypotheses, 2005).
+    """
+    rng, shuffled = np.random.default_rng(0), []
+    for history, spread in quiet[:: max(1, -(-len(quiet) // MOST_SHUFFLED))]:
+        for _ in range(SHUFFLES):
+            order = rng.permutation(history.n_days)
+            found = scan(history.information[order], history.score[order], V, inflation=spread)
+            if found is not None:
+                shuffled.append((found.statistics, history.n_days))
+    pooled = np.concatenate([each for each, _ in shuffled]) if shuffled else np.zeros(0)
+    null = NullDistribution.fitted(pooled, len(V), degrees, len(shuffled))
+    if len(shuffled) < FEWEST_SHUFFLED:
+        return null
+    p = [scan_probability(float(null.exceeded(each.max())), d, len(V)) for each, d in shuffled]
+    low = float(np.quantile(p, LEVEL))
+    return replace(null, power=min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12))))
+
+
+def _estimate_first(histories: Sequence[History]) -> Array:
+    """Return the covariance of differences of neighbouring days, far ones with less weight."""
+    r = histories[0].score.shape[1]
+    differences = [np.diff(each.estimates, axis=0) / np.sqrt(2.0) for each in histories]
+    steps = np.concatenate(differences)
+    if not len(steps):
+        return np.zeros((r, r))
+    S = np.diag(np.maximum(1.4826 * np.median(np.abs(steps), axis=0), 1e-12) ** 2)
+    for _ in range(3):
+        far = np.sum(Scaled(S).whiten(steps.T) ** 2, axis=0)
+        weight = np.minimum(1.0, float(chdtri(r, OUTLYING)) / np.maximum(far, 1e-300))
+        S = (steps * weight[:, None]).T @ steps / weight.sum()
+        # Shrunk to its diagonal, the more the fewer steps there are.
+        share = r / (r + len(steps))
+        S = (1.0 - share) * S + share * np.diag(np.diag(S))
+    return np.asarray(S)
+
+
+def _split_history(history: History, change: Scan | None) -> list[tuple[Array, Array]]:
+    """Return information and score of the days before and after a clear change."""
+    J, s = history.information, history.score
+    if change is None or change.p_value >= CLEAR:
+        return [(J, s)]
+    spans = (slice(0, max(change.place - WIDE, 0)), slice(change.place + WIDE, None))
+    return [(J[span], s[span]) for span in spans if len(s[span]) > 1]
+
+
+def _weigh_about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
+    """Return the weights P_t of the days and `P_t (y_t - mu)`."""
+    A = np.eye(len(V)) + J @ V
+    P, b = np.linalg.solve(A, J), np.linalg.solve(A, s[..., None])[..., 0]
+    mean = Scaled(P.sum(axis=0)).solve(b.sum(axis=0))
+    return np.asarray(P), np.asarray(b - P @ mean)
+
+
+def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
+    """Return V after one step of scoring: `V + A^-1 (U - A) A^-1`.
+
+    U is the mean of `u u^T` of the weighted residuals `u = P (y - mu)`, A its expectation. What is
+    negative in units of the total covariance is zero.
+    """
+    r, weak = len(V), 1e-9 * np.eye(len(V))
+    limit = float(chdtri(r, OUTLYING))
+    U, A, n = np.zeros((r, r)), weak, 0
+    for J, s in segments:
+        P, u = _weigh_about_mean(J, s, V)
+        # u^T P^+ u of each day: the squared distance from the mean.
+        far = np.sum(u * np.linalg.solve(P + weak, u[..., None])[..., 0], axis=1)
+        u = u * np.sqrt(np.minimum(1.0, limit / np.maximum(far, 1e-300)))[:, None]
+        total = P.sum(axis=0)
+        spent = np.einsum("tij,jk,tkl->il", P, Scaled(total).pseudo_inverse, P, optimize=True)
+        U, A, n = U + u.T @ u, A + total - spent, n + len(s)
+    values, axes = np.linalg.eigh((A + A.T) / 2.0)
+    root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    change = n * (root @ (root.T @ U @ root - np.eye(r)) @ root.T)
+    back = (axes * np.sqrt(values)) @ axes.T / np.sqrt(n)
+    new = back @ (V + change) @ back
+    values, axes = np.linalg.eigh((new + new.T) / 2.0)
+    inverse = np.linalg.inv(back)
+    return np.asarray(inverse @ ((axes * np.maximum(values, 0.0)) @ axes.T) @ inverse)
+
+
+def _whiten_residuals(J: Array, s: Array, V: Array) -> Array:
+    """Return residuals of unit covariance, (d, r)."""
+    P, u = _weigh_about_mean(J, s, V)
+    values, axes = np.linalg.eigh((P + np.swapaxes(P, 1, 2)) / 2.0)
+    root = axes / np.sqrt(np.maximum(values, 1e-9))[:, None, :]
+    return np.asarray(np.einsum("dij,dkj,dk->di", axes, root, u, optimize=True))
+
+
+def _estimate_autocorrelation(residuals: Sequence[Array]) -> float:
+    """Return the mean correlation of neighbouring days, zero if negative, at most 0.9.
+
+    Residuals about a mean of d days have a correlation of about -1 / d by themselves.
+    """
+    product = sum(float(np.sum(e[1:] * e[:-1])) for e in residuals)
+    square = sum(float(np.sum(e * e)) for e in residuals)
+    if square <= 0.0:
+        return 0.0
+    days = sum(len(e) for e in residuals) / len(residuals)
+    return float(np.clip(product / square + 1.0 / days, 0.0, 0.9))
+
+
+def _fit_temperature(histories: Sequence[History]) -> Array:
+    """Return the change by a unit of temperature (c, r), pooled over robots; empty without any."""
+    c, r = histories[0].covariates.shape[1], histories[0].score.shape[1]
+    rows, targets = [np.zeros((0, c))], [np.zeros((0, r))]
+    for each in histories:
+        known = np.isfinite(each.covariates).all(axis=1)
+        if known.sum() >= 3:
+            rows.append(np.diff(each.covariates[known], axis=0))
+            targets.append(np.diff(each.estimates[known], axis=0))
+    X, Y = np.concatenate(rows), np.concatenate(targets)
+    if len(X) < 10 * c or not np.any(X):
+        return np.zeros((0, r))
+    scale = np.maximum(1.4826 * np.median(np.abs(Y), axis=0), 1e-12)
+    weight = 1.0 / np.maximum(np.max(np.abs(Y) / scale, axis=1) / 4.0, 1.0)
+    return np.asarray(np.linalg.lstsq(X * weight[:, None], Y * weight[:, None], rcond=None)[0])

@@ -1,0 +1,340 @@
+"""Logs of robots added to a ledger, each reduced by a worker."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.apps.fleet.ledger.settings import TypeSettings, name_robot_type
+from asbuilt.apps.fleet.ledger.store import LONGEST_PATTERN, check_robot_id, find_identity
+from asbuilt.apps.fleet.options import FleetOptions
+from asbuilt.apps.fleet.overview import report_suspicions
+from asbuilt.apps.fleet.reduction.log_source import choose_settings
+from asbuilt.apps.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.errors import AsbuiltError, RecordingError, UsageError
+from asbuilt.executor import Workers, open_workers
+from asbuilt.experiment import ReadingOptions, group_files
+from asbuilt.findings import Cure, Finding, rank_findings
+from asbuilt.untrusted import shorten_path
+from asbuilt.workflow import Progress, StudyOptions
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """Hold what became of the logs that were to be added.
+
+    Parameters
+    ----------
+    ledger
+        Folder or URL.
+    settings
+        What the logs were reduced with.
+    fixed
+        Whether these logs fixed it.
+    added, skipped, failed
+        Reports of logs with a new entry, with an entry already, and without.
+    findings
+        What is wrong, or worth knowing, errors first.
+    seconds
+        Time taken.
+    dashboard
+        Address of the page of the cluster that did the work.
+    """
+
+    ledger: str
+    settings: tuple[TypeSettings, ...]
+    fixed: bool
+    added: tuple[LogReport, ...]
+    skipped: tuple[LogReport, ...]
+    failed: tuple[LogReport, ...]
+    findings: tuple[Finding, ...]
+    seconds: float
+    dashboard: str | None = None
+
+
+def add_logs(
+    ledger: str | Path,
+    robot: RobotModel | str | Path,
+    logs: Sequence[str | Path],
+    *,
+    robot_id: str | Callable[[Path], str],
+    reading: ReadingOptions | None = None,
+    options: StudyOptions | None = None,
+    fleet: FleetOptions | None = None,
+    date: datetime | None = None,
+    progress: Progress | None = None,
+) -> Addition:
+    """Reduce logs of robots of one type to information and append it to a ledger.
+
+    The first log of a type fixes the signal chain, the drive terms and their nonlinear parameters.
+    Logs that are in the ledger are skipped, so that an interrupted call is repeated as it was. A
+    log that cannot be used is listed in `failed`, and the rest goes on. The ledger is the same to
+    the last bit for any number of workers and any order of the logs.
+
+    Parameters
+    ----------
+    ledger
+        Folder or URL such as `s3://bucket/ledger`; it is made if it is missing or empty.
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    logs
+        Files; those whose names differ in the quantity alone are one recording.
+    robot_id
+        Identity of the robot, or a function that returns it for a log.
+    reading
+        How to read the logs.
+    options
+        How to reduce the first log of a type: `drive`, `chain` and `checked` count.
+    fleet
+        Who does the work.
+    date
+        When the logs were recorded; None: as their sheets, time stamps or names say.
+    progress
+        Called with what is done and the fraction.
+
+    Returns
+    -------
+    Addition
+        What was added, skipped and failed, and findings.
+
+    Raises
+    ------
+    UsageError
+        If the place is no ledger, no log is given, or no log can fix the settings.
+    """
+    began = time.monotonic()
+    options, fleet = options or StudyOptions(), fleet or FleetOptions()
+    ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
+    described = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    if reading.gravity is not None:
+        described = described.with_gravity(reading.gravity)
+    recordings = group_recording_files(logs)
+    opened = open_ledger(ledger, create=True)
+    owners = {
+        files: check_robot_id(robot_id if isinstance(robot_id, str) else robot_id(files[0]))
+        for files in recordings
+    }
+    with open_workers(fleet.workers, fleet.scheduler) as workers:
+        settings, fixed, failed = _choose_type_settings(
+            opened, described, owners, reading, options, workers
+        )
+        unusable = {report.log for report in failed}
+        tasks = (
+            LogTask(
+                ledger=opened.root,
+                settings_path=settings.path,
+                robot_id=owner,
+                paths=files,
+                reading=reading,
+                date=date,
+                checked=options.checked,
+            )
+            for files, owner in owners.items()
+            if str(files[0]) not in unusable
+        )
+        reports = [*failed, *run_tasks(workers, tasks, len(owners) - len(failed), progress)]
+    return conclude_addition(
+        opened, (settings,), reports, fixed=fixed, began=began, dashboard=workers.dashboard
+    )
+
+
+def make_identity_finder(pattern: str) -> Callable[[Path], str]:
+    """Return a function that finds the identity of a robot in the path of a log.
+
+    Parameters
+    ----------
+    pattern
+        End of the path, in which `{id}` stands for the identity and `*` for anything, both within
+        one name: `{id}/*.csv`, `*_{id}.parquet`.
+
+    Raises
+    ------
+    UsageError
+        If the pattern has no `{id}`; the function raises it for a path that does not match.
+
+    Examples
+    --------
+    >>> make_identity_finder("{id}/*.csv")(Path("logs/arm-7/2026-03-01.csv"))
+    'arm-7'
+    """
+    if pattern.count("{id}") != 1:
+        raise UsageError(
+            f"the pattern {pattern[:80]!r} must have one {{id}}, in the place of the"
+            " robot's identity",
+            cure=Cure("write one such as {id}/*.csv"),
+        )
+    if len(pattern) > LONGEST_PATTERN:
+        raise UsageError(f"the pattern has {len(pattern)} characters, at most {LONGEST_PATTERN}")
+
+    def identity(path: Path) -> str:
+        found = find_identity(pattern, path.as_posix())
+        if found is None:
+            shown = shorten_path(path)
+            raise UsageError(f"{shown} does not match the pattern {pattern!r} of identities")
+        return found
+
+    return identity
+
+
+def run_tasks(
+    workers: Workers, tasks: Iterable[LogTask], count: int, progress: Progress | None
+) -> Iterator[LogReport]:
+    """Yield the report of each task, with rate and remaining time to `progress`."""
+    report, began = progress or (lambda what, fraction: None), time.monotonic()
+    page = workers.dashboard
+    by = f", dashboard at {page}" if page else f" by {workers.count} workers"
+    report(f"reduce: {count} logs{by}", 0.0)
+    for done, outcome in enumerate(workers.run(reduce_log, tasks), start=1):
+        task, problem = outcome.task, outcome.problem or "it failed"
+        yield outcome.result or LogReport(str(task.paths[0]), task.robot_id, problem=problem)
+        rate = done / max(time.monotonic() - began, 1e-9)
+        left = _format_duration((count - done) / rate)
+        report(f"reduce: {done} of {count} logs, {rate:.3g} a second, {left} left", done / count)
+
+
+def conclude_addition(
+    ledger: Ledger,
+    settings: tuple[TypeSettings, ...],
+    reports: Sequence[LogReport],
+    *,
+    fixed: bool,
+    began: float,
+    dashboard: str | None,
+) -> Addition:
+    """Return what became of all logs, in the order of their paths, and what is suspicious."""
+    ordered = sorted(reports, key=lambda each: each.log)
+    findings = [found for each in ordered for found in each.findings]
+    if fixed:
+        findings += [
+            Finding(
+                "ledger_settings_fixed",
+                "info",
+                f"Fixed for all logs of {each.robot_type}: {each.chosen[0]}",
+            )
+            for each in settings
+        ]
+    for robot_id in sorted({each.robot_id for each in ordered if each.added}):
+        findings += report_suspicions(ledger, robot_id)
+    return Addition(
+        ledger=ledger.root,
+        settings=settings,
+        fixed=fixed,
+        added=tuple(each for each in ordered if each.added),
+        skipped=tuple(e for e in ordered if not e.added and e.problem is None),
+        failed=tuple(each for each in ordered if each.problem is not None),
+        findings=rank_findings([*findings, *ledger.findings]),
+        seconds=time.monotonic() - began,
+        dashboard=dashboard,
+    )
+
+
+def make_reachable(
+    ledger: str | Path,
+    logs: Sequence[str | Path],
+    reading: ReadingOptions,
+    fleet: FleetOptions,
+) -> tuple[str, list[Path], ReadingOptions]:
+    """Return ledger, logs and how to read them, by absolute paths for workers of a scheduler.
+
+    Those run in other folders than this process.
+    """
+    root, paths, sheet = str(ledger), [Path(each) for each in logs], reading.sheet
+    if fleet.scheduler is None:
+        return root, paths, reading
+    if isinstance(sheet, str | os.PathLike):
+        reading = replace(reading, sheet=Path(sheet).absolute())
+    return (
+        root if "://" in root else str(Path(root).absolute()),
+        [path.absolute() for path in paths],
+        reading,
+    )
+
+
+def group_recording_files(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
+    """Return the files of each recording, sorted, missing ones too."""
+    if not logs:
+        raise UsageError("no log is given; give at least one")
+    paths = sorted({Path(each) for each in logs})
+    groups = [tuple(group) for group in group_files([path for path in paths if path.exists()])]
+    return sorted([*groups, *((path,) for path in paths if not path.exists())])
+
+
+def _choose_type_settings(
+    ledger: Ledger,
+    described: RobotModel,
+    owners: Mapping[tuple[Path, ...], str],
+    reading: ReadingOptions,
+    options: StudyOptions,
+    workers: Workers,
+) -> tuple[TypeSettings, bool, list[LogReport]]:
+    """Return the settings of a type, whether they are new, and the logs that could not fix them.
+
+    `owners` are the identities of the robots by the files of their recordings.
+    """
+    known = ledger.settings_of(name_robot_type(described))
+    if known is not None:
+        _check_asked(known, options)
+        return known, False, []
+    failed: list[LogReport] = []
+    for files, owner in owners.items():
+        try:
+            check_type(ledger, owner, described, name_robot_type(described))
+            outcome = next(workers.run(_choose_from_task, [(described, files, reading, options)]))
+            if outcome.result is None:
+                raise RecordingError(outcome.problem or "")
+            if isinstance(outcome.result, AsbuiltError):
+                raise outcome.result
+            valid = ledger.append_settings(outcome.result)
+            if valid.digest != outcome.result.digest:
+                _check_asked(valid, options)
+            return valid, valid.digest == outcome.result.digest, failed
+        except RecordingError as problem:
+            failed.append(
+                LogReport(str(files[0]), owner, problem=problem.message, cure=problem.cure)
+            )
+    raise RecordingError(
+        f"none of {len(owners)} logs can fix the settings of {described.name}: {failed[0].problem}",
+        cure=failed[0].cure,
+    )
+
+
+def _choose_from_task(
+    task: tuple[RobotModel, tuple[Path, ...], ReadingOptions, StudyOptions],
+) -> TypeSettings | AsbuiltError:
+    described, files, reading, options = task
+    try:
+        return choose_settings(described, [files], reading=reading, options=options)
+    except AsbuiltError as problem:
+        return problem
+
+
+def _check_asked(known: TypeSettings, options: StudyOptions) -> None:
+    """Raise `UsageError` if other settings are asked for than the ledger has."""
+    if options.drive is not None and str(options.drive) not in (
+        known.asked_drive,
+        str(known.drive),
+    ):
+        raise UsageError(
+            f"the ledger has the drive terms {known.drive} for {known.robot_type}, not"
+            f" {options.drive}",
+            cure=Cure("leave them out, or rebuild the ledger from its logs"),
+        )
+    chain = options.chain
+    if chain is not None and chain not in (type(chain)(), known.asked_chain, known.chain):
+        raise UsageError(
+            f"the ledger has another signal chain for {known.robot_type}: {known.chosen[0]}",
+            cure=Cure("leave the options of filtering out, or rebuild the ledger from its logs"),
+        )
+
+
+def _format_duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"

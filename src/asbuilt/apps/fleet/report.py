@@ -1,0 +1,199 @@
+"""Page of a fleet: robots as rows, their histories as small multiples, outliers first."""
+
+from __future__ import annotations
+
+import os
+from datetime import date
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from asbuilt.apps.fleet.drift.drift import FleetDrift, RobotDrift, TypeVariation
+from asbuilt.apps.fleet.tables import describe_drift_outcome
+from asbuilt.tables import Column, Table, format_share
+from asbuilt.validation import format_probability
+from asbuilt.writers import (
+    Block,
+    Card,
+    cards_markup,
+    list_markup,
+    render_page,
+    section_markup,
+    table_markup,
+)
+from asbuilt.writing import atomic_write
+
+USUAL = 1.0
+"""Distance of a day by natural variation."""
+
+
+CHANGES = """\
+<ul class="sentences">
+<li>{{ verdict }}</li>
+{% for row in rows if row.robot.changed %}
+{% for change in row.robot.what %}
+<li><a href="#robot-{{ row.robot.id | urlencode }}">{{ row.robot.id }}</a>: {{ change.text }}</li>
+{% endfor %}
+{% endfor %}
+</ul>
+"""
+ROBOTS = '{% include "robots.html.j2" %}'
+
+
+def write_fleet_report(path: str | os.PathLike[str], drift: FleetDrift) -> Path:
+    """Write the page of a fleet: one file without scripts, which asks the network for nothing.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    drift
+        What `fleet_drift` found.
+    """
+    return atomic_write(path, render_fleet(drift))
+
+
+def render_fleet(drift: FleetDrift) -> str:
+    """Return the page as text."""
+    order = sorted(
+        drift.robots,
+        key=lambda each: (
+            not each.changed,
+            each.false_discovery or 1.0,
+            -(each.distances or (0.0,))[-1],
+            each.id,
+        ),
+    )
+    rows = [_build_row(each) for each in order]
+    changes = section_markup(CHANGES, {"verdict": describe_drift_outcome(drift), "rows": rows})
+    return render_page(
+        "Fleet",
+        f"{len(drift.robots)} robots",
+        [
+            Block(
+                "verdict",
+                "Verdict",
+                (
+                    cards_markup(_make_cards(drift)),
+                    changes,
+                    list_markup((each.severity, each.text) for each in drift.findings),
+                ),
+            ),
+            Block(
+                "robots",
+                "Robots, those that changed first",
+                (section_markup(ROBOTS, {"rows": rows}),),
+                "Robots",
+            ),
+            Block("types", "Types", (table_markup(Table.of(drift.types, TYPES), "types-table"),)),
+        ],
+        title=f"Fleet of {len(drift.robots)} robots",
+        subtitle=f"Ledger {drift.ledger}",
+    )
+
+
+def _format_torques(kind: TypeVariation) -> str:
+    """Return the torque of each joint, neighbours of the same unit followed by it once."""
+    each = zip(kind.torque_units, kind.torque, strict=True)
+    return ", ".join(
+        ", ".join(f"{torque:.2g}" for _, torque in some) + f" {unit}"
+        for unit, some in groupby(each, key=itemgetter(0))
+    )
+
+
+TYPES = (
+    Column("type", of="robot_type"),
+    Column("robots", align="right", of="n_robots"),
+    Column("days", align="right", of="n_days"),
+    Column("directions", align="right", of="n_directions"),
+    Column("natural variation, RMS torque of each joint", of=_format_torques),
+)
+
+
+def _make_cards(drift: FleetDrift) -> list[Card]:
+    last = max((each.last for each in drift.robots), default="")[:10]
+    return [
+        Card(
+            "neutral" if drift.changed else "good",
+            f"{len(drift.changed)} of {len(drift.robots)}",
+            "robots changed",
+        ),
+        Card("neutral", f"{sum(each.n_logs for each in drift.robots)}", "logs"),
+        Card("neutral", last, "last log"),
+        Card(
+            "neutral",
+            format_share(drift.false_discovery_rate, 0),
+            "of the robots named may be wrong",
+        ),
+    ]
+
+
+def _build_row(robot: RobotDrift) -> dict[str, Any]:
+    """Return what the page shows of a robot."""
+    quiet = "too few days" if robot.p_value is None else "no change"
+    return {
+        "robot": robot,
+        "status": f"changed {(robot.when or '')[:10]}" if robot.changed else quiet,
+        "p_value": "" if robot.p_value is None else format_probability(robot.p_value),
+        "span": f"{robot.first[:10]} to {robot.last[:10]}",
+        "small": _draw_history(robot, 220, 40, labels=False),
+        "large": _draw_history(robot, 640, 150, labels=True),
+    }
+
+
+def _draw_history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Markup:
+    """Return the distances over the days as SVG, on a linear scale of their own."""
+    points = _thin_distances(robot)
+    if not points:
+        return Markup("")
+    left, bottom, top, right = (34, 20, 8, width - 10) if labels else (2, 2, 2, width - 4)
+    first, last = points[0][0], points[-1][0]
+    # Distance at the upper edge of a quiet history.
+    most = max([3.0, *(y for _, y in points)])
+
+    def x(day: int) -> float:
+        return left + (right - left) * (day - first) / max(last - first, 1)
+
+    def y(value: float) -> float:
+        return height - bottom - (height - bottom - top) * value / most
+
+    path = [f"{x(day):.1f},{y(value):.1f}" for day, value in points]
+    cx, cy = path[-1].split(",")
+    change = ""
+    if robot.changed and robot.when:
+        at = x(date.fromisoformat(robot.when[:10]).toordinal())
+        change = f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{y(0):.1f}"/>'
+    named = [
+        f'<text x="{left - 5}" y="{y(most) + 4:.1f}" class="end">{most:.3g}</text>',
+        f'<text x="{left - 5}" y="{y(USUAL) + 4:.1f}" class="end">1</text>',
+        f'<text x="{left}" y="{height - 5}">{robot.days[0]}</text>',
+        f'<text x="{right}" y="{height - 5}" class="end">{robot.days[-1]}</text>',
+    ]
+    parts = [
+        f'<line class="usual" x1="{left}" x2="{right}" y1="{y(USUAL):.1f}" y2="{y(USUAL):.1f}"/>',
+        change,
+        f'<polyline points="{" ".join(path)}"/>',
+        f'<circle cx="{cx}" cy="{cy}" r="2.2"/>',
+        *(named if labels else []),
+    ]
+    title = f"Distance from the reference, day by day; the last is {points[-1][1]:.2g}"
+    return Markup(
+        f'<svg class="history {"changed" if robot.changed else "quiet"}"'
+        f' viewBox="0 0 {width} {height}" role="img" aria-label="{title}">{"".join(parts)}</svg>'
+    )
+
+
+def _thin_distances(robot: RobotDrift) -> list[tuple[int, float]]:
+    """Return days as ordinals and distances, the largest of neighbours where there are many."""
+    points = [
+        (date.fromisoformat(day).toordinal(), value)
+        for day, value in zip(robot.days, robot.distances, strict=True)
+    ]
+    # Most points of a history.
+    step = -(-len(points) // 240) or 1
+    return [
+        max(points[k : k + step], key=lambda point: point[1]) for k in range(0, len(points), step)
+    ]

@@ -1,0 +1,98 @@
+"""Masses described compared with computed, as tables and documents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from asbuilt.apps.masses.computed_masses import LinkMasses
+from asbuilt.apps.masses.mass_findings import LinkMass
+from asbuilt.description import LinkInertia
+from asbuilt.tables import Column, Table
+
+
+def masses_document(masses: LinkMasses) -> dict[str, Any]:
+    """Return mass properties and findings as plain data."""
+    return {
+        "robot": masses.model.name,
+        "links": [
+            {
+                "name": each.name,
+                "origin": each.origin,
+                "volume": each.volume,
+                "density": each.density,
+                "described": _build_body_document(each.described),
+                "computed": _build_body_document(each.computed),
+            }
+            for each in masses.links
+        ],
+        "findings": [finding.as_dict() for finding in masses.findings],
+    }
+
+
+def _build_body_document(body: LinkInertia | None) -> dict[str, Any] | None:
+    if body is None:
+        return None
+    return {
+        "mass": body.mass,
+        "com": body.com.tolist(),
+        "inertia_about_com": body.inertia_about_com.tolist(),
+    }
+
+
+def masses_table(masses: LinkMasses) -> Table:
+    """List mass, centre of mass and moments, described and computed, worst link first."""
+    return Table.of(
+        masses.links,
+        (
+            Column("link", of="name"),
+            Column("mass", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.described)),
+            Column("computed", "kg", "decimal", ".4g", of=lambda each: _read_mass(each.computed)),
+            Column("density", "kg/m^3", "right", ".4g", of="density"),
+            Column("centre off", "mm", "decimal", ".1f", of=_measure_centre_shift),
+            Column("inertia", "computed / file", "right", of=_format_inertia_ratio),
+            Column("from", detail=True, of=lambda each: each.origin or None),
+            Column(
+                "Ixx Iyy Izz in the file",
+                "kg m^2",
+                detail=True,
+                of=lambda each: _format_moments(each.described),
+            ),
+            Column(
+                "Ixx Iyy Izz computed",
+                "kg m^2",
+                detail=True,
+                of=lambda each: _format_moments(each.computed),
+            ),
+        ),
+        f"{masses.model.name}: mass properties described and computed",
+        details=(
+            "Moments are about the centre of mass; the density is mass over volume of geometry.",
+        ),
+    )
+
+
+def _read_mass(body: LinkInertia | None) -> float | None:
+    return None if body is None else body.mass
+
+
+def _measure_centre_shift(link: LinkMass) -> float | None:
+    was, now = link.described, link.computed
+    return None if was is None or now is None else 1e3 * float(np.linalg.norm(now.com - was.com))
+
+
+def _format_inertia_ratio(link: LinkMass) -> str | None:
+    was, now = link.described, link.computed
+    if was is None or now is None:
+        return None
+    moments = was.principal_moments
+    with np.errstate(all="ignore"):
+        ratios = now.principal_moments / np.where(moments > 0.0, moments, np.nan)
+    return " ".join(f"{value:.2g}" for value in ratios) if np.isfinite(ratios).all() else None
+
+
+def _format_moments(body: LinkInertia | None) -> str | None:
+    if body is None:
+        return None
+    return " ".join(f"{value:.3g}" for value in np.diag(body.inertia_about_com))

@@ -1,0 +1,5 @@
+"""Move a robot in rounds until its model is proven; with `programs`, motions are programs too."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,9 @@
+from .drivers import DRIVERS as DRIVERS
+from .drivers import Driver as Driver
+from .drivers import DriverRequest as DriverRequest
+from .drivers import open_driver as open_driver
+from .loop import Loop as Loop
+from .loop import Outcome as Outcome
+from .options import RunOptions as RunOptions
+from .prediction import predict_round as predict_round
+from .rounds import Round as Round

@@ -1,0 +1,201 @@
+"""A round of a loop: what its model promised, what its log showed, and what it taught."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import asbuilt
+from asbuilt import Recording, RobotModel, Study, StudyOptions
+from asbuilt.apps.run.options import RunOptions
+from asbuilt.apps.run.prediction import (
+    HORIZON,
+    Tested,
+    is_simulated,
+    predict_round,
+    relate_rollout,
+)
+from asbuilt.apps.run.promise import Promise, promise_error, widen_promises
+from asbuilt.apps.run.purpose import States
+from asbuilt.excitation import Motion
+from asbuilt.tables import format_share, round_significant
+
+PARTED = 1.5
+"""Found over promised error of a joint from which a line names it; of 95 % of tests it is less."""
+BETTER = 0.9
+"""Promise over the former one below which a round is said to have lowered it."""
+NAMED = 3
+"""Joints that are listed as the weakest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """Hold a round.
+
+    Parameters
+    ----------
+    number
+        From 1.
+    motion, log
+        Files of the motion and of its recording.
+    seconds
+        Duration of the motion [s].
+    promised, found
+        Error that the model before it promised, and that its log showed before it was learned. In
+        the first round no model promised, and CAD's error was found.
+    promise, tested
+        The promise and the prediction joint by joint; None in the first round.
+    study
+        The model identified from all rounds so far.
+    goal
+        Torque error that this model promises on the motion that matters.
+    exchange
+        Error in the measure of the loop per torque error: 1 unless it is of simulated motion.
+    learned
+        What the round taught, in phrases.
+    """
+
+    number: int
+    motion: Path
+    log: Path
+    seconds: float
+    promised: float | None
+    found: float
+    promise: Promise | None
+    tested: Tested | None
+    study: Study
+    goal: Promise
+    exchange: float
+    learned: tuple[str, ...]
+
+    @property
+    def goal_error(self) -> float:
+        """The promise on the motion that matters, in the measure of the loop."""
+        return self.goal.error * self.exchange
+
+    @property
+    def goal_noise(self) -> float:
+        """The part of it that more motion of the same kind does not take away."""
+        return self.goal.noise_error * self.exchange
+
+    @property
+    def verdict(self) -> str:
+        """Verdict on the model that predicted this round: `yes`, `with care`, `no` or `cad`."""
+        return "cad" if self.tested is None else self.tested.verdict.use
+
+    def passes(self, until: float) -> bool:
+        """Return whether the errors found and promised stay below the wanted one (a share)."""
+        return self.tested is not None and self.found <= until and self.goal_error <= until
+
+    def list_weakest(self) -> list[dict[str, str | float | None]]:
+        """Return joints with promised and found RMS torque error, the weightiest first."""
+        names = self.study.result.model.joint_names
+        order = np.argsort(-self.goal.joints)[:NAMED].tolist()
+        return [
+            {
+                "joint": names[k],
+                "promised": float(self.goal.joints[k]),
+                "found": None if self.tested is None else float(self.tested.joints[k]),
+            }
+            for k in order
+        ]
+
+
+def learn_round(
+    model: RobotModel,
+    recordings: Sequence[Recording],
+    motion: Motion,
+    files: tuple[Path, Path],
+    earlier: Sequence[Round],
+    states: States,
+    options: RunOptions,
+) -> Round:
+    """Return a round, whose recording, the last one, is predicted before it is learned.
+
+    `files` are those of the motion and the log; `states` matter to the user.
+    """
+    last = earlier[-1] if earlier else None
+    tests = [(each.promise, each.tested.joints) for each in earlier if each.promise and each.tested]
+    promise = tested = promised = None
+    if last is not None:
+        promise = promise_error(last.study.result, States.of([motion]), widen_promises(tests))
+        promised = promise.error * last.exchange
+        tested = predict_round(last.study, recordings[-1], options.purpose)
+        tests.append((promise, tested.joints))
+    study = asbuilt.identify(
+        model, recordings, options=StudyOptions(holdout=None, drive=options.drive)
+    )
+    goal = promise_error(study.result, states, widen_promises(tests))
+    exchange = _find_exchange(study, recordings[-1], options)
+    taught = [
+        *_list_learned(last, study),
+        *_list_surprises(study, promise, tested),
+        *_list_promises(last, goal.error * exchange),
+    ]
+    return Round(
+        len(recordings),
+        *files,
+        motion.duration,
+        promised,
+        _find_error_of_cad(study, recordings[-1], options) if tested is None else tested.error,
+        promise,
+        tested,
+        study,
+        goal,
+        exchange,
+        tuple(taught),
+    )
+
+
+def _find_error_of_cad(study: Study, recording: Recording, options: RunOptions) -> float:
+    if not is_simulated(study, options.purpose):
+        return float(study.training[0].metrics_cad.relative_error)
+    (rollout,) = asbuilt.roll_out_result(study.result, recording, [HORIZON])
+    return relate_rollout(rollout, "cad")
+
+
+def _find_exchange(study: Study, recording: Recording, options: RunOptions) -> float:
+    """Return the error of simulated motion per torque error, on a recording that is learned.
+
+    Over windows of one length an error of the torque is integrated alike, whatever causes it.
+    """
+    if not is_simulated(study, options.purpose):
+        return 1.0
+    (rollout,) = asbuilt.roll_out_result(study.result, recording, [HORIZON])
+    simulated = relate_rollout(rollout, "as_built")
+    return simulated / float(study.training[-1].metrics_as_built.relative_error)
+
+
+def _list_learned(last: Round | None, study: Study) -> Iterator[str]:
+    """Yield the parameters and effects that a round added to the model."""
+    result = study.result
+    before = () if last is None else last.study.effects
+    known = {(each.effect, each.joint) for each in before if each.in_model}
+    if last is None or last.study.result.rank != result.rank:
+        yield f"{result.rank} of {result.n_base} parameters"
+    for effect in study.effects:
+        if effect.in_model and (effect.effect, effect.joint) not in known:
+            size = f"{round_significant(effect.estimate, 2)} {effect.unit.removeprefix('1')}"
+            at = "" if effect.joint is None else f" at {effect.joint}"
+            yield f"{effect.effect.replace('_', ' ')} {size.strip()}{at}"
+
+
+def _list_surprises(study: Study, promise: Promise | None, tested: Tested | None) -> Iterator[str]:
+    """Yield the joint whose found error exceeds its promise the most, if it does so clearly."""
+    if promise is None or tested is None:
+        return
+    ratio = tested.joints / np.maximum(promise.joints, np.finfo(float).tiny)
+    joint = int(np.argmax(ratio))
+    if ratio[joint] > PARTED:
+        yield f"{study.result.model.joint_names[joint]} {ratio[joint]:.1f} times its promise"
+
+
+def _list_promises(last: Round | None, error: float) -> Iterator[str]:
+    """Yield the promise on the motion that matters, if it is new or lower."""
+    if last is None:
+        yield f"promises {format_share(error)}"
+    elif error < BETTER * last.goal_error:
+        yield f"promises {format_share(error)}, before {format_share(last.goal_error)}"

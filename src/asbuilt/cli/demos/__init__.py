@@ -1,1 +1,0 @@
-"""Complete runs: the demonstrations and the reproduction of the 2015 paper."""

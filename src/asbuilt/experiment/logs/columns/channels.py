@@ -1,0 +1,139 @@
+"""Channels of one quantity: raw beside filtered, sensor beside motor, and which of them is used."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.joint_matching import split_words
+from asbuilt.description.model import RobotModel
+from asbuilt.experiment.gravity_load import CLEAR_LOAD, match_load
+from asbuilt.experiment.logs.columns.roles import Role, parse_unit_scale
+
+SENSOR_WORDS = {"sensor", "sensors", "sm", "sns", "meas", "measured", "msr", "ft"}
+MODEL_WORDS = {"model", "computed", "calc", "calculated", "dyn", "gravity", "ideal", "est", "hat"}
+CURRENT_WORDS = {"cur", "curr", "current", "motor", "mot"}
+SMOOTHED_WORDS = {"filtered", "filt", "lpf", "smooth", "smoothed"}
+ALIKE = 0.8
+"""Share of the best correlation with gravity from which channels count alike."""
+SAME_SCALE = 0.2
+"""Difference of the spreads of two channels, relative to one, up to which they share a unit."""
+EXACT = 1e-9
+"""Spread of a joint's torque relative to the largest, below which it was computed: no sensor is
+that quiet."""
+
+
+def split_channels(group: Sequence[Role]) -> dict[str, list[Role]]:
+    """Return the columns of a quantity by what their names have besides joint and number.
+
+    >>> roles = [Role("torque", "", k, column=f"{name}{k}") for name in "ab" for k in (1, 2)]
+    >>> list(split_channels(roles))
+    ['a*', 'b*']
+    """
+    channels: dict[str, list[Role]] = {}
+    for role in group:
+        channels.setdefault(_name_channel(role), []).append(role)
+    return channels
+
+
+def _name_channel(role: Role) -> str:
+    """Return the name of a column with a star in place of its joint, or of its number."""
+    if role.index is not None:
+        before, _, after = role.column.rpartition(str(role.index))
+        return f"{before}*{after}"
+    return role.column.replace(role.joint, "*") if role.joint else role.column
+
+
+def choose_channel(
+    quantity: str,
+    group: Sequence[Role],
+    n_joints: int | None,
+    columns: Mapping[str, Array],
+    model: RobotModel | None,
+    positions: Sequence[Role],
+) -> tuple[list[Role], str]:
+    """Return the columns of the best channel, and a note; the group itself if it has only one.
+
+    Of torques those that follow gravity, and of these a joint sensor's, then unnamed ones, then
+    those from currents; ones that a model computed come last. Of others what is called nothing
+    else, then what is called raw, in the same unit, then what was filtered.
+    """
+    channels = split_channels(group)
+    places = [(role.joint, role.index) for role in group]
+    several = len(set(places)) < len(places) or (n_joints is not None and len(group) > n_joints)
+    size = n_joints or max(len(channel) for channel in channels.values())
+    whole = {name: channel for name, channel in channels.items() if len(channel) == size}
+    if not several or len(whole) < 2:
+        return list(group), ""
+    values = {name: _stack(channel, columns) for name, channel in whole.items()}
+    loads = _match_gravity(model, positions, columns, values) if quantity == "torque" else {}
+    best = max(loads.values(), default=0.0)
+    scales = {name: float(np.nanstd(each)) if each.size else 0.0 for name, each in values.items()}
+    usual = float(np.median([*scales.values()]))
+
+    def rank(name: str) -> tuple[bool, ...]:
+        words = set(split_words(name))
+        other_scale = abs(scales[name] - usual) > SAME_SCALE * usual
+        return (
+            best > CLEAR_LOAD and loads.get(name, best) < ALIKE * best,
+            bool(words & MODEL_WORDS) or (quantity == "torque" and _is_computed(values[name])),
+            not words & SENSOR_WORDS and any(set(split_words(n)) & SENSOR_WORDS for n in whole),
+            bool(words & CURRENT_WORDS),
+            "raw" in words and other_scale,
+            bool(words & SMOOTHED_WORDS),
+            "raw" in words,
+        )
+
+    chosen = min(whole, key=rank)
+    others = ", ".join(name for name in channels if name != chosen)
+    shared = f", correlation with gravity {loads[chosen]:.2f}" if chosen in loads else ""
+    note = (
+        f"the log has {len(whole)} channels of {quantity}: {chosen} was taken{shared}, and {others}"
+        f" were not; choose another in a recording sheet: [columns] {quantity} = [...]"
+    )
+    return [replace(role, joint=_strip_channel(role, whole)) for role in whole[chosen]], note
+
+
+def _strip_channel(role: Role, channels: Mapping[str, Sequence[Role]]) -> str:
+    """Return the joint of a column of one channel, "" where its name is the channel's."""
+    joints = {each.joint for channel in channels.values() for each in channel}
+    stems = {re.sub(r"\d+$", "", joint) for joint in joints}
+    return role.joint if len(stems) == 1 and role.index is None else ""
+
+
+def _stack(channel: Sequence[Role], columns: Mapping[str, Array]) -> Array:
+    ordered = sorted(channel, key=lambda role: role.index or 0)
+    return np.column_stack([columns[role.column] for role in ordered])
+
+
+def _match_gravity(
+    model: RobotModel | None,
+    positions: Sequence[Role],
+    columns: Mapping[str, Array],
+    values: Mapping[str, Array],
+) -> dict[str, float]:
+    """Return how each channel follows gravity's torque at the positions, in either unit of these.
+
+    Empty where the order of the joints is not known, or there are no values.
+    """
+    fits = model is not None and len(positions) == model.n_joints
+    rows = next(iter(values.values())).shape[0]
+    if model is None or not fits or rows < 10 or any(role.index is None for role in positions):
+        return {}
+    q = _stack(positions, columns)
+    named = positions[0].unit
+    scales = [parse_unit_scale(named) or 1.0] if named else [1.0, np.pi / 180]
+    found = [match_load(model, q, [*values.values()], scale) for scale in scales]
+    return dict(zip(values, np.max(found, axis=0).tolist(), strict=True))
+
+
+def _is_computed(values: Array) -> bool:
+    """Return whether a joint's torque varies, and by less than any sensor's noise."""
+    if not values.size:
+        return False
+    spread = np.nanstd(values, axis=0)
+    return bool(np.any((spread > 0.0) & (spread < EXACT * np.max(spread))))

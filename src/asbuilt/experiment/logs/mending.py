@@ -1,0 +1,357 @@
+"""Mending of logs whose values are all there: rows of several topics, clocks, counters that wrap.
+
+Each step changes a log only where the result agrees better with itself than what was logged, and
+leaves a note with its counts. What is not certain stays, for `check_recording` to find.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.experiment.logs.columns.layout import QUANTITIES, Layout
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.recording import ENCODERS
+
+OF_TOPICS = 0.05
+"""Share of the rows from which rows without any needed value are another topic's: a sensor that
+drops out more often is broken, and a merged table of two topics alternates."""
+SELDOM = 0.5
+"""Share of the rows of the positions in which a column has a value, below which it has its own."""
+FEWEST_STEPS = 5.0
+"""Median steps of a column over which values are not interpolated: that is a gap."""
+REGULAR = (0.4, 2.2, 0.9)
+"""Steps, relative to their median, within which a sorted clock is regular, and the share of them:
+single samples may be lost, and every second one late by half a step."""
+SINGLE = 0.01
+"""Share of doubled stamps up to which a clock is left as it is; filters leave the rows out."""
+DOUBLED = 0.2
+"""Share of doubled stamps up to which their second rows are left out: more are a clock too coarse,
+or several motions one after another."""
+GRID = 0.75
+"""Distance from a regular grid, in steps of a rounded clock, up to which that is its grid."""
+JUMP, SMALL = 0.6, 0.15
+"""Jump of a counter that wraps, and the largest step that is left then, in turns."""
+ZERO = 0.02
+"""Distance from one turn, relative to it, up to which the range of a counter is a turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Counter:
+    """Say where a column that wraps goes on: its period, its last value, and turns to add."""
+
+    period: float
+    last: float
+    turns: float
+
+
+class LogMender:
+    """Mend the tables of one log, which may come in consecutive parts.
+
+    Parameters
+    ----------
+    layout
+        Columns of the log.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._wide: set[str] = set()
+        self._counters: dict[str, _Counter] = {}
+        self._latest: float | None = None
+
+    def mend(self, table: LogTable) -> LogTable:
+        """Return a table with rows of one topic, in the order of time, and steady counters."""
+        if table.n_samples < 3:
+            return table
+        joined, of_rows = join_topics(table, self._layout)
+        ordered, of_clock = mend_clock(self._leave_late_rows(joined), self._layout)
+        if of_clock:
+            self._latest = float(ordered.columns[str(self._layout.time)][-1])
+        columns = dict(ordered.columns)
+        notes = [*of_rows, *of_clock, *self._sign(columns), *self._unwrap(columns)]
+        return replace(ordered, columns=columns, notes=(*table.notes, *notes))
+
+    def _leave_late_rows(self, table: LogTable) -> LogTable:
+        """Return a part without rows that belong into the part before, where that was sorted."""
+        if self._latest is None:
+            return table
+        later = table.columns[str(self._layout.time)] > self._latest
+        columns = {name: values[later] for name, values in table.columns.items()}
+        return replace(table, columns=columns) if later.sum() > 2 else table
+
+    def _sign(self, columns: dict[str, Array]) -> Iterator[str]:
+        """Turn unsigned integers that stand for negative ones into these."""
+        for names in self._list_groups():
+            found = [name for name in names if name in self._wide or _is_unsigned(columns[name])]
+            if not found:
+                continue
+            self._wide |= set(names)
+            count = 0
+            for name in names:
+                below = columns[name] >= 2**15
+                count += int(below.sum())
+                columns[name] = np.where(below, columns[name] - 2.0**16, columns[name])
+            if count:
+                yield (
+                    f"{join(names)} are 16 bits without a sign, which wrap at 65536: {count} values"
+                    " from 32768 on count as negative"
+                )
+
+    def _list_groups(self) -> list[tuple[str, ...]]:
+        """Return the columns of each quantity but positions, which may be counters from zero."""
+        wanted = ("torque", "velocity")
+        listed = (self._layout.quantities.get(quantity, ()) for quantity in wanted)
+        return [tuple(name for name in names if name) for names in listed]
+
+    def _unwrap(self, columns: dict[str, Array]) -> Iterator[str]:
+        """Make positions of counters that begin again after a turn go on."""
+        groups = [
+            [name for name in self._layout.quantities.get(quantity, ()) if name]
+            for quantity in ("position", "command", *ENCODERS.values())
+        ]
+        for names in groups:
+            period = self._find_period(columns, names)
+            if period is None:
+                continue
+            jumps: dict[str, int] = {}
+            for name in names:
+                columns[name], jumps[name] = self._go_on(name, columns[name], period)
+            wrapped = {name: count for name, count in jumps.items() if count}
+            if wrapped:
+                listed = ", ".join(f"{name} {count} times" for name, count in wrapped.items())
+                yield f"positions that wrap at {period:.6g} were unwrapped: {listed}"
+
+    def _find_period(self, columns: Mapping[str, Array], names: Sequence[str]) -> float | None:
+        """Return a turn in the units of columns that wrap, None if none of them does."""
+        known = [self._counters[name].period for name in names if name in self._counters]
+        if known:
+            return known[0]
+        found = [
+            period
+            for name in names
+            for period in _list_turns(columns[name], self._layout.scales.get(name, 1.0))
+            if _wraps(columns[name], period)
+        ]
+        return found[0] if found else None
+
+    def _go_on(self, name: str, values: Array, period: float) -> tuple[Array, int]:
+        """Return a column unwrapped, from where the part before ended, and the number of jumps."""
+        known = np.isfinite(values)
+        inside = values[known]
+        if not inside.size:
+            return values, 0
+        before = self._counters.get(name)
+        first = inside[0] if before is None else before.last
+        turns = -np.round(np.diff(inside, prepend=first) / period)
+        total = np.cumsum(turns) + (0.0 if before is None else before.turns)
+        if before is None:
+            # A turn more or less is the same place: the one nearest to zero is meant.
+            total -= np.round(float(np.median(inside + period * total)) / period)
+        self._counters[name] = _Counter(period, float(inside[-1]), float(total[-1]))
+        out = np.array(values)
+        out[known] = inside + period * total
+        return out, int(np.count_nonzero(turns))
+
+
+def join(names: Sequence[str]) -> str:
+    """Return the names of columns in a row, without those in the middle of many."""
+    few = names if len(names) < 4 else (names[0], "...", names[-1])
+    return ", ".join(few)
+
+
+def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
+    """Return the rows that hold positions, with what other topics logged between them.
+
+    In a table of several topics each row has the values of one, and the cells of others are empty.
+    Columns that are filled in other rows than the positions are interpolated at their times.
+    """
+    needed = [
+        name
+        for quantity in QUANTITIES
+        for name in layout.quantities.get(quantity, ())
+        if name and name in table.columns
+    ]
+    present = {name: np.isfinite(table.columns[name]) for name in needed}
+    filled = np.logical_or.reduce([*present.values()])
+    empty = int(np.count_nonzero(~filled))
+    positions = [name for name in layout.quantities["position"] if name]
+    lead = max(positions, key=lambda name: np.count_nonzero(present[name]))
+    rows = present[lead]
+    apart = [
+        name
+        for name in needed
+        if np.any(present[name]) and np.mean(present[name][rows]) < SELDOM and np.any(rows)
+    ]
+    merged = empty >= OF_TOPICS * table.n_samples or (apart and layout.time is not None)
+    if not merged or layout.time is None:
+        return table, []
+    kept = rows if apart else filled
+    columns = {name: values[kept] for name, values in table.columns.items()}
+    notes = []
+    if count := int(np.count_nonzero(~kept)):
+        notes.append(f"{count} of {kept.size} rows hold other topics and were left out")
+    t = table.columns[layout.time]
+    for name in apart:
+        own = present[name]
+        columns[name] = _interpolate(t[kept], t[own], table.columns[name][own])
+    if apart:
+        notes.append(
+            f"{join(apart)} were logged in other rows than the positions, and were interpolated at"
+            f" the {int(kept.sum())} times of {lead}"
+        )
+    return replace(table, columns=columns), notes
+
+
+def _interpolate(at: Array, t: Array, values: Array) -> Array:
+    """Return values at other times, NaN in gaps and beyond the ends."""
+    order = np.argsort(t, kind="stable")
+    t, values = t[order], values[order]
+    out = np.interp(at, t, values, left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(t, at), 1, t.size - 1)
+    steps = np.diff(t)
+    out[steps[after - 1] > FEWEST_STEPS * float(np.median(steps))] = np.nan
+    return out
+
+
+def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
+    """Return rows in the order of time, one at a time, and stamps without their rounding.
+
+    Rows are sorted only if the sorted clock is regular and the positions then go a shorter way, as
+    they do not where a clock was set back between two motions.
+    """
+    if layout.time is None:
+        return table, []
+    t = _read_clock(table, layout)
+    steps = np.diff(t)
+    if not np.all(np.isfinite(t)) or not np.any(steps):
+        return table, []
+    grid = _find_grid(t, table.columns[layout.time])
+    if grid is not None:
+        return _with_clock(table, layout, *grid)
+    backward = int(np.count_nonzero(steps < 0))
+    order = np.argsort(t, kind="stable")
+    later = np.diff(t[order], prepend=-np.inf) > 0
+    doubled = int(np.count_nonzero(~later))
+    if not backward and doubled <= SINGLE * t.size:
+        return table, []
+    q = np.column_stack([table.columns[name] for name in layout.quantities["position"] if name])
+    kept = order[later]
+    same = np.array_equal(q[order[~later]], q[order[np.flatnonzero(~later) - 1]], equal_nan=True)
+    few = doubled <= DOUBLED * t.size or same
+    if not few or (backward and not (_is_regular(t[kept]) and _measure_way(q, kept) <= 1.0)):
+        return table, []
+    notes = []
+    if backward:
+        notes.append(
+            f"{backward} times a row was earlier than the row before; the {t.size} rows were sorted"
+            " by time, in which the clock is regular"
+        )
+    if doubled:
+        notes.append(f"{doubled} of {t.size} rows have the time stamp of another and were left out")
+    return replace(table, columns={k: v[kept] for k, v in table.columns.items()}), notes
+
+
+def _read_clock(table: LogTable, layout: Layout) -> Array:
+    """Return the times [s] from the first one on."""
+    t = table.columns[str(layout.time)]
+    t = (t - t[0]) * layout.scales.get(str(layout.time), 1.0)
+    if layout.nanoseconds is None:
+        return t
+    return np.asarray(t + 1e-9 * table.columns[layout.nanoseconds])
+
+
+def _is_regular(t: Array) -> bool:
+    """Return whether the steps of a rising clock are mostly alike."""
+    low, high, share = REGULAR
+    steps = np.diff(t)
+    relative = steps / float(np.median(steps))
+    return bool(np.mean((relative > low) & (relative < high)) >= share)
+
+
+def _measure_way(q: Array, order: Indices) -> float:
+    """Return how far positions go in another order of their rows, relative to the one logged."""
+    logged, ordered = (float(np.nansum(np.abs(np.diff(x, axis=0)))) for x in (q, q[order]))
+    return ordered / logged if logged > 0.0 else 1.0
+
+
+def _find_grid(t: Array, stamps: Array) -> tuple[Array, str] | None:
+    """Return the regular times behind stamps that are rounded, with a note; None if they are not.
+
+    Stamps are rounded where many repeat evenly, or where single precision holds all of them and its
+    steps are no small part of the clock's.
+    """
+    steps = np.diff(t)
+    changed = np.flatnonzero(steps > 0) + 1
+    if np.any(steps < 0) or changed.size < 8:
+        return None
+    rounded = float(np.min(steps[changed - 1]))
+    # The first and the last stamp may stand for fewer rows than the others.
+    rows = int(changed[-1] - changed[0])
+    step = float(t[changed[-1]] - t[changed[0]]) / rows
+    single = bool(np.array_equal(stamps, stamps.astype(np.float32)))
+    if single:
+        rounded = float(np.spacing(np.float32(np.max(np.abs(stamps))))) * float(
+            (t[-1] - t[0]) / (stamps[-1] - stamps[0])
+        )
+    repeated = t.size - 1 - changed.size
+    if repeated <= OF_TOPICS * t.size and not (single and rounded > OF_TOPICS * step):
+        return None
+    grid = step * np.arange(t.size)
+    away = t - grid
+    middle = 0.5 * float(np.max(away) + np.min(away))
+    if float(np.max(np.abs(away - middle))) > GRID * rounded:
+        return None
+    note = (
+        f"the time stamps are rounded to {rounded:.3g} s, {repeated} of {t.size} repeat; they were"
+        f" replaced by the regular clock of {1.0 / step:.6g} Hz behind them"
+    )
+    return grid, note
+
+
+def _with_clock(
+    table: LogTable, layout: Layout, grid: Array, note: str
+) -> tuple[LogTable, list[str]]:
+    """Return the table with other times [s], which count from the first stamp."""
+    time = str(layout.time)
+    first = table.columns[time][0]
+    columns = {**table.columns, time: first + grid / layout.scales.get(time, 1.0)}
+    if abs(first) * layout.scales.get(time, 1.0) > 1e6:
+        columns[time] = grid / layout.scales.get(time, 1.0)  # a date has no digits left for steps
+    if layout.nanoseconds is not None:
+        columns[layout.nanoseconds] = np.zeros_like(grid)
+    return replace(table, columns=columns), [note]
+
+
+def _is_unsigned(values: Array) -> bool:
+    """Return whether integers of 16 bits stand for small numbers of both signs."""
+    known = values[np.isfinite(values)]
+    if not known.size or known.min() < 0 or not 2**15 <= known.max() < 2**16:
+        return False
+    middle = (known > 2**14) & (known < 3 * 2**14)
+    return bool(np.all(known == np.round(known)) and not middle.any() and known.min() < 2**14)
+
+
+def _list_turns(values: Array, scale: float) -> list[float]:
+    """Return what a turn may be in the unit of a column: of its name, else degrees or counts."""
+    turns = [2.0 * np.pi / scale]
+    if scale != 1.0:
+        return turns
+    known = values[np.isfinite(values)]
+    counts = known.size > 0 and bool(np.all(known == np.round(known)))
+    spans = (2.0**k for k in range(8, 25)) if counts else ()
+    return [*turns, 360.0, *(span for span in spans if known.max() < span)]
+
+
+def _wraps(values: Array, turn: float) -> bool:
+    """Return whether a column stays within a turn, jumps by one, and else is smooth."""
+    known = values[np.isfinite(values)]
+    if known.size < 3 or np.ptp(known) > (1.0 + ZERO) * turn:
+        return False
+    steps = np.diff(known)
+    jumps = np.abs(steps) > JUMP * turn
+    rest = np.abs(steps - turn * np.round(steps / turn))
+    return bool(jumps.any() and np.max(rest) < SMALL * turn and np.max(np.abs(known)) <= 1.1 * turn)

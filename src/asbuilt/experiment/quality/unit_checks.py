@@ -1,0 +1,214 @@
+"""Units of positions and velocities, decided by positions, velocities and torques together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS
+from asbuilt.experiment.quality.passes import FirstPass
+from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.findings import Cure, Finding, join_names
+
+COUNTS = tuple(2**k for k in range(9, 21))
+"""Counts of a turn of encoders and servos."""
+EXPLAINS = 0.5
+"""Share of the torques that gravity, inertia and friction must explain to decide the counts."""
+CLEARLY_LESS = 0.7
+"""Share of torques left without explanation, relative to other counts of a turn, that decides."""
+MOST_ROWS = 800
+"""Samples by which units are compared."""
+ALIKE = 0.05
+"""Difference of the velocities' factors of joints, relative to one, up to which they are one unit;
+also of a factor and a known unit's."""
+DEGREES_WITHIN = 0.2
+"""Difference of a factor and a degree, relative to it, up to which `check_velocities` names it."""
+FOLLOW = 0.95
+"""Correlation of velocities with the derivative of the positions from which only units differ."""
+KNOWN_VELOCITIES = {
+    "rpm": math.pi / 30.0,
+    "0.229 rpm": 0.229 * math.pi / 30.0,
+    "0.111 rpm": 0.111 * math.pi / 30.0,
+    "0.01 rpm": 0.01 * math.pi / 30.0,
+    "turn/s": 2.0 * math.pi,
+    "mrad/s": 1e-3,
+    "22.9 rad/s": 22.9,
+}
+"""Units of velocities of motors, and what they are in rad/s; the last one is of motors that count
+.229 rpm, converted as if they counted .01 rpm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Say in what counts positions are: counts of a turn, 0 where unknown, and the one of zero."""
+
+    turn: int
+    zero: int
+    largest: float
+    joints: tuple[str, ...]
+
+    def finding(self) -> Finding:
+        """Return the finding for a log whose positions are counts."""
+        said = (
+            f"the positions of {join_names(list(self.joints))} are whole numbers up to"
+            f" {self.largest:.6g}: counts of an encoder"
+        )
+        if not self.turn:
+            return Finding(
+                "position_counts",
+                "error",
+                said,
+                Cure(
+                    "write the counts of a turn, and the position [rad] at which the description"
+                    ' has zero, in a recording sheet: units = { position = "1/4096 turn" },'
+                    " zero = 3.1416"
+                ),
+            )
+        zero = 2.0 * math.pi * self.zero / self.turn
+        unit = f"1/{self.turn} turn"
+        fields = f'units = {{ position = "{unit}" }}, zero = {zero:.6g}'
+        return Finding(
+            "position_counts",
+            "error",
+            f"{said}; the torques agree with positions in {unit} from {self.zero} on",
+            Cure(
+                f"write the unit in a recording sheet: {fields}",
+                sheet={"units": {"position": unit}} | ({"zero": zero} if self.zero else {}),
+            ),
+        )
+
+
+def find_counts(
+    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
+) -> Counts | None:
+    """Return the counts of an encoder that positions are in, None if they are none.
+
+    The counts of a turn, and where zero is, are those with which gravity, inertia and friction
+    explain the torques best, clearly better than with others.
+    """
+    low, high = recording.position_range.low, recording.position_range.high
+    q = recording.first.q
+    known = q[np.all(np.isfinite(q), axis=1)]
+    largest = float(np.max(np.maximum(np.abs(low), np.abs(high)), initial=0.0))
+    whole = known.size > 0 and bool(np.all(known == np.round(known)))
+    if not whole or largest <= LARGEST_RADIANS or not all(j.is_revolute for j in model.joints):
+        return None
+    names = tuple(model.joint_names)
+    if motion is None:
+        return Counts(0, 0, largest, names)
+    candidates = [(turn, zero) for turn in COUNTS if turn > np.max(high) for zero in (0, turn // 2)]
+    left = {each: _measure_left_over(model, motion, *each) for each in candidates}
+    ranked = sorted(left, key=lambda each: left[each])
+    if not ranked or left[ranked[0]] > 1.0 - EXPLAINS:
+        return Counts(0, 0, largest, names)
+    best = ranked[0]
+    if len(ranked) > 1 and left[best] > CLEARLY_LESS * left[ranked[1]]:
+        return Counts(0, 0, largest, names)
+    return Counts(best[0], best[1], largest, names)
+
+
+def _measure_left_over(model: RobotModel, motion: SmoothedMotion, turn: int, zero: int) -> float:
+    """Return the share of the torques that the description and friction leave unexplained."""
+    scale = 2.0 * np.pi / turn
+    rows = motion.thinned(MOST_ROWS)
+    q, qd, qdd = scale * (motion.q[rows] - zero), scale * motion.qd[rows], scale * motion.qdd[rows]
+    left = [each.left for each in _fit_parts(model, q, qd, qdd, motion.tau[rows])]
+    return float(np.mean(left)) if left else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Hold the factors of gravity and inertia in the torque of a joint, and the share left."""
+
+    load: float
+    inertia: float
+    left: float
+
+
+def _fit_parts(model: RobotModel, q: Array, qd: Array, qdd: Array, tau: Array) -> list[_Parts]:
+    """Fit torques of the joints by gravity, inertia and friction, each with a factor of its own.
+
+    `tau_k = a g_k(q) + b (M(q) qdd + c(q, qd))_k + v qd_k + s sign(qd_k) + o`: a gain of the torque
+    is in all of them, and a unit of time in b alone. Joints without load or inertia have none.
+    """
+    load = gravity_torque(model, q)
+    inertia = inverse_dynamics(model, q, qd, qdd) - load
+    found = []
+    for k in range(model.n_joints):
+        measured = tau[:, k] - float(np.mean(tau[:, k]))
+        columns = np.column_stack([load[:, k], inertia[:, k], qd[:, k], np.sign(qd[:, k])])
+        columns -= columns.mean(axis=0)
+        power = float(measured @ measured)
+        if power == 0.0 or np.any(np.std(columns, axis=0) == 0.0):
+            continue
+        factors = np.linalg.lstsq(columns, measured, rcond=None)[0]
+        left = float(np.sum((measured - columns @ factors) ** 2)) / power
+        found.append(_Parts(float(factors[0]), float(factors[1]), left))
+    return found
+
+
+def find_velocity_unit(
+    model: RobotModel, recording: FirstPass, motion: SmoothedMotion, logged: Array
+) -> Iterator[Finding]:
+    """Find velocities that are the derivative of the positions in another unit.
+
+    A factor that all joints share is a unit, or a clock that is wrong by it. A unit that is known
+    is believed, as is one where the torques agree with the clock.
+    """
+    slope = motion.qd
+    energy = np.sum(slope**2, axis=0)
+    moving = np.flatnonzero((energy > 0.0) & (np.std(logged, axis=0) > 0.0))
+    if moving.size < 1:
+        return
+    gains = np.sum(logged * slope, axis=0)[moving] / energy[moving]
+    alike = [float(np.corrcoef(logged[:, k], slope[:, k])[0, 1]) for k in moving]
+    middle = float(np.median(gains))
+    one = middle > 0.0 and bool(np.all(np.abs(gains / middle - 1.0) < ALIKE))
+    degrees = any(abs(middle / each - 1.0) < DEGREES_WITHIN for each in (DEGREE, 1.0 / DEGREE))
+    if not one or min(alike) < FOLLOW or abs(middle - 1.0) < 3.0 * ALIKE or degrees:
+        return
+    factor = 1.0 / middle
+    named = [name for name, each in KNOWN_VELOCITIES.items() if abs(factor / each - 1.0) < ALIKE]
+    if not named and not _keeps_clock(model, motion, middle):
+        return
+    unit = named[0] if named else f"{factor:.4g} rad/s"
+    more = "" if named else ", and the torques agree with the clock"
+    if unit == "22.9 rad/s":
+        more = ", as of motors that count 0.229 rpm, read as if they counted 0.01 rpm"
+    yield Finding(
+        "velocity_units",
+        "error",
+        f"the logged velocities of all {moving.size} joints that move are {middle:.4g} times the"
+        f" derivative of the positions: their unit is {unit}{more}",
+        Cure(
+            f'write the unit in a recording sheet: units = {{ velocity = "{unit}" }}',
+            sheet={"units": {"velocity": unit}},
+        ),
+    )
+
+
+def _keeps_clock(model: RobotModel, motion: SmoothedMotion, factor: float) -> bool:
+    """Return whether torques agree with the clock, rather than with one that is `factor` as fast.
+
+    A clock that is wrong by a factor makes accelerations wrong by its square, and with them the
+    part of the torque that inertia takes, beside gravity's.
+    """
+    rows = motion.thinned(MOST_ROWS)
+    q, qd, qdd, tau = (x[rows] for x in (motion.q, motion.qd, motion.qdd, motion.tau))
+    if not np.all(np.isfinite(q)) or np.max(np.abs(q)) > LARGEST_RADIANS:
+        return False
+    votes = [
+        math.log(each.inertia / each.load)
+        for each in _fit_parts(model, q, qd, qdd, tau)
+        if each.load * each.inertia > 0.0
+    ]
+    if not votes:
+        return False
+    found = float(np.median(votes))
+    return abs(found) < abs(found - 2.0 * math.log(factor))

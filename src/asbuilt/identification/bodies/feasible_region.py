@@ -1,0 +1,168 @@
+"""Least and greatest values of quantities over physically consistent bodies near an estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import linprog
+from scipy.special import chdtri
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
+from asbuilt.identification.bodies.body_bounds import BodyBounds
+from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.identification.bodies.conic_fit import ConicProblem, scale_near_one
+from asbuilt.identification.information.triangular import factor_distance
+
+ROUNDING = 1e-5
+"""Value, relative to its size in CAD, that the solver does not distinguish from zero; and part of a
+quantity beyond the directions that the data determine."""
+LEAST_CHANCE = 1e-3
+"""Probability below which stated bounds contradict the estimate."""
+LEAST_SHARE = 1e-3
+"""Least part of a confounding relation, relative to the largest, that is named."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibleRegion:
+    """Hold the physically consistent bodies whose base parameters lie near an estimate.
+
+    The bodies `{chi: P_i >= 0, bounds, |R (K chi - beta)|^2 <= d + s quantile}`: P_i the
+    pseudo-inertia of link i, d the least distance `|R (K chi - beta)|^2` of consistent bodies, and
+    s = d / r where d exceeds its number r of directions, else 1: what the model misses widens all.
+
+    Parameters
+    ----------
+    prior
+        Scales of the bodies, and which drive parameters are not negative; CAD has no weight.
+    base
+        The base parameters.
+    beta
+        Their estimate (p,).
+    root
+        R (r, p), `R^T R` its information, with a row for each direction that is determined.
+    bounds
+        Passive drives, and whatever else is certain or stated.
+    quantile
+        Of chi-square, which sets the level.
+    """
+
+    prior: CadPrior
+    base: BaseParameters
+    beta: Array
+    root: Array
+    bounds: BodyBounds
+    quantile: float
+
+    @cached_property
+    def _problem(self) -> ConicProblem:
+        return ConicProblem(self.prior, self.base.regrouping, self.bounds, smallest_part=0.0)
+
+    @cached_property
+    def _factor(self) -> Array:
+        return factor_distance(self.root, self.beta)
+
+    @cached_property
+    def distance(self) -> float:
+        """The least `|R (K chi - beta)|^2` of consistent bodies: 0 of a consistent estimate."""
+        nearest = self._problem.fit(self._factor)
+        return float(np.sum((self.root @ (self.base.regrouping @ nearest - self.beta)) ** 2))
+
+    @cached_property
+    def scale(self) -> float:
+        """The factor s on squared errors by what the model misses."""
+        return max(1.0, self.distance / max(len(self.root), 1))
+
+    @cached_property
+    def radius(self) -> float:
+        """The largest `|R (K chi - beta)|`."""
+        return float(np.sqrt(self.distance + self.scale * self.quantile))
+
+    def within(self, stated: BodyBounds) -> FeasibleRegion:
+        """Return the part of the region within further bounds.
+
+        Raises `UsageError` if these contradict the estimate: no bodies within them lie in the
+        region in which all quantities together hold.
+        """
+        part = replace(self, bounds=self.bounds.and_also(stated))
+        together = chdtri(len(self.root), LEAST_CHANCE) * self.scale
+        if part.distance > self.distance + together:
+            raise UsageError(
+                f"the stated bounds contradict the log of {self.prior.robot}: the nearest bodies"
+                f" within them are {np.sqrt(part.distance):.3g} standard errors from its torques,"
+                f" the nearest of all {np.sqrt(self.distance):.3g}",
+                cure=Cure("state wider bounds, or none"),
+            )
+        vars(part)["scale"] = self.scale
+        return part
+
+    @use_one_blas_thread()
+    def find_interval(self, value: Array, divisor: Array | None = None) -> tuple[float, float]:
+        """Return the least and the greatest `value @ chi`, over `divisor @ chi` if there is one.
+
+        Infinite where nothing bounds it. Raises `IdentifiabilityError` if the solver fails.
+        """
+        ends = [
+            sign * self._problem.find_extreme(self._factor, self.radius, sign * value, divisor)
+            for sign in (1.0, -1.0)
+        ]
+        # Rounding about zero, such as a mass of -1e-10 kg.
+        size = ROUNDING * self._measure_size(value)
+        least, greatest = (0.0 if divisor is None and abs(x) < size else x for x in ends)
+        return least, max(least, greatest)
+
+    def find_estimate(self, value: Array) -> tuple[float, float] | None:
+        """Return `value @ chi` with its standard error if the data determine it, else None.
+
+        They do if it is a combination `w^T R K` of what they determine; its error then is `|w|`.
+        """
+        seen, scaled = self._seen.T, self._scales * value
+        w, *_ = np.linalg.lstsq(seen, scaled, rcond=1e-10)
+        if np.linalg.norm(seen @ w - scaled) > ROUNDING * np.linalg.norm(scaled):
+            return None
+        return float(w @ self.root @ self.beta), float(np.linalg.norm(w))
+
+    def find_confounded(self, value: Array) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the fewest standard parameters that change unseen together with a quantity.
+
+        The change d with `R K d = 0` and `value @ d = 1` of least `sum_j |d_j| / scale_j` is a
+        linear program. The first names are parameters that the quantity does not have, the second
+        its own, which alone have no effect on the torques if there are no first ones.
+        """
+        scales, n = self._scales, len(value)
+        size = np.linalg.norm(self._seen, axis=1)
+        seen = self._seen / np.where(size > 0.0, size, 1.0)[:, None]
+        rows = np.vstack([seen, scales * value / np.linalg.norm(scales * value)])
+        right = np.append(np.zeros(len(seen)), 1.0)
+        solution = linprog(
+            np.ones(2 * n), A_eq=np.hstack([rows, -rows]), b_eq=right, bounds=(0.0, None)
+        )
+        if solution.x is None:
+            return (), ()
+        change = np.abs(solution.x[:n] - solution.x[n:])
+        order = np.argsort(-change, kind="stable")
+        named = order[change[order] > LEAST_SHARE * change.max()].tolist()
+        names = self.base.standard_names
+        return (
+            tuple(names[j] for j in named if value[j] == 0.0),
+            tuple(names[j] for j in named if value[j] != 0.0),
+        )
+
+    @cached_property
+    def _scales(self) -> Array:
+        """Sizes of the standard parameters in CAD (n_standard,)."""
+        bodies, _ = scale_near_one(self.prior)
+        return np.asarray(np.linalg.norm(bodies, axis=1))
+
+    @cached_property
+    def _seen(self) -> Array:
+        """What changes of the standard parameters, in units of their scales, do (r, n_standard)."""
+        return self.root @ self.base.regrouping * self._scales
+
+    def _measure_size(self, value: Array) -> float:
+        return float(np.linalg.norm(self._scales * value))

@@ -1,1 +1,0 @@
-"""Fleets: many robots over time, kept as information in a ledger."""

@@ -1,1 +1,0 @@
-"""Study of a log for external torque, contact and fault."""

@@ -1,1 +1,0 @@
-"""Programs that make controllers run a motion and record it."""
