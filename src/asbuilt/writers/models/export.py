@@ -29,9 +29,11 @@ from asbuilt.writers.models.as_built import (
 from asbuilt.writers.models.c.c_code import CCode, write_c
 from asbuilt.writers.models.mjcf import describe_rotors, write_mjcf
 from asbuilt.writers.models.physical import (
+    note_implausible_links,
     note_left_out_servo,
     refuse_inconsistent,
     refuse_poor_nearest_model,
+    refuse_wrong_units,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS, ExportedDrives
@@ -145,8 +147,8 @@ def export_result(
     Raises
     ------
     InertiaError
-        If the model is physically inconsistent, or the nearest consistent one predicts the
-        recordings badly and `force` is not set; nothing is written then.
+        If the model is physically inconsistent, its description is in other units, or the nearest
+        consistent one predicts the recordings badly and `force` is not set; nothing is written then.
     UsageError
         If no file is named, or options do not go together.
     """
@@ -198,6 +200,8 @@ def export_result(
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     refuse_inconsistent(model, result)
+    refuse_wrong_units(result.model)
+    absurd = note_implausible_links(model)
     cost = compare_with_nearest(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
@@ -227,6 +231,7 @@ def export_result(
         text, remarks = written.document(ExportedDrives(in_simulators, result), Path(place))
         files[written.key] = atomic_write(place, text)
         notes[written.key] = (*remarks, *kept)
+    notes = {kind: (*absurd, *notes.get(kind, ())) for kind in files}
     return Export(
         result.robot,
         found.verdict,
