@@ -456,7 +456,6 @@ give 1.7 to 87.
 
 def check_scale_without_masses(fit: TorqueFit) -> Iterator[Finding]:
     """Find torques of a size that no robot of this length has."""
-    # A whole decade is left for unusual arms.
     density, (low, high) = infer_density(fit), DENSITY
     if density is None or low < density < high:
         return

@@ -69,7 +69,6 @@ def check_velocities(
         180 / np.pi: "degrees per second",
         np.pi / 180: "radians per second while positions are degrees",
     }
-    # A fifth off, as derivatives of noisy positions are too small.
     unit = next((u for f, u in units.items() if abs(middle / f - 1) < 0.2), None)
     if unit is not None:
         yield Finding(
@@ -128,7 +127,6 @@ def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> f
     wrong = (
         gain.size > 1
         and common > 0.0
-        # Filters of drives change velocities by some percent.
         and abs(common - 1.0) > 0.15
         and np.all(np.abs(gain / common - 1.0) < apart)
         and np.all(correlation >= 0.95)
