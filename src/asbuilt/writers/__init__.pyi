@@ -35,6 +35,11 @@ from .models.simulator_format import ExportedDrives as ExportedDrives
 from .models.simulator_format import SimulatorFormat as SimulatorFormat
 from .models.urdf import UNLIMITED as UNLIMITED
 from .models.urdf import write_urdf as write_urdf
+from .payload_format import PAYLOAD_FORMATS as PAYLOAD_FORMATS
+from .payload_format import CarriedBody as CarriedBody
+from .payload_format import PayloadFormat as PayloadFormat
+from .payload_format import read_stored_payload as read_stored_payload
+from .payload_format import write_payload as write_payload
 from .pictures.motion_view import motion_of_recording as motion_of_recording
 from .pictures.view import view_robot as view_robot
 from .pictures.view import write_picture as write_picture
