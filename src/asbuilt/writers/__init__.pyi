@@ -29,6 +29,7 @@ from .models.ensembles import write_ensemble as write_ensemble
 from .models.export import OBSERVERS as OBSERVERS
 from .models.export import Export as Export
 from .models.export import export_result as export_result
+from .models.physical import note_left_out_servo as note_left_out_servo
 from .models.robot_toml import write_robot_toml as write_robot_toml
 from .models.simulator_format import SIMULATOR_FORMATS as SIMULATOR_FORMATS
 from .models.simulator_format import ExportedDrives as ExportedDrives

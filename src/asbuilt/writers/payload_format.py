@@ -104,7 +104,7 @@ def read_carried_body(document: Mapping[str, Any], source: str = "payload") -> C
     except (KeyError, TypeError, ValueError, AttributeError) as problem:
         raise ResultError(
             f"{source} is no payload: {type(problem).__name__} {problem}",
-            cure=Cure("give a payload.json that asbuilt payload --out wrote"),
+            cure=Cure("give a payload.json that asbuilt payload wrote"),
             file=source,
         ) from None
     if "mass" in left_out or not body.mass > 0.0:
