@@ -33,6 +33,7 @@ GROUPS = {
     "log_formats": "json_lines_format",
     "motions": "mirrored_motions",
     "program_formats": "json_program",
+    "payload_formats": "plain_payload",
     "report_sections": "outside_section",
     "description_formats": "chain_format",
     "simulator_formats": "gains_format",

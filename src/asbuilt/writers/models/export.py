@@ -20,7 +20,7 @@ from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import round_significant
 from asbuilt.validation.nearest_consistent import NearestModel, compare_with_nearest
-from asbuilt.writers.files import atomic_write, file_lines, path_texts
+from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     as_built,
     keep_described_drives,
@@ -195,8 +195,12 @@ def export_result(
         files["observer"], files["observer_header"] = write_observer(
             observer, result, thresholds=thresholds
         )
+    for exact in [each for each in formats if each.exact]:
+        files[exact.key], notes[exact.key] = exact.write(
+            ExportedDrives(result.model, result), Path(formats.pop(exact))
+        )
     if all(place is None for place in models) and not formats:
-        return Export(result.robot, "the identified parameters", files, {})
+        return Export(result.robot, "the identified parameters", files, notes)
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     refuse_inconsistent(model, result)
@@ -228,8 +232,9 @@ def export_result(
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
     for written, place in formats.items():
-        text, remarks = written.document(ExportedDrives(in_simulators, result), Path(place))
-        files[written.key] = atomic_write(place, text)
+        files[written.key], remarks = written.write(
+            ExportedDrives(in_simulators, result), Path(place)
+        )
         notes[written.key] = (*remarks, *kept)
     notes = {kind: (*absurd, *notes.get(kind, ())) for kind in files}
     return Export(
