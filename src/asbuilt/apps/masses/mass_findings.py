@@ -1,4 +1,4 @@
-"""What is implausible about mass properties of links: beside their geometry: densities, boxes, surfaces."""
+"""What is implausible about mass properties of links next to their geometry."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
 from asbuilt.identification.statistics import exceeds
+from asbuilt.scaled import Scaled
 
 
 class Selection(Trials):
@@ -106,8 +107,7 @@ class Selection(Trials):
         if candidate.replaces.size:
             return np.inf
         values, covariance = self.values_of([candidate])
-        square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-        return float(np.sqrt(square / len(values)))
+        return float(np.sqrt(Scaled(covariance).square(values) / len(values)))
 
     def _is_in_halves(self, candidate: Candidate) -> bool:
         """Return whether each half of the log has an effect in the direction of the whole."""
