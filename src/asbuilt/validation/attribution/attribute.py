@@ -270,11 +270,12 @@ def _word_sizes(
     }
 
     def word(j: int) -> str:
-        drive_places = result.parameters[j]
-        change = format_plus_minus(drive_places.estimate - float(values[j]), drive_places.std_error)
+        parameter = result.parameters[j]
+        change = format_plus_minus(parameter.estimate - float(values[j]), parameter.std_error)
         # A zero in CAD is no value to be more than.
         more = " more than in CAD" if values[j] else ""
-        return f"{words.get(drive_places.name.rstrip('0123456789'), '')} {change} {drive_places.unit}{more}".strip()
+        title = words.get(parameter.name.rstrip("0123456789"), "")
+        return f"{title} {change} {parameter.unit}{more}".strip()
 
     drive_places = (locate_drive_parameters(result.base, k).get(key, []) for k in range(n))
     return tuple(", ".join(map(word, places)) for places in drive_places)
