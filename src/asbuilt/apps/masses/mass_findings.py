@@ -1,4 +1,4 @@
-"""What is implausible about mass properties of links: beside their geometry: densities, boxes, surfaces."""
+"""What is implausible about masses beside the geometry: densities, boxes, surfaces."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def export_result(
     ------
     InertiaError
         If the model is physically inconsistent, its description is in other units, or the nearest
-        consistent one predicts the recordings badly and `force` is not set; nothing is written then.
+        consistent one predicts the recordings badly and `force` is not set; nothing is written
     UsageError
         If no file is named, or options do not go together.
     """
