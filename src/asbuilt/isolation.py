@@ -41,7 +41,11 @@ def leave_current_folder() -> None:
 
 def _list_module_folders() -> list[str]:
     """Return the folders of modules without the current one, unless this package lies there."""
-    here, home = os.path.realpath(os.curdir), str(Path(__file__).resolve().parents[1])
+    try:
+        here = os.path.realpath(os.curdir)
+    except OSError:  # the current folder was deleted, and has no modules
+        here = ""
+    home = str(Path(__file__).resolve().parents[1])
     return [
         each
         for each in sys.path

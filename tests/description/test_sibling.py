@@ -66,3 +66,50 @@ def test_a_damaged_page_is_refused(damage, tmp_path) -> None:
 def test_a_page_without_end_is_refused() -> None:
     with pytest.raises(DescriptionError, match=r"/dev/zero"):
         read_sibling("/dev/zero")
+
+
+def damaged(tmp_path, change):
+    page = Sibling.of(built()).as_dict()
+    change(page)
+    path = tmp_path / "page.json"
+    path.write_text(json.dumps(page))
+    return path
+
+
+def first_link(page):
+    return page["links"][next(iter(page["links"]))]
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        (9, -1.0, "m of link .* is -1.0"),
+        (9, True, "m of link .* is True"),
+        (0, 1e308, "Ixx of link .* is 1e"),
+        (0, "3", "Ixx of link .* is 3; it must be a number"),
+        (0, None, "Ixx of link .* is None"),
+        (0, 50.0, "no body has the numbers of link"),
+    ],
+)
+def test_numbers_of_no_body_are_refused(place, value, said, tmp_path) -> None:
+    path = damaged(tmp_path, lambda page: first_link(page).__setitem__(place, value))
+    with pytest.raises(DescriptionError, match=said):
+        read_sibling(path)
+
+
+@pytest.mark.parametrize("value", [-0.1, True, 1e300, "nan"])
+def test_drives_that_are_not_passive_are_refused(value, tmp_path) -> None:
+    def change(page):
+        page["drives"][next(iter(page["drives"]))]["viscous"] = value
+
+    with pytest.raises(DescriptionError, match="viscous of drive"):
+        read_sibling(damaged(tmp_path, change))
+
+
+def test_zeros_in_place_of_a_mass_are_refused(tmp_path) -> None:
+    def change(page):
+        page["links"] = {name: [0.0] * 10 for name in page["links"]}
+
+    found = read_sibling(damaged(tmp_path, change))
+    with pytest.raises(DescriptionError, match="has zeros for"):
+        found.applied(load_robot("two-link"))

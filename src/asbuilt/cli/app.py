@@ -231,6 +231,12 @@ def _flush_output(status: int) -> int:
 def _run_for_status(given: list[str]) -> int:
     """Run the command line; report every failure and return the exit status."""
     try:
+        os.getcwd()  # files are named from here, and nothing works where it was deleted
+    except OSError:
+        hint = "change to another one"
+        message = "the current folder does not exist any more"
+        return _fail(given, "FileNotFoundError", message, hint, {}, 1)
+    try:
         status = typer.main.get_command(app).main(
             args=given, prog_name="asbuilt", standalone_mode=False
         )

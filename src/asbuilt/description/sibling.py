@@ -13,9 +13,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from asbuilt.description.inertia import PARAMETER_NAMES, LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
-from asbuilt.findings import Cure
+from asbuilt.findings import Cure, join_names
+from asbuilt.ranges import Range
 from asbuilt.untrusted import parse_json, read_text
 
 DRIVES = ("armature", "viscous", "coulomb", "offset")
@@ -66,7 +68,7 @@ class Sibling:
         Raises
         ------
         DescriptionError
-            If its links or joints have other names.
+            If its links or joints have other names, or zeros for a link that has a mass.
         """
         for kind, own, theirs in (
             ("links", model.link_names, self.links),
@@ -78,6 +80,15 @@ class Sibling:
                     f" {', '.join(own)}",
                     cure=Cure("give the numbers of a robot of the same type and description"),
                 )
+        empty = [
+            link.name for link in model.links if link.has_mass and not any(self.links[link.name])
+        ]
+        if empty:
+            raise DescriptionError(
+                f"the sibling {self.robot} has zeros for {join_names(empty)}, which"
+                f" {'have' if len(empty) > 1 else 'has'} a mass in {model.name}",
+                cure=Cure("give the numbers of a robot that was identified"),
+            )
         joints = tuple(
             replace(joint, drive=replace(joint.drive, **cast(Any, self.drives[joint.name])))
             for joint in model.joints
@@ -101,22 +112,66 @@ def read_sibling(path: str | Path) -> Sibling:
     Raises
     ------
     DescriptionError
-        If the file does not hold them.
+        If the file does not hold them, or a number is none of a body or a passive drive.
     """
     text = read_text(Path(path), "robot as built", DescriptionError)
+    cure = Cure("give the JSON file of a robot's page, with links and drives")
     try:
         document = parse_json(text)
         found = document.get("sibling", document)
-        links = {name: tuple(map(float, values)) for name, values in found["links"].items()}
-        drives = {
-            name: {key: float(values[key]) for key in DRIVES if key in values}
-            for name, values in found["drives"].items()
-        }
-        if any(len(values) != 10 or not np.all(np.isfinite(values)) for values in links.values()):
-            raise ValueError("a link has ten finite inertial parameters")
-        return Sibling(str(found["robot"]), links, drives)
+        robot, links, drives = str(found["robot"]), found["links"], found["drives"]
+        return Sibling(
+            robot,
+            {name: _read_link(name, values) for name, values in links.items()},
+            {name: _read_drive(name, values) for name, values in drives.items()},
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as problem:
+        if isinstance(problem, DescriptionError):
+            raise DescriptionError(
+                f"{path} has no robot as built: {problem.message}", cure=cure
+            ) from None
         raise DescriptionError(
-            f"{path} has no robot as built: {type(problem).__name__}: {problem}",
-            cure=Cure("give the JSON file of a robot's page, with links and drives"),
+            f"{path} has no robot as built: {type(problem).__name__}: {problem}", cure=cure
         ) from problem
+
+
+MASS = Range(0.0, 1e5, "kg")
+"""Masses of links, from none to a hundred times those of the heaviest arm."""
+MOMENT = Range(-1e7, 1e7)
+"""First moments and moments of inertia of such links within 10 m, in SI units."""
+LOSS = Range(0.0, 1e6)
+"""Armature and friction, which no passive drive has below zero, in SI units."""
+OFFSET = Range(-1e6, 1e6)
+"""Torque at rest [N m], of either sign."""
+
+
+def _read_link(name: str, values: Any) -> tuple[float, ...]:
+    """Return the ten inertial parameters of a link that can exist, or whose numbers are all zero.
+
+    Raises `DescriptionError` with link, parameter and value.
+    """
+    if not isinstance(values, list) or len(values) != len(PARAMETER_NAMES):
+        raise DescriptionError(
+            f"link {name!r} has no list of ten inertial parameters ({' '.join(PARAMETER_NAMES)})"
+        )
+    for symbol, value in zip(PARAMETER_NAMES, values, strict=True):
+        _require_number(f"{symbol} of link {name!r}", value, MASS if symbol == "m" else MOMENT)
+    reason = LinkInertia(np.array(values, dtype=np.float64)).inconsistency()
+    if reason is not None:
+        raise DescriptionError(f"no body has the numbers of link {name!r}: {reason}")
+    return tuple(map(float, values))
+
+
+def _read_drive(name: str, values: Any) -> dict[str, float]:
+    """Return the known values of a drive; raises `DescriptionError` with joint, name and value."""
+    if not isinstance(values, dict):
+        raise DescriptionError(f"drive {name!r} is no table of {', '.join(DRIVES)}")
+    found = {key: values[key] for key in DRIVES if key in values}
+    for key, value in found.items():
+        _require_number(f"{key} of drive {name!r}", value, OFFSET if key == "offset" else LOSS)
+    return {key: float(value) for key, value in found.items()}
+
+
+def _require_number(what: str, value: Any, allowed: Range) -> None:
+    if not allowed.holds(value):
+        raise DescriptionError(f"{what} is {str(value)[:60]}; it must be a number {allowed}")

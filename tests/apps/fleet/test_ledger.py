@@ -310,3 +310,21 @@ def test_identities_from_paths() -> None:
         make_identity_finder("*.csv")
     with pytest.raises(UsageError, match="does not match"):
         make_identity_finder("{id}/*.parquet")(Path("a.csv"))
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("workers", [0, 2])
+def test_one_recording_under_two_dates_is_one_entry(
+    workers: int, logs: list[Path], tmp_path: Path
+) -> None:
+    folder = tmp_path / "R1"
+    folder.mkdir()
+    names = ["2026-03-01.csv", "2026-03-02.csv", "2026-03-03.csv"]
+    copies = [folder / f"arm_{name}" for name in names]
+    for copy in copies:
+        copy.write_bytes(logs[0].read_bytes())
+    done = add(tmp_path / "ledger", copies[::-1], fleet=FleetOptions(workers=workers))
+    assert [report.log for report in done.added] == [str(copies[0])]
+    assert [report.log for report in done.skipped] == [str(copy) for copy in copies[1:]]
+    (name,) = open_ledger(str(tmp_path / "ledger")).names("R1")
+    assert {report.entry for report in done.skipped} == {name}

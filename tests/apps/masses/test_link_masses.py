@@ -280,3 +280,13 @@ def test_wrong_usage_ends_with_2(tmp_path, capsys, monkeypatch, arguments, said)
     path = robot(tmp_path, PLAUSIBLE + body("visual", '<box size="0.2 0.1 0.06"/>'))
     assert main(["masses", str(path), *arguments]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_mesh_that_cannot_be_read_is_the_reason_why_nothing_is_written(tmp_path, capsys):
+    (tmp_path / "part.stl").write_bytes(b"not a mesh")
+    path = robot(tmp_path, PLAUSIBLE + body("visual", '<mesh filename="part.stl"/>'))
+    out = tmp_path / "new.urdf"
+    assert main(["masses", str(path), "--density", "2700", "--out", str(out)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "no mass properties were computed: link l0:" in said
+    assert "part.stl" in said

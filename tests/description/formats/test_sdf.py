@@ -115,3 +115,63 @@ def test_what_makes_no_sense_is_refused_by_place(case: str) -> None:
     text, message = WRONG[case]
     with pytest.raises(DescriptionError, match=message):
         read_sdf(text)
+
+
+FRAMES = """<sdf version="1.9"><model name="f">
+<link name="base"/><joint name="fix" type="fixed"><parent>world</parent><child>base</child></joint>
+<frame name="away"><pose>0 0 1 0 0 0</pose></frame>
+<frame name="mount" attached_to="base"><pose>0.1 0 0.2 0 0.5 0</pose></frame>
+<link name="left arm"><pose relative_to="mount">0 0 0.3 0 0 0</pose><inertial>{pose}<mass>1</mass>
+<inertia><ixx>.02</ixx><iyy>.02</iyy><izz>.02</izz></inertia></inertial></link>
+<joint name="j 1" type="revolute"><parent>{parent}</parent><child>left arm</child>
+<axis><xyz>0 1 0</xyz><limit><lower>{lower}</lower><upper>{upper}</upper></limit>{more}</axis>
+</joint>
+</model></sdf>"""
+
+
+def frames(
+    parent: str = "base",
+    pose: str = "<pose>0.2 0 0 0 0 0</pose>",
+    limits: tuple[str, str] = ("-1", "1"),
+    more: str = "",
+) -> RobotModel:
+    lower, upper = limits
+    text = FRAMES.format(parent=parent, pose=pose, lower=lower, upper=upper, more=more)
+    return read_sdf(text)
+
+
+def test_a_parent_may_be_a_frame():
+    plain, framed = frames(), frames(parent="mount")
+    np.testing.assert_array_equal(plain.joints[0].before, framed.joints[0].before)
+    assert plain.link_names == ("left arm",)
+    assert plain.joint_names == ("j 1",)
+
+
+def test_the_centre_of_mass_may_be_relative_to_a_frame():
+    # The arm stands at mount * (0, 0, 0.3); the centre is 0.5 before the frame "away".
+    found = frames(pose='<pose relative_to="away">0.5 0 0 0 0 0</pose>')
+    arm = np.eye(4)
+    arm[:3, :3] = rotation_from_rpy([0.0, 0.5, 0.0])
+    arm[:3, 3] = np.array([0.1, 0, 0.2]) + arm[:3, :3] @ [0, 0, 0.3]
+    expected = np.linalg.solve(arm, [0.5, 0.0, 1.0, 1.0])[:3]
+    np.testing.assert_allclose(found.links[0].inertia.com, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("most", ["1.79769e+308", "1e16", "inf", "1.7976931348623157e308"])
+def test_the_largest_number_is_no_limit(most):
+    limits = frames(limits=(f"-{most}", most)).joints[0].limits
+    assert (limits.lower, limits.upper) == (-np.inf, np.inf)
+    assert not frames(limits=(f"-{most}", most)).notes
+
+
+def test_what_is_not_read_is_named():
+    spring = "<dynamics><spring_stiffness>3</spring_stiffness></dynamics>"
+    assert frames(more=spring).notes == ("not read of SDF: springs of joints",)
+
+
+def test_frames_in_a_circle_are_refused():
+    text = FRAMES.replace('attached_to="base"', 'attached_to="turn"').replace(
+        '<link name="left', '<frame name="turn" attached_to="mount"/><link name="left'
+    )
+    with pytest.raises(DescriptionError, match="in a circle"):
+        read_sdf(text.format(parent="mount", pose="", lower=-1, upper=1, more=""))

@@ -12,6 +12,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import round_to_right_angle
 from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import DescriptionError
 from shared_urdfs import SHARED_URDFS
 
 
@@ -380,3 +381,41 @@ def test_a_thousand_fixed_links_in_a_row_are_no_trouble():
         above = f"f{i}"
     model = read_urdf(text + "</robot>")
     assert np.isclose(model.links[0].inertia.mass, 2002.0)
+
+
+GEARED = """<robot name="r"><link name="w"/><link name="a"><inertial><mass value="3"/>
+<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.05"/></inertial></link>
+<joint name="j" type="revolute"><parent link="w"/><child link="a"/>
+<limit lower="0" upper="0" effort="0" velocity="0"/></joint>
+<transmission name="t"><joint name="j"/>{second}<actuator name="m">{motor}</actuator></transmission>
+</robot>"""
+ROS = "<mechanicalReduction>-101</mechanicalReduction><motorInertia>5e-5</motorInertia>"
+DRAKE = '<drake:gear_ratio value="101"/><drake:rotor_inertia value="5e-5"/>'
+
+
+@pytest.mark.parametrize("motor", [ROS, DRAKE])
+def test_a_transmission_gives_the_armature(motor):
+    text = GEARED.format(motor=motor, second="").replace(
+        "<robot ", '<robot xmlns:drake="http://drake.mit.edu" '
+    )
+    model = read_urdf(text)
+    assert model.joints[0].drive.armature == pytest.approx(5e-5 * 101**2)
+    assert model.joints[0].drive.gear_ratio == 101.0
+    assert any("make the armature 0.5101" in note for note in model.notes)
+
+
+def test_a_rotor_of_two_joints_is_left_out_with_a_note():
+    model = read_urdf(GEARED.format(motor=ROS, second='<joint name="other"/>'))
+    assert model.joints[0].drive.armature is None
+    assert any("belongs to no single moving joint" in note for note in model.notes)
+
+
+def test_position_limits_of_zero_are_not_stated():
+    model = read_urdf(GEARED.format(motor="", second=""))
+    assert (model.joints[0].limits.lower, model.joints[0].limits.upper) == (-np.inf, np.inf)
+    assert any("position limits are 0 .. 0" in note for note in model.notes)
+
+
+def test_a_rotor_with_negative_inertia_is_refused():
+    with pytest.raises(DescriptionError, match="motorInertia> is -1"):
+        read_urdf(GEARED.format(motor="<motorInertia>-1</motorInertia>", second=""))

@@ -7,7 +7,13 @@ from pathlib import Path
 
 from asbuilt.apps.masses.computed_masses import LinkMasses
 from asbuilt.errors import InertiaError, UsageError
+from asbuilt.findings import Cure
 from asbuilt.writers import write_robot_toml, write_urdf
+
+UNREADABLE = ("missing_mesh", "doubtful_mesh", "mesh_scale", "no_geometry")
+"""Findings that say why nothing was computed of a link."""
+MOST_REASONS = 3
+"""Reasons that an error lists."""
 
 
 def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path, tuple[str, ...]]:
@@ -25,7 +31,14 @@ def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path
     place, model = Path(path), masses.computed_model
     computed = {each.name: each.computed for each in masses.links if each.computed is not None}
     if not computed:
-        raise UsageError("no mass properties were computed, so there is nothing to write")
+        reasons = [f.message for f in masses.findings if f.code in UNREADABLE]
+        why = f": {'; '.join(reasons[:MOST_REASONS])}" if reasons else ", so there is none to write"
+        raise UsageError(
+            f"no mass properties were computed{why}",
+            cure=Cure("name the folder with the meshes, or repair them", {"meshes": "DIR"})
+            if reasons
+            else None,
+        )
     for name, inertia in computed.items():
         if (reason := inertia.inconsistency()) is not None:
             raise InertiaError(f"computed mass properties of link {name!r}: {reason}", link=name)

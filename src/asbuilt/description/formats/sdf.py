@@ -1,13 +1,15 @@
 """Robots from SDF (Simulation Description Format), by way of the same robot as URDF.
 
 SDF states poses in the frame of the model or in any named frame, URDF from joint to joint. The
-robot is rewritten as URDF, with a massless body at every joint, and read by that reader
+robot is rewritten as URDF, with a massless body at a joint whose frame is not its link's, and read
+by that reader
 (format: http://sdformat.org/spec).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -49,11 +51,28 @@ UNLIMITED = 1e15
 
 @dataclass
 class _Frames:
-    """Find where the frames of a model are: each in the frame that it is attached to."""
+    """Find where the frames of a model are: each in the frame that it is attached to.
+
+    `carriers` names what each frame is attached to, and the world the root.
+    """
 
     source: str
     stated: dict[str, tuple[str, Array]] = field(default_factory=dict)
     found: dict[str, Array] = field(default_factory=lambda: {MODEL: np.eye(4)})
+    carriers: dict[str, str] = field(default_factory=dict)
+
+    def link(self, name: str) -> str:
+        """Return the link that carries a link or a frame; MODEL for the world."""
+        seen = list[str]()
+        while name in self.carriers and name not in seen:
+            seen.append(name)
+            name = self.carriers[name]
+        if name in seen:
+            raise DescriptionError(
+                f"{self.source}: the frames {', '.join(seen[:MOST_NAMED])} are attached to each"
+                " other in a circle"
+            )
+        return name
 
     def pose(self, name: str) -> Array:
         """Return the pose (4, 4) of a frame in the frame of the model."""
@@ -95,8 +114,9 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
     if root.tag != "sdf":
         raise DescriptionError(f"{source}: the outermost element is <{root.tag}>, expected <sdf>")
     model = _find_only_model(root, source)
-    closing = _find_closing_joints(model, source)
-    robot = read_urdf(tostring(_build_urdf(model, source, closing)))
+    frames = _read_frames(model, source)
+    closing = _find_closing_joints(model, frames, source)
+    robot = read_urdf(tostring(_build_urdf(model, frames, source, closing)))
     gravity = root.find("world/gravity")
     turned = np.eye(3) if model.find("pose") is None else _read_pose(model, source)[:3, :3]
     free_fall = (
@@ -104,15 +124,42 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         if gravity is None
         else np.array(parse_numbers(gravity.text or "", 3, f"{source}: <gravity>"))
     )
-    loops = _read_loops(closing, _read_frames(model, source), source)
-    return replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops).closed()
+    loops = _read_loops(closing, frames, source)
+    notes = (*robot.notes, *_note_unread(model))
+    found = replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops, notes=notes)
+    return found.closed()
 
 
-def _find_closing_joints(model: Element, source: str) -> list[Element]:
+UNREAD = {
+    "spring_stiffness": "springs of joints",
+    "fluid_added_mass": "added mass of fluids",
+    "axis2": "second axes of joints",
+    "gearbox_ratio": "gearboxes between joints",
+    "thread_pitch": "pitches of screws",
+    "static": "that the model is static",
+}
+"""Elements of SDF with a meaning for dynamics that are not read."""
+
+
+def _note_unread(model: Element) -> tuple[str, ...]:
+    """Return notes on elements that change the dynamics and are not read."""
+    zero = ("", "0", "false")
+    there = {
+        what
+        for tag, what in UNREAD.items()
+        for each in model.iter(tag)
+        if len(each) or (each.text or "").strip().rstrip(".0") not in zero
+    }
+    computed = any(each.get("auto") in ("true", "1") for each in model.iter("inertial"))
+    there |= {"inertias computed from shapes (auto)"} if computed else set()
+    return tuple(f"not read of SDF: {what}" for what in sorted(there))
+
+
+def _find_closing_joints(model: Element, frames: _Frames, source: str) -> list[Element]:
     """Return the joints to links that another joint before them moves already: they close loops."""
     moved, closing = set[str](), list[Element]()
     for joint in model.findall("joint"):
-        child = _read_text(joint, "child", source)
+        child = frames.link(_read_text(joint, "child", source))
         if child in moved:
             closing.append(joint)
         moved.add(child)
@@ -128,8 +175,7 @@ def _read_loops(joints: Sequence[Element], frames: _Frames, source: str) -> tupl
     for joint in joints:
         name, kind = str(joint.get("name")), joint.get("type")
         place = f"{source}, joint {name!r}"
-        links = [_read_text(joint, side, place) for side in ("parent", "child")]
-        links = [MODEL if link == "world" else link for link in links]
+        links = [frames.link(_read_text(joint, side, place)) for side in ("parent", "child")]
         at = frames.pose(name)
         inside = [compose_placements(invert_placement(frames.pose(link)), at) for link in links]
         if kind == "fixed":
@@ -171,13 +217,14 @@ def _find_only_model(root: Element, source: str) -> Element:
     return model
 
 
-def _build_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
-    frames = _read_frames(model, source)
+def _build_urdf(
+    model: Element, frames: _Frames, source: str, closing: Sequence[Element]
+) -> Element:
     robot = Element("robot", name=str(model.get("name") or "robot"))
-    children = {_read_text(joint, "child", source) for joint in model.findall("joint")}
+    children = {frames.link(_read_text(joint, "child", source)) for joint in model.findall("joint")}
     SubElement(robot, "link", name=MODEL)
     for link in model.findall("link"):
-        _add_link(robot, link, source)
+        _add_link(robot, link, frames, source)
         if link.get("name") not in children:
             _connect(robot, f"{MODEL} {link.get('name')}", MODEL, link.get("name"), "fixed", frames)
     for joint in model.findall("joint"):
@@ -188,7 +235,10 @@ def _build_urdf(model: Element, source: str, closing: Sequence[Element]) -> Elem
 
 
 def _read_frames(model: Element, source: str) -> _Frames:
-    frames = _Frames(source, {"world": (MODEL, np.eye(4))})
+    frames = _Frames(source, {"world": (MODEL, np.eye(4))}, carriers={"world": MODEL})
+    first = model.find("link")
+    # The frame of a model is attached to its first link, unless another is named.
+    canonical = model.get("canonical_link") or (None if first is None else first.get("name"))
     for tag, usual in (("link", MODEL), ("frame", MODEL), ("joint", "")):
         for element in model.findall(tag):
             name = element.get("name")
@@ -198,11 +248,14 @@ def _read_frames(model: Element, source: str) -> _Frames:
             origin = element.get("attached_to") or origin
             pose = element.find("pose")
             relative = None if pose is None else pose.get("relative_to")
+            if tag == "frame":
+                attached = element.get("attached_to") or canonical or MODEL
+                frames.carriers[name] = canonical if attached == MODEL and canonical else attached
             frames.stated[name] = (relative or origin, _read_pose(element, f"{source}, {name}"))
     return frames
 
 
-def _add_link(robot: Element, link: Element, source: str) -> None:
+def _add_link(robot: Element, link: Element, frames: _Frames, source: str) -> None:
     name = str(link.get("name"))
     written = SubElement(robot, "link", name=name)
     inertial = link.find("inertial")
@@ -210,7 +263,12 @@ def _add_link(robot: Element, link: Element, source: str) -> None:
         return
     place = f"{source}, link {name!r}"
     body = SubElement(written, "inertial")
-    _add_origin(body, _read_pose(inertial, place))
+    pose, at = _read_pose(inertial, place), inertial.find("pose")
+    relative = None if at is None else at.get("relative_to")
+    if relative:
+        into = compose_placements(invert_placement(frames.pose(name)), frames.pose(relative))
+        pose = compose_placements(into, pose)
+    _add_origin(body, pose)
     SubElement(body, "mass", value=_read_text(inertial, "mass", place, "1.0"))
     inertia = inertial.find("inertia")
     usual = {each: "1.0" if each[1] == each[2] else "0.0" for each in INERTIA}
@@ -225,12 +283,14 @@ def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> 
     place = f"{source}, joint {name!r}"
     if kind not in KINDS:
         raise DescriptionError(f"{place}: type {kind!r} is not one of {', '.join(KINDS)}")
-    parent, child = _read_text(joint, "parent", place), _read_text(joint, "child", place)
-    parent = MODEL if parent == "world" else parent
-    body = f"{name} (joint)"
-    SubElement(robot, "link", name=body)
-    written = _connect(robot, name, parent, body, kind, frames, at=name)
-    _connect(robot, f"{name} (link)", body, child, "fixed", frames, start=name)
+    parent, child = (frames.link(_read_text(joint, end, place)) for end in ("parent", "child"))
+    if np.array_equal(frames.pose(name), frames.pose(child)):
+        written = _connect(robot, name, parent, child, kind, frames)
+    else:
+        body = f"{name} (joint)"
+        SubElement(robot, "link", name=body)
+        written = _connect(robot, name, parent, body, kind, frames, at=name)
+        _connect(robot, f"{name} (link)", body, child, "fixed", frames, start=name)
     axis = joint.find("axis")
     if kind == "fixed":
         return
@@ -253,7 +313,7 @@ def _add_axis(
     if kind == "revolute" and not {"lower", "upper"} <= set(bounds):
         written.set("type", "continuous")
     if bounds:
-        SubElement(written, "limit", {"effort": "0", "velocity": "0"} | bounds)
+        SubElement(written, "limit", bounds)
     _add_mimic(written, axis, place)
     dynamics = axis.find("dynamics")
     if dynamics is not None:
@@ -299,6 +359,9 @@ def _parse_limit(text: str | None, what: str) -> float | None:
     """Return a limit, None where SDF states that there is none."""
     if (text or "").strip().lstrip("+-").lower() in ("inf", "infinity"):
         return None
+    with suppress(ValueError):
+        if abs(float(text or "")) >= UNLIMITED:
+            return None
     value = parse_finite_number((text or "").strip(), what)
     return None if abs(value) >= UNLIMITED else value
 

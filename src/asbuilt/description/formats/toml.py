@@ -302,7 +302,7 @@ def _extend_description(file: RobotFile, source: str, folder: Path | None) -> Ro
 def _refuse_long_chain(path: Path) -> None:
     """Raise `DescriptionError` if robot files extend one another too often, as in a circle."""
     chain = [path]
-    while chain[-1].suffix == ".toml" and chain[-1].is_file():
+    while chain[-1].suffix.lower() == ".toml" and chain[-1].is_file():
         text = read_text(chain[-1], "description", DescriptionError)
         try:
             extended = parse_toml(text).get("extends")

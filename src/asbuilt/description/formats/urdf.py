@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.finite import parse_finite_number
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     close_match,
@@ -101,7 +102,8 @@ def read_urdf(
     joint axis, which `after` takes back. Links behind fixed joints are merged into the moving link
     that carries them, and kept as frames and as `Link.parts` (all in the frame of the carrier);
     what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping
-    and friction become viscous and Coulomb values. Angles within 1e-5 rad of a right angle become
+    and friction become viscous and Coulomb values, rotor inertia and ratio of `<transmission>` an
+    armature. Angles within 1e-5 rad of a right angle become
     exact, unless `straighten` is False, which reads them to the letter as other programs do. Meshes
     are neither needed nor looked for. `fixed_base` holds floating joints at their origin; a free or
     planar `base` puts the root link on joints that have no drive.
@@ -134,6 +136,7 @@ def read_urdf(
             " identify"
         )
     _check_mimics(tree.joints, connections, source, notes)
+    _add_transmissions(tree.joints, root, source, notes)
     links = [
         Link.of_parts(name, parts, known=bool(parts))
         for name, parts in zip(tree.links, tree.parts, strict=True)
@@ -394,6 +397,10 @@ def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
     )
     if connection.kind == "continuous":
         lower, upper = -np.inf, np.inf
+    if lower == upper == 0.0:
+        # Exporters of CAD programs write zeros for what nobody stated.
+        notes.append(f"{place}: position limits are 0 .. 0, which is taken as not stated")
+        lower, upper = -np.inf, np.inf
     if lower > upper:
         raise DescriptionError(
             f"{place}: lower limit {lower} exceeds upper limit {upper}; swap them"
@@ -433,6 +440,54 @@ def _read_drive(connection: _Connection) -> DriveValues:
         if value < 0.0:
             raise DescriptionError(f"{place}: {name} is {value}; it must not be negative")
     return DriveValues(viscous=given.get("damping"), coulomb=given.get("friction"))
+
+
+def _add_transmissions(joints: list[Joint], root: Element, source: str, notes: list[str]) -> None:
+    """Give joints the armature `I n^2` of rotor inertia I and ratio n of their transmissions."""
+    places = {joint.name: k for k, joint in enumerate(joints)}
+    for element in root.findall("transmission"):
+        named = [each.get("name", "").strip() for each in element.findall("joint")]
+        actuators = element.findall("actuator")
+        place = f"{source}, transmission of joint {', '.join(named)}"
+        inertia = _read_motor_value(element, ROTOR_INERTIAS, place)
+        if inertia is None:
+            continue
+        ratio = _read_motor_value(element, RATIOS, place)
+        if len(named) != 1 or len(actuators) != 1 or named[0] not in places:
+            notes.append(
+                f"{place}: a rotor inertia of {inertia:g} kg m^2 is left out, since it belongs to"
+                " no single moving joint"
+            )
+            continue
+        n = 1.0 if ratio is None else ratio
+        k = places[named[0]]
+        drive = replace(joints[k].drive, armature=inertia * n**2, gear_ratio=abs(n))
+        joints[k] = replace(joints[k], drive=drive)
+        notes.append(
+            f"{place}: rotor inertia {inertia:g} kg m^2 and ratio {n:g} make the armature"
+            f" {inertia * n**2:.4g} kg m^2"
+        )
+
+
+ROTOR_INERTIAS = ("motorInertia", "rotor_inertia")
+"""Elements for the inertia of a rotor [kg m^2], of ROS and of Drake."""
+RATIOS = ("mechanicalReduction", "gear_ratio")
+"""Elements for the ratio of a transmission, of ROS and of Drake."""
+
+
+def _read_motor_value(transmission: Element, names: tuple[str, ...], place: str) -> float | None:
+    """Return a value of a transmission as text or as attribute, None where it is not there.
+
+    Raises `DescriptionError` for one that is no number, or no positive one.
+    """
+    for element in transmission.iter():
+        if element.tag in names:
+            text = element.get("value") or element.text or ""
+            value = parse_finite_number(text.strip(), f"{place}: <{element.tag}>")
+            if value == 0.0 or (value < 0.0 and "nertia" in element.tag):
+                raise DescriptionError(f"{place}: <{element.tag}> is {value:g}; it is positive")
+            return value
+    return None
 
 
 FORMATS.register(

@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.apps.fleet.ledger.settings import TypeSettings, name_robot_type
 from asbuilt.apps.fleet.ledger.store import LONGEST_PATTERN, check_robot_id, find_identity
 from asbuilt.apps.fleet.options import FleetOptions
 from asbuilt.apps.fleet.overview import report_suspicions
-from asbuilt.apps.fleet.reduction.log_source import choose_settings
+from asbuilt.apps.fleet.reduction.log_source import choose_settings, hash_sources
 from asbuilt.apps.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.errors import AsbuiltError, RecordingError, UsageError
@@ -125,20 +127,34 @@ def add_logs(
             opened, described, owners, reading, options, workers
         )
         unusable = {report.log for report in failed}
-        tasks = (
-            LogTask(
+        copies = _find_copies(owners)
+
+        def make_task(files: tuple[Path, ...]) -> LogTask:
+            return LogTask(
                 ledger=opened.root,
                 settings_path=settings.path,
-                robot_id=owner,
+                robot_id=owners[files],
                 paths=files,
                 reading=reading,
                 date=date,
                 checked=options.checked,
             )
-            for files, owner in owners.items()
-            if str(files[0]) not in unusable
-        )
-        reports = [*failed, *run_tasks(workers, tasks, len(owners) - len(failed), progress)]
+
+        asked = [files for files in owners if str(files[0]) not in unusable]
+        tasks = (make_task(files) for files in asked if files not in copies)
+        count = len(asked) - sum(files in copies for files in asked)
+        reports = [*failed, *run_tasks(workers, tasks, count, progress)]
+        became = {report.log: report for report in reports}
+        for files in asked:
+            if files in copies:
+                done = became[str(copies[files][0])]
+                if done.problem is None:
+                    reports.append(LogReport(str(files[0]), owners[files], done.entry))
+                    continue
+                # The first had no date, say: this one is reduced in its place.
+                (again,) = run_tasks(workers, [make_task(files)], 1, None)
+                became[str(copies[files][0])] = again
+                reports.append(again)
     return conclude_addition(
         opened, (settings,), reports, fixed=fixed, began=began, dashboard=workers.dashboard
     )
@@ -312,6 +328,31 @@ def _choose_from_task(
         return choose_settings(described, [files], reading=reading, options=options)
     except AsbuiltError as problem:
         return problem
+
+
+def _find_copies(
+    owners: Mapping[tuple[Path, ...], str],
+) -> dict[tuple[Path, ...], tuple[Path, ...]]:
+    """Return recordings whose content another one of the same robot has, with the first of them.
+
+    Workers do not see each other's logs, so that which of two dates is kept would depend on their
+    speed: the first path counts. Only files of one size are read.
+    """
+    alike: dict[Any, list[tuple[Path, ...]]] = {}
+    for files, owner in owners.items():
+        with suppress(OSError):
+            sizes = tuple(path.stat().st_size for path in files if path.is_file())
+            if len(sizes) == len(files):
+                alike.setdefault((owner, sizes), []).append(files)
+    copies = dict[tuple[Path, ...], tuple[Path, ...]]()
+    for group in alike.values():
+        first = dict[str, tuple[Path, ...]]()
+        for files in group if len(group) > 1 else ():
+            with suppress(AsbuiltError, OSError):  # reported where the log is reduced
+                original = first.setdefault(hash_sources(files), files)
+                if original is not files:
+                    copies[files] = original
+    return copies
 
 
 def _check_asked(known: TypeSettings, options: StudyOptions) -> None:
