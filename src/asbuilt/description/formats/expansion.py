@@ -277,7 +277,7 @@ def _substitute(xacro: Any, text: str, folder: Path, package: Path | None) -> An
         if name not in (".", "..") and "/" not in name and (folder / name).is_dir():
             return str(folder / name)
         raise ValueError(
-            f"{text[:80]}: the package is neither around the file nor a folder beside it"
+            f"{text[:80]} is not allowed: no such package is around the file or beside it"
         )
     raise ValueError(f"{text[:80]} is not allowed")
 
