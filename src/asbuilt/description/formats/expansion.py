@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -196,7 +197,9 @@ HARMLESS = ("builtins.id", "compile", "object.__getattr__", "sys._getframe")
 """Audited events of parsing and copying; no code that is compiled can be run."""
 
 
-def expand(path: str, largest: int, *, trusted: bool, arguments: Mapping[str, str]) -> None:
+def expand(
+    path: str, largest: int, *, trusted: bool, arguments: Mapping[str, str] = MappingProxyType({})
+) -> None:
     """Write the URDF of a xacro file on stdout and end this process; with status 2 if it cannot.
 
     One line on stderr says why. `largest` limits the bytes of a file that is read and of the URDF;
