@@ -8,10 +8,11 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from asbuilt.errors import AsbuiltError
@@ -28,6 +29,10 @@ DEEPEST = 64
 _INPUTS: ContextVar[set[tuple[int, int]] | None] = ContextVar("files that were read", default=None)
 """Device and number of each file that the running command has read."""
 _TRUSTED: ContextVar[bool] = ContextVar("whether xacro files may run any Python", default=False)
+_XACRO_ARGUMENTS: ContextVar[Mapping[str, str]] = ContextVar(
+    "arguments of xacro files", default=MappingProxyType({})
+)
+"""Values that take the place of the defaults of `<xacro:arg>`."""
 
 
 @contextmanager
@@ -43,6 +48,16 @@ def hold_value(variable: ContextVar[T], value: T) -> Iterator[None]:
 def allow_xacro_python(trusted: bool = True) -> AbstractContextManager[None]:
     """Let xacro files run any Python that their expressions hold, if `trusted`."""
     return hold_value(_TRUSTED, trusted or _TRUSTED.get())
+
+
+def set_xacro_arguments(arguments: Mapping[str, str]) -> AbstractContextManager[None]:
+    """Expand xacro files with these arguments, beside those that are set already."""
+    return hold_value(_XACRO_ARGUMENTS, {**_XACRO_ARGUMENTS.get(), **arguments})
+
+
+def list_xacro_arguments() -> dict[str, str]:
+    """Return the arguments with which xacro files are expanded."""
+    return dict(_XACRO_ARGUMENTS.get())
 
 
 def protect_inputs() -> AbstractContextManager[None]:

@@ -27,7 +27,13 @@ from asbuilt.cli.commands import ABSENT, COMMANDS, EVERY_COMMAND, GROUPS, SUBCOM
 from asbuilt.cli.entry import Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
-from asbuilt.untrusted import allow_xacro_python, describe_problem, protect_inputs, shorten_path
+from asbuilt.untrusted import (
+    allow_xacro_python,
+    describe_problem,
+    protect_inputs,
+    set_xacro_arguments,
+    shorten_path,
+)
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
@@ -152,6 +158,7 @@ def _import_command(name: str, entry: Entry) -> Any:
         with (
             open_screen(common, compiles=entry.compiles),
             allow_xacro_python(common.trust_xacro),
+            set_xacro_arguments(common.xacro_arguments),
             protect_inputs(),
         ):
             call()

@@ -16,7 +16,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel, ancestors
+from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.parts import ancestors
 from asbuilt.findings import Cure, Finding, join_names, rank_findings
 
 

@@ -9,6 +9,7 @@ import pytest
 from asbuilt.description.formats.xacro import read_xacro
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
+from asbuilt.untrusted import set_xacro_arguments
 
 ARM = """<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">
 <xacro:property name="length" value="0.4"/>
@@ -45,3 +46,40 @@ def test_what_cannot_be_expanded_is_one_error(tmp_path: Path, old: str, new: str
     (tmp_path / "arm.xacro").write_text(ARM.replace(old, new))
     with pytest.raises(DescriptionError, match=r"arm\.xacro: xacro cannot expand it"):
         read_xacro(tmp_path / "arm.xacro")
+
+
+def test_arguments_take_the_place_of_defaults(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    text = ARM.replace(
+        '<xacro:property name="length" value="0.4"/>',
+        '<xacro:arg name="length" default="0.4"/>'
+        '<xacro:property name="length" value="$(arg length)"/>',
+    )
+    (tmp_path / "arm.xacro").write_text(text)
+    with set_xacro_arguments({"length": "0.8"}):
+        longer = load_robot(tmp_path / "arm.xacro")
+    assert longer.links[1].inertia.com[0] == pytest.approx(0.4)
+    assert load_robot(tmp_path / "arm.xacro").links[1].inertia.com[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("package", [True, False])
+def test_find_looks_around_the_file_and_beside_it(package: bool, tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    root = tmp_path / "my_arm"
+    (root / "urdf").mkdir(parents=True)
+    if package:
+        (root / "package.xml").write_text("<package/>")
+        file, shared, name = root / "urdf" / "arm.xacro", root / "sizes.xacro", "my_arm"
+    else:
+        file, shared, name = root / "arm.xacro", root / "urdf" / "sizes.xacro", "urdf"
+    shared.write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:property name="length" value="0.4"/></robot>'
+    )
+    file.write_text(
+        ARM.replace(
+            '<xacro:property name="length" value="0.4"/>',
+            f'<xacro:include filename="$(find {name})/sizes.xacro"/>',
+        )
+    )
+    assert load_robot(file).joint_names == ("j1", "j2")

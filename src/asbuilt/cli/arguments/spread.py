@@ -54,7 +54,7 @@ def print_version(wanted: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """The options of every command; `trust_xacro` of those that read a robot."""
+    """The options of every command; `OF_ROBOTS` of those that read a robot."""
 
     quiet: bool = field(
         default=False, metadata={"help": "print errors and JSON only", "also": ("-q",)}
@@ -73,6 +73,25 @@ class Common:
     trust_xacro: bool = field(
         default=False, metadata={"help": "let a .xacro file run any Python that it holds"}
     )
+    xacro: str | None = field(
+        default=None,
+        metadata={
+            "help": "arguments of a .xacro file",
+            "metavar": "NAME=VALUE,...",
+        },
+    )
+
+    @property
+    def xacro_arguments(self) -> dict[str, str]:
+        """Arguments of a .xacro file; raises `UsageError` for a text of another form."""
+        pairs = [entry.partition("=") for entry in (self.xacro or "").split(",") if entry.strip()]
+        if any(not name.strip() or not equals for name, equals, _ in pairs):
+            raise UsageError(f"--xacro must be NAME=VALUE,..., got {self.xacro!r}")
+        return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+OF_ROBOTS = ("trust_xacro", "xacro")
+"""Options of the commands that read a robot."""
 
 
 ANY_NUMBER = Range(-1e18, 1e18)
@@ -105,11 +124,12 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
         for hint in hints.values()
         for option in getattr(hint, "__metadata__", ())
     )
-    parameters += [p for p in _list_parameters(Common) if p.name != "trust_xacro" or reads_robot]
+    parameters += [p for p in _list_parameters(Common) if p.name not in OF_ROBOTS or reads_robot]
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
         given.setdefault("trust_xacro", False)
+        given.setdefault("xacro", None)
         common = _collect_options(Common, given)
         for name, value in given.items():
             if type(value) in (int, float) and not ANY_NUMBER.holds(value):

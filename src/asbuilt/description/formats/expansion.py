@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -196,10 +197,13 @@ HARMLESS = ("builtins.id", "compile", "object.__getattr__", "sys._getframe")
 """Audited events of parsing and copying; no code that is compiled can be run."""
 
 
-def expand(path: str, largest: int, *, trusted: bool) -> None:
+def expand(
+    path: str, largest: int, *, trusted: bool, arguments: Mapping[str, str] = MappingProxyType({})
+) -> None:
     """Write the URDF of a xacro file on stdout and end this process; with status 2 if it cannot.
 
-    One line on stderr says why. `largest` limits the bytes of a file that is read and of the URDF.
+    One line on stderr says why. `largest` limits the bytes of a file that is read and of the URDF;
+    `arguments` take the place of the file's defaults.
     """
     answer, reason = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(2), "wb")
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
@@ -209,7 +213,9 @@ def expand(path: str, largest: int, *, trusted: bool) -> None:
         xacro: Any = import_module("xacro")
         if not trusted:
             _restrict(xacro, Path(path).parent, largest)
-        content = xacro.process_file(path).toprettyxml(indent="  ").encode()
+        content = (
+            xacro.process_file(path, mappings=dict(arguments)).toprettyxml(indent="  ").encode()
+        )
         if len(content) > largest:
             raise ValueError(f"the URDF has {len(content)} bytes, more than {largest}")
         answer.write(content)
@@ -238,9 +244,20 @@ def _restrict(xacro: Any, folder: Path, largest: int) -> None:
     xacro._global_symbols = names | {"math": math, "python": python, "xacro": own}
     functions = [each for each in (*names.values(), *own.values()) if callable(each)]
     xacro.safe_eval = lambda text, symbols, local=None: evaluate(text, symbols, functions)
-    xacro.eval_extension = lambda text: _substitute(xacro, text)
+    package = _find_package(folder)
+    xacro.eval_extension = lambda text: _substitute(xacro, text, folder, package)
     warnings.simplefilter("ignore")
-    sys.addaudithook(lambda event, given: _allow(event, given, folder, largest))
+    sys.addaudithook(lambda event, given: _allow(event, given, package or folder, largest))
+
+
+def _find_package(folder: Path) -> Path | None:
+    """Return the nearest folder around a file that is a ROS package; None where none is."""
+    around = (folder, *folder.parents)[:DEEPEST_IN_PACKAGE]
+    return next((each for each in around if (each / "package.xml").is_file()), None)
+
+
+DEEPEST_IN_PACKAGE = 5
+"""Folders from a description up to its package, both counted; `urdf/arm/v2` are three."""
 
 
 def _make_argument_lookup(xacro: Any) -> Any:
@@ -248,12 +265,24 @@ def _make_argument_lookup(xacro: Any) -> Any:
     return lambda name: xacro.substitution_args_context["arg"][name]
 
 
-def _substitute(xacro: Any, text: str) -> Any:
-    """Return what `$(arg NAME)` stands for; what asks for more than that is refused."""
+def _substitute(xacro: Any, text: str, folder: Path, package: Path | None) -> Any:
+    """Return what `$(arg NAME)` and `$(find NAME)` stand for; all else is refused.
+
+    A package is found where the file lies: the package around it, or a folder beside it.
+    """
     command, *names = text[2:-1].split()
-    if command != "arg" or len(names) != 1:
-        raise ValueError(f"{text[:80]} is not allowed")
-    return _make_argument_lookup(xacro)(names[0])
+    if len(names) == 1 and command == "arg":
+        return _make_argument_lookup(xacro)(names[0])
+    if len(names) == 1 and command == "find":
+        name = names[0]
+        if package is not None and name == package.name:
+            return str(package)
+        if name not in (".", "..") and "/" not in name and (folder / name).is_dir():
+            return str(folder / name)
+        raise ValueError(
+            f"{text[:80]} is not allowed: no such package is around the file or beside it"
+        )
+    raise ValueError(f"{text[:80]} is not allowed")
 
 
 def _allow(event: str, given: tuple[Any, ...], folder: Path, largest: int) -> None:

@@ -17,21 +17,28 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 from asbuilt.isolation import build_isolated_command, build_isolated_environment
-from asbuilt.untrusted import is_xacro_trusted, name_file_in_errors, read_bytes, shorten_line
+from asbuilt.untrusted import (
+    is_xacro_trusted,
+    list_xacro_arguments,
+    name_file_in_errors,
+    read_bytes,
+    shorten_line,
+)
 
 PATIENCE = 600.0
 """Seconds after which an expansion that does not use up its CPU time waits for what never comes."""
 PROGRAM = (
     "from asbuilt.description.formats.expansion import expand;"
-    " expand({path!r}, {largest}, trusted={trusted})"
+    " expand({path!r}, {largest}, trusted={trusted}, arguments={arguments!r})"
 )
 
 
 def read_xacro(path: str | Path) -> RobotModel:
-    """Expand a xacro file with its default arguments and read the URDF.
+    """Expand a xacro file with its arguments, those given or its defaults, and read the URDF.
 
     Expressions are arithmetic, comparisons, properties, indices and functions of `math`; includes
-    and `load_yaml` read descriptions in the folder of the file. Inside `xacro_trusted` they may be
+    and `load_yaml` read descriptions in the folder of the file, or of the package around it, which
+    `$(find NAME)` names. Inside `xacro_trusted` they may be
     anything that xacro takes, which is any Python, with the environment of this process.
 
     Raises
@@ -45,7 +52,12 @@ def read_xacro(path: str | Path) -> RobotModel:
     read_bytes(file, "description", DescriptionError, LARGEST_DESCRIPTION)
     if find_spec("xacro") is None:
         raise MissingExtraError("xacro", "robots", f"reading {path}")
-    program = PROGRAM.format(path=str(file.resolve()), largest=LARGEST_DESCRIPTION, trusted=trusted)
+    program = PROGRAM.format(
+        path=str(file.resolve()),
+        largest=LARGEST_DESCRIPTION,
+        trusted=trusted,
+        arguments=list_xacro_arguments(),
+    )
     try:
         done = subprocess.run(
             build_isolated_command(program),
