@@ -136,7 +136,7 @@ def _propose_sheets(
     }
 
 
-def _is_cured_by_sheet(check: asbuilt.RecordingCheck) -> bool:
+def _is_cured_by_sheet(check: experiment.RecordingCheck) -> bool:
     """Return whether a field of a sheet cures an error or a warning."""
     cures = [finding.cure for finding in (*check.errors, *check.warnings) if finding.cure]
     return any(cure.sheet or cure.settings.get("flip_torque") for cure in cures)

@@ -27,8 +27,11 @@ from asbuilt.identification.drives.drive_choice import (
     settle_nonlinear,
 )
 from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.effects.families.tilt import Tilt
+from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.effects.search import Effects, find_effects
+from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
@@ -241,6 +244,11 @@ def _fit_all(
 
     if options.refine is None or parts is None:
         final = fitted(used, choice.drive)
+        unsure = _list_unsure(final, effects)
+        if unsure:
+            effects = effects.without(unsure)
+            choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
+            final = fitted(used, choice.drive)
         # A second fit only where the final one sees what validation is to predict.
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
         left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
@@ -265,6 +273,27 @@ def _fit_all(
         late = tuple((delay.source, delay.digest) for delay in prepared.delay)
         prepared = replace(prepared, delay=make_recording_delays(servo, late))
     return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
+
+
+def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
+    """Return key and joint of effects that a fit of everything leaves under two standard errors.
+
+    The search is sure of them next to bodies near CAD; the final fit may hold bodies less.
+    """
+    unsure, covariance = set[tuple[str, str]](), fit.uncertainty.covariance
+    for each in effects.found:
+        term = getattr(EFFECTS[each.effect], "term", None)
+        if not each.in_model or each.joint is None or term is None:
+            continue
+        # That another form of friction is zero is no question, and fitted forms have values.
+        if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
+            continue
+        own = find_places(fit.base, each.effect, fit.model.joint_names.index(each.joint))
+        values = fit.estimate.beta[own]
+        square = float(values @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ values)
+        if own.size and square < RULES.two_errors**2 * own.size:
+            unsure.add((each.effect, each.joint))
+    return unsure
 
 
 def _leave_out(

@@ -9,6 +9,7 @@ from pathlib import PurePath
 import numpy as np
 
 from asbuilt.description.model import RobotModel
+from asbuilt.description.plausibility import check_plausibility
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.base_checks import check_free_base, drop_base_joints
@@ -260,6 +261,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += check_encoders(model, beginning)
         findings += check_couplings(model, beginning) if follows else ()
     findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
+    findings += _report_description(model)
     findings += map(_report_note, known.first.notes)
     return RecordingCheck(
         robot=model.name,
@@ -298,6 +300,18 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
 
 def _has_clock_error(findings: Iterable[Finding]) -> bool:
     return any(f.severity == "error" and f.code.startswith("clock_") for f in findings)
+
+
+def _report_description(model: RobotModel) -> list[Finding]:
+    """Return what is absurd about the described masses; the torques do not depend on them.
+
+    A wrong unit spoils every comparison with CAD, one link its own.
+    """
+    return [
+        replace(each, severity="warning" if each.code == "description_units" else "info")
+        for each in check_plausibility(model)
+        if each.severity == "error"
+    ]
 
 
 def _report_note(note: str) -> Finding:

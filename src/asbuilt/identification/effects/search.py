@@ -76,6 +76,11 @@ class Effects:
     unseen: Mapping[At, float] = field(default_factory=dict)
     problem: str = ""
 
+    def without(self, places: Collection[tuple[str, str]]) -> Effects:
+        """Return these without effects of some keys at some joints."""
+        kept = [each for each in self.found if (each.effect, each.joint) not in places]
+        return replace(self, found=tuple(kept))
+
     def beside_plateaus(self, joints: Collection[str]) -> Effects:
         """Return these without errors of the log at joints whose torque is known to saturate."""
         kept = [

@@ -11,6 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
 from asbuilt.identification.statistics import exceeds
+from asbuilt.scaled import Scaled
 
 
 class Selection(Trials):
@@ -31,12 +32,15 @@ class Selection(Trials):
         self.applied = applied
         self.impossible: Collection[At] = ()
         """Effects that turned out to have no size that robots have."""
+        self.given_up = set[At]()
+        """Effects that were taken, and are not sure next to all others."""
         self.unsure: list[Trial] = []
         """Effects that are sure, but do not lower the error on other motion."""
 
     def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
         path, before, swapped = list[Trial](), list[Trial](), False
+        self.given_up.clear()
         while True:
             busy = {slot for candidate in self.taken for slot in candidate.busy}
             left = [
@@ -45,6 +49,7 @@ class Selection(Trials):
                 if candidate.slot not in busy
                 # Bodies that CAD lacks imitate an error of the log: the data alone must show one.
                 and candidate.at not in self.impossible
+                and candidate.at not in self.given_up
                 and (not candidate.effect.of_log or self._is_shown(candidate))
             ]
             # Forms and trial values of an effect at a joint count as one question.
@@ -59,13 +64,61 @@ class Selection(Trials):
                 path.append(best)
                 self.taken.append(best.candidate)
                 before = trials
-            # Once: a second exchange could undo the first without end.
-            elif swapped or not self._swap_forms(path):
+            # Once: a second exchange could undo the first without end. After one, other effects
+            # can be worth their torque that were not before.
+            elif not swapped and self._swap_forms(path):
+                swapped = True
+            elif weak := self._find_weakest(path):
+                # What is given up may not come back, or the path would never end.
+                self.given_up.add(weak.candidate.at)
+                path.remove(weak)
+                self.taken = [each for each in self.taken if each is not weak.candidate]
+            else:
                 self.unsure = sure
                 return path
-            # After an exchange other effects can be worth their torque that were not before.
-            else:
-                swapped = True
+
+    def _find_weakest(self, path: Sequence[Trial]) -> Trial | None:
+        """Return the least sure effect of the path that is not sure next to all others, or None.
+
+        In a model an effect needs two standard errors, the direction that the whole log has in each
+        half of it, and less error on left-out motion than without it.
+        """
+        weak = [
+            (sureness, k)
+            for k, each in enumerate(path)
+            if each.candidate.effect.key in self.applied
+            for sureness in (self._measure_sureness(each.candidate),)
+            if sureness < RULES.two_errors or not self._is_in_halves(each.candidate)
+        ]
+        if weak:
+            return path[min(weak)[1]]
+        error = self.held_out_error(self.taken)
+        for each in path:
+            others = [own for own in self.taken if own is not each.candidate]
+            if each.candidate.effect.key in self.applied and self.held_out_error(others) < error:
+                return each
+        return None
+
+    def _measure_sureness(self, candidate: Candidate) -> float:
+        """Return how many standard errors an effect is from none, next to all others.
+
+        That a term in place of another one is zero is no question.
+        """
+        if candidate.replaces.size:
+            return np.inf
+        values, covariance = self.values_of([candidate])
+        return float(np.sqrt(Scaled(covariance).square(values) / len(values)))
+
+    def _is_in_halves(self, candidate: Candidate) -> bool:
+        """Return whether each half of the log has an effect in the direction of the whole."""
+        if candidate.replaces.size:
+            return True
+        whole = self.values_of([candidate])[0]
+        scale = self._size[candidate.places]
+        return all(
+            float((half * scale) @ (whole * scale)) > 0.0
+            for half in self.values_in_halves(candidate)
+        )
 
     def _swap_forms(self, path: list[Trial]) -> bool:
         """Give effects of the path up for others of their kind that predict other motion better.

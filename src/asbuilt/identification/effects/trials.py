@@ -35,6 +35,8 @@ class SelectionRules:
     torque error."""
     sure: float = 2.0
     """Fall of the cost for each column, in half squares of independent standard errors: two."""
+    two_errors: float = 2.0
+    """Standard errors next to all others below which an effect is not in a model."""
     felt: float = 1e-3
     """Share of the torque of some joint below which nothing is worth a term: models of arms are
     not more exact."""
@@ -265,6 +267,18 @@ class Trials:
         blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
         left = np.array([-block[:, 0] - block[:, 1:] @ d for block in blocks])
         return d, _estimate_scatter(whole.schur, left, d)[0]
+
+    def values_in_halves(self, candidate: Candidate) -> list[Array]:
+        """Return the values of a candidate next to all others in each half of the blocks."""
+        others = [each for each in self.taken if each is not candidate]
+        inside, blocks = self._list_inside(others), np.arange(len(self.equations.counts))
+        found = []
+        for half in np.array_split(blocks, 2):
+            gram = self.equations.stacked(self.weights, half)
+            fit = self._fit(gram, inside, candidate.places)
+            found.append(np.asarray(np.linalg.lstsq(fit.schur, fit.score, rcond=1e-9)[0]))
+            self._factored.pop((id(gram), inside.tobytes()))
+        return found
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""

@@ -62,7 +62,7 @@ def shrink_effects(effects: Array, covariance: Array, size: Array) -> tuple[Arra
     Association 70, 1975).
 
     >>> mean, spread = shrink_effects(np.array([2.0]), np.array([[1.0]]), np.array([1.0]))
-    >>> mean.tolist(), spread.tolist()
+    >>> mean.round(12).tolist(), spread.round(12).tolist()
     ([1.0], [[0.5]])
     """
     T = np.diag(size**2)

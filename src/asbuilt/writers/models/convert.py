@@ -16,6 +16,7 @@ from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, join_names
 from asbuilt.writers.files import file_lines
 from asbuilt.writers.models.mjcf import write_mjcf
+from asbuilt.writers.models.physical import note_implausible_links
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.urdf import write_urdf
@@ -102,7 +103,8 @@ def convert_robot(
         problem.cure = Cure("write a robot file (.toml), which takes any inertia, or correct it")
         raise
     apart, differs = _read_back(written, model)
-    return Conversion(model, written, (*notes, *differs), apart)
+    notes = (*note_implausible_links(model), *notes, *differs)
+    return Conversion(model, written, notes, apart)
 
 
 FORMATS = {".toml": "", ".urdf": "URDF", ".xml": "MJCF", ".mjcf": "MJCF"}

@@ -20,7 +20,7 @@ from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
 from asbuilt.tables import round_significant
 from asbuilt.validation.nearest_consistent import NearestModel, compare_with_nearest
-from asbuilt.writers.files import atomic_write, file_lines, path_texts
+from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     as_built,
     keep_described_drives,
@@ -29,9 +29,11 @@ from asbuilt.writers.models.as_built import (
 from asbuilt.writers.models.c.c_code import CCode, write_c
 from asbuilt.writers.models.mjcf import describe_rotors, write_mjcf
 from asbuilt.writers.models.physical import (
+    note_implausible_links,
     note_left_out_servo,
     refuse_inconsistent,
     refuse_poor_nearest_model,
+    refuse_wrong_units,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS, ExportedDrives
@@ -145,8 +147,8 @@ def export_result(
     Raises
     ------
     InertiaError
-        If the model is physically inconsistent, or the nearest consistent one predicts the
-        recordings badly and `force` is not set; nothing is written then.
+        If the model is physically inconsistent, its description is in other units, or the nearest
+        consistent one predicts the recordings badly and `force` is not set: nothing is written.
     UsageError
         If no file is named, or options do not go together.
     """
@@ -196,12 +198,18 @@ def export_result(
         files["observer"], files["observer_header"] = write_observer(
             observer, result, thresholds=thresholds
         )
+    for exact in [each for each in formats if each.exact]:
+        files[exact.key], notes[exact.key] = exact.write(
+            ExportedDrives(result.model, result), Path(formats.pop(exact))
+        )
     if all(place is None for place in models) and not formats:
-        return Export(result.robot, "the identified parameters", files, {})
+        return Export(result.robot, "the identified parameters", files, notes)
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     # Nothing is written of an inconsistent robot.
     refuse_inconsistent(model, result)
+    refuse_wrong_units(result.model)
+    absurd = note_implausible_links(model)
     cost = compare_with_nearest(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
@@ -229,9 +237,11 @@ def export_result(
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
     for written, place in formats.items():
-        text, remarks = written.document(ExportedDrives(in_simulators, result), Path(place))
-        files[written.key] = atomic_write(place, text)
+        files[written.key], remarks = written.write(
+            ExportedDrives(in_simulators, result), Path(place)
+        )
         notes[written.key] = (*remarks, *kept)
+    notes = {kind: (*absurd, *notes.get(kind, ())) for kind in files}
     return Export(
         result.robot,
         found.verdict,

@@ -128,6 +128,18 @@ def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) 
     return drive
 
 
+def drop_terms(
+    drive: DriveSet, places: Collection[tuple[str, str]], joint_names: Sequence[str]
+) -> DriveSet:
+    """Return drive terms without those of some keys at some joints, by name."""
+    for key, joint in places:
+        term = next(each for each in drive.terms if each.key == key)
+        left = {k for k, name in enumerate(joint_names) if term.is_at(k) and name != joint}
+        drive = drive.without(key)
+        drive = drive.with_term(_place_term(term, left, len(joint_names))) if left else drive
+    return drive
+
+
 def _take_forms(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: int) -> DriveTerm:
     """Return a term in the form in which it was found at each joint."""
     for parameter in term.nonlinear:
