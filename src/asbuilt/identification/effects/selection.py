@@ -72,7 +72,9 @@ class Selection(Trials):
                 # What is given up may not come back, or the path would never end.
                 self.given_up.add(weak.candidate.at)
                 path.remove(weak)
-                self.taken = [each for each in self.taken if each is not weak.candidate]
+                self.taken = [
+                    candidate for candidate in self.taken if candidate is not weak.candidate
+                ]
             else:
                 self.unsure = sure
                 return path
@@ -175,7 +177,7 @@ class Selection(Trials):
     @property
     def n_asked(self) -> int:
         """Number of effects and joints that are asked for."""
-        return len({each.at for each in self.equations.candidates})
+        return len({candidate.at for candidate in self.equations.candidates})
 
     def refutes_cad(self) -> bool:
         """Return whether bodies are farther from CAD than its prior lets them be.

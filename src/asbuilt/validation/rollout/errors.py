@@ -111,7 +111,7 @@ class RecordingErrors:
         return {
             "source": self.source,
             "n_windows": self.n_windows,
-            **{name: each and each.as_dict() for name, each in self.errors().items()},
+            **{name: error and error.as_dict() for name, error in self.errors().items()},
         }
 
     def errors(self) -> dict[str, RolloutErrors | None]:

@@ -111,7 +111,7 @@ class Rollout:
             },
             "outlying": make_plain(self.outlying),
             "mean": average_errors(self.by_recording),
-            "motions": [each.as_dict() for each in self.by_recording],
+            "motions": [motion.as_dict() for motion in self.by_recording],
         }
 
 
@@ -332,7 +332,7 @@ def _report_outlying(rollout: Rollout, length: str) -> Iterator[Finding]:
     if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
         return
     # Windows that diverged come first.
-    worst = sorted(rollout.outlying, key=lambda each: -np.nan_to_num(each.rms, nan=np.inf))
+    worst = sorted(rollout.outlying, key=lambda window: -np.nan_to_num(window.rms, nan=np.inf))
     places = [
         f"{Path(window.source).name} {window.start:.4g} s ({window.joint})" for window in worst
     ]

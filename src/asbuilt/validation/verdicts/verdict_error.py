@@ -94,12 +94,12 @@ def find_worst_torque_error(
         measured = result.validation[0] if result.validation else result.train
         cad = result.cad.relative_error if np.any(np.nan_to_num(result.cad_values)) else None
         rows = [VerdictError(measured.relative_error, None, cad)]
-    return max(rows, key=lambda each: each.decisive or 0.0)
+    return max(rows, key=lambda row: row.decisive or 0.0)
 
 
 def choose_decisive_rollout(rollouts: Sequence[Rollout]) -> Rollout | None:
     """Return the rollout of the longest windows that do not diverge as built; None without any."""
-    longest = sorted(rollouts, key=lambda each: -each.horizon)
+    longest = sorted(rollouts, key=lambda rollout: -rollout.horizon)
     whole = [rollout for rollout in longest if _read_finite_error(rollout.as_built) is not None]
     # The longest that does not diverge, else the shortest one.
     return (*whole, *reversed(longest), None)[0]
