@@ -101,8 +101,8 @@ class Refined:
         """Return what trajectories leave undetermined, or why they are not followed."""
         if not self.kept:
             before, after = (
-                "a simulation that cannot start" if each is None else each.text_until
-                for each in (self.before, self.after)
+                "a simulation that cannot start" if simulated is None else simulated.text_until
+                for simulated in (self.before, self.after)
             )
             return (
                 Finding(

@@ -87,18 +87,18 @@ class Selection(Trials):
         """
         weak = [
             (sureness, k)
-            for k, each in enumerate(path)
-            if each.candidate.effect.key in self.applied
-            for sureness in (self._measure_sureness(each.candidate),)
-            if sureness < RULES.two_errors or not self._is_in_halves(each.candidate)
+            for k, trial in enumerate(path)
+            if trial.candidate.effect.key in self.applied
+            for sureness in (self._measure_sureness(trial.candidate),)
+            if sureness < RULES.two_errors or not self._is_in_halves(trial.candidate)
         ]
         if weak:
             return path[min(weak)[1]]
         error = self.held_out_error(self.taken)
-        for each in path:
-            others = [own for own in self.taken if own is not each.candidate]
-            if each.candidate.effect.key in self.applied and self.held_out_error(others) < error:
-                return each
+        for trial in path:
+            others = [taken for taken in self.taken if taken is not trial.candidate]
+            if trial.candidate.effect.key in self.applied and self.held_out_error(others) < error:
+                return trial
         return None
 
     def _measure_sureness(self, candidate: Candidate) -> float:

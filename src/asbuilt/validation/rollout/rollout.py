@@ -311,12 +311,12 @@ def _report_worse_than_command(rollout: Rollout, length: str) -> Iterator[Findin
         )
         return
     worse = [
-        f"{Path(each.source).name} ({1e3 * each.no_physics.rms_all:.3g} against"
-        f" {_format_size(each.as_built)})"
-        for each in rollout.by_recording
-        if each.as_built is not None
-        and each.no_physics is not None
-        and each.as_built.rms_all > each.no_physics.rms_all
+        f"{Path(motion.source).name} ({1e3 * motion.no_physics.rms_all:.3g} against"
+        f" {_format_size(motion.as_built)})"
+        for motion in rollout.by_recording
+        if motion.as_built is not None
+        and motion.no_physics is not None
+        and motion.as_built.rms_all > motion.no_physics.rms_all
     ]
     if worse:
         yield Finding(

@@ -83,11 +83,13 @@ def find_worst_torque_error(
     # A CAD without masses predicts nothing, and has no error to be better than.
     rows = [
         VerdictError(
-            each.metrics_as_built.relative_error,
-            None if each.metrics_exported is None else each.metrics_exported.relative_error,
-            each.metrics_cad.relative_error if np.any(each.predicted_cad) else None,
+            validation.metrics_as_built.relative_error,
+            None
+            if validation.metrics_exported is None
+            else validation.metrics_exported.relative_error,
+            validation.metrics_cad.relative_error if np.any(validation.predicted_cad) else None,
         )
-        for each in validations
+        for validation in validations
     ]
     # Without predictions the result's own numbers decide.
     if not rows:
