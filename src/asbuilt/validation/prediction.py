@@ -145,7 +145,7 @@ def predict_both(
     if not described.drives_by_design:
         # Damping and friction of a URDF or MJCF may be a simulator's; where they help they count.
         candidates = (by_design, _predict_described(described, samples))
-        by_design = min(candidates, key=lambda each: each.metrics().relative_error)
+        by_design = min(candidates, key=lambda candidate: candidate.metrics().relative_error)
     return Validation(
         source=samples.source,
         joint_names=model.joint_names,

@@ -56,9 +56,9 @@ class Recovery:
             self.intervals,
             (
                 Column("quantity", width=30, of="quantity"),
-                Column("CAD", align="right", of=lambda each: round_significant(each.cad)),
+                Column("CAD", align="right", of=lambda row: round_significant(row.cad)),
                 Column("feasible (95 %)", of="text"),
-                Column("chosen", align="right", of=lambda each: round_significant(each.chosen)),
+                Column("chosen", align="right", of=lambda row: round_significant(row.chosen)),
                 Column("truth", align="right", of=self._show_truth),
             ),
             "Feasible intervals and the truth",

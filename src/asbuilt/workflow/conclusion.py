@@ -90,9 +90,11 @@ def conclude_study(
     cause_data, too_short = _build_cause_data(fits, options.block_seconds)
     train, train_cad = _merge_metrics(fits, trained)
     # As in the verdict, the recording that is predicted worst decides.
-    decisive = max(validations, key=lambda each: each.metrics_as_built.relative_error, default=None)
+    decisive = max(
+        validations, key=lambda validation: validation.metrics_as_built.relative_error, default=None
+    )
     named = tuple(
-        each for each in fits.effects.found if options.wanted_effects.named or each.in_model
+        effect for effect in fits.effects.found if options.wanted_effects.named or effect.in_model
     )
     conclude = partial(
         Fit.concluded,

@@ -225,8 +225,8 @@ def sweep_cutoffs(
     # The best of each joint, at whatever cutoff.
     best = np.min([trial.rms_recorded for trial in found], axis=0)
     scores, bands = (
-        np.array([np.sqrt(np.mean((rms / best) ** 2)) for rms in each])
-        for each in ([trial.rms_recorded for trial in found], [trial.rms for trial in found])
+        np.array([np.sqrt(np.mean((rms / best) ** 2)) for rms in errors])
+        for errors in ([trial.rms_recorded for trial in found], [trial.rms for trial in found])
     )
     trials = tuple(
         replace(trial, score=float(score / scores.min()), in_band=float(band / scores.min()))

@@ -281,18 +281,18 @@ def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
     The search is sure of them next to bodies near CAD; the final fit may hold bodies less.
     """
     unsure, covariance = set[tuple[str, str]](), fit.uncertainty.covariance
-    for each in effects.found:
-        term = getattr(EFFECTS[each.effect], "term", None)
-        if not each.in_model or each.joint is None or term is None:
+    for effect in effects.found:
+        term = getattr(EFFECTS[effect.effect], "term", None)
+        if not effect.in_model or effect.joint is None or term is None:
             continue
         # That another form of friction is zero is no question, and fitted forms have values.
         if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
             continue
-        own = find_places(fit.base, each.effect, fit.model.joint_names.index(each.joint))
-        values = fit.estimate.beta[own]
-        square = float(values @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ values)
-        if own.size and square < RULES.two_errors**2 * own.size:
-            unsure.add((each.effect, each.joint))
+        places = find_places(fit.base, effect.effect, fit.model.joint_names.index(effect.joint))
+        values = fit.estimate.beta[places]
+        square = float(values @ np.linalg.pinv(covariance[np.ix_(places, places)]) @ values)
+        if places.size and square < RULES.two_errors**2 * places.size:
+            unsure.add((effect.effect, effect.joint))
     return unsure
 
 

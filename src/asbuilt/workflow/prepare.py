@@ -182,7 +182,7 @@ def prepare(
     parts: tuple[tuple[Samples, ...], tuple[Samples, ...]] | None
     if motions:
         holdout = RECORDINGS
-        parts = whole, tuple(name_held_out(each, RECORDINGS) for each in whole)
+        parts = whole, tuple(name_held_out(recording, RECORDINGS) for recording in whole)
     elif automatic:
         holdout = holdout or HALF
         parts = _divide_if_enough(whole, holdout)

@@ -101,8 +101,8 @@ class Refined:
         """Return what trajectories leave undetermined, or why they are not followed."""
         if not self.kept:
             before, after = (
-                "a simulation that cannot start" if each is None else each.text_until
-                for each in (self.before, self.after)
+                "a simulation that cannot start" if simulated is None else simulated.text_until
+                for simulated in (self.before, self.after)
             )
             return (
                 Finding(
@@ -199,7 +199,9 @@ def refine_study(
     best = refined(fit, driven)
     iterations = best.refinement.iterations
     term = available_terms()["stribeck"]
-    term = term.with_nonlinear({each.name: each.default for each in term.nonlinear if each.fitted})
+    term = term.with_nonlinear(
+        {parameter.name: parameter.default for parameter in term.nonlinear if parameter.fitted}
+    )
     if choose and _calls_for(best, term):
         wider, n = drive.with_term(term), fit.model.n_joints
         begin = widen_parameters(best.refinement.point.chi, drive, wider, n)

@@ -191,7 +191,7 @@ class Study:
     def to_json(self) -> str:
         """Return result and findings as JSON that `from_json` reads back to the last bit."""
         return self.result.to_json(
-            warnings=[{"code": each.code, "message": each.text} for each in self.findings],
+            warnings=[{"code": finding.code, "message": finding.text} for finding in self.findings],
             study={"findings": make_plain(self.findings), "verdict": make_plain(self.verdict)},
         )
 

@@ -185,8 +185,8 @@ def resolve_coupling(
             f"{robot}: joint {seen[0]!r} mimics itself{f' ({ring})' if len(seen) > 1 else ''}; name"
             " the joint it follows"
         )
-    coordinates = {each.name for each in joints if each.has_motor or each.is_passive}
-    others = {each.name_in_tree: each for each in joints}
+    coordinates = {joint.name for joint in joints if joint.has_motor or joint.is_passive}
+    others = {joint.name_in_tree: joint for joint in joints}
     found, offset = dict[str, float](), joint.mimic.offset
     for name, factor in joint.mimic.factors.items():
         if name in coordinates:

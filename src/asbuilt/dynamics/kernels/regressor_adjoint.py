@@ -98,7 +98,7 @@ def regressor_adjoint(
             None if loads is None else np.einsum("sik,sk->si", G, lam),
             chi,
         )
-        position, rate, acceleration = (moved.torques(each) for each in parts)
+        position, rate, acceleration = (moved.torques(part) for part in parts)
         if (change := coupling.derivatives(*states)) is not None:
             by_share = tree.torn(weights, tree.evaluated(*motion), n_samples)
             if loads is not None:

@@ -45,7 +45,9 @@ def resolve_chain(
         for recording, grid in grids
     ]
     # The highest cutoff keeps every recording's motion; velocities are judged apart.
-    return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
+    return replace(
+        max(chains, key=lambda candidate: candidate.cutoff or 0.0), velocity=chain.velocity
+    )
 
 
 def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> Samples:

@@ -46,21 +46,21 @@ def report_effects(effects: Effects) -> tuple[Finding, ...]:
 
 def _report_missing(effects: Effects) -> Iterator[Finding]:
     """Yield what can be done about effects that are not in the model."""
-    for each in effects.found:
-        effect = EFFECTS[each.effect]
-        if each.in_model:
+    for known in effects.found:
+        effect = EFFECTS[known.effect]
+        if known.in_model:
             continue
-        message = f"Not in the model: {each.text}"
+        message = f"Not in the model: {known.text}"
         finding = (
-            Finding("effect_found", "warning", message, APPLY, joint=each.joint)
+            Finding("effect_found", "warning", message, APPLY, joint=known.joint)
             if effect.in_model
-            else effect.finding(each, effects.model)
+            else effect.finding(known, effects.model)
         )
         if finding is not None:
             # A finding is ranked by squares, errors are roots of squares.
-            kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
+            kept = known.error_after / known.error_before if known.error_before > 0.0 else 1.0
             # the share of the squared torque error that the effect takes away
-            yield replace(finding, torque=max(0.0, 1.0 - kept**2), effect=each.effect)
+            yield replace(finding, torque=max(0.0, 1.0 - kept**2), effect=known.effect)
 
 
 def _report_unseen(effects: Effects) -> Iterator[Finding]:

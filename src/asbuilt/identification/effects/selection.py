@@ -72,7 +72,9 @@ class Selection(Trials):
                 # What is given up may not come back, or the path would never end.
                 self.given_up.add(weak.candidate.at)
                 path.remove(weak)
-                self.taken = [each for each in self.taken if each is not weak.candidate]
+                self.taken = [
+                    candidate for candidate in self.taken if candidate is not weak.candidate
+                ]
             else:
                 self.unsure = sure
                 return path
@@ -85,18 +87,18 @@ class Selection(Trials):
         """
         weak = [
             (sureness, k)
-            for k, each in enumerate(path)
-            if each.candidate.effect.key in self.applied
-            for sureness in (self._measure_sureness(each.candidate),)
-            if sureness < RULES.two_errors or not self._is_in_halves(each.candidate)
+            for k, trial in enumerate(path)
+            if trial.candidate.effect.key in self.applied
+            for sureness in (self._measure_sureness(trial.candidate),)
+            if sureness < RULES.two_errors or not self._is_in_halves(trial.candidate)
         ]
         if weak:
             return path[min(weak)[1]]
         error = self.held_out_error(self.taken)
-        for each in path:
-            others = [own for own in self.taken if own is not each.candidate]
-            if each.candidate.effect.key in self.applied and self.held_out_error(others) < error:
-                return each
+        for trial in path:
+            others = [taken for taken in self.taken if taken is not trial.candidate]
+            if trial.candidate.effect.key in self.applied and self.held_out_error(others) < error:
+                return trial
         return None
 
     def _measure_sureness(self, candidate: Candidate) -> float:
@@ -175,7 +177,7 @@ class Selection(Trials):
     @property
     def n_asked(self) -> int:
         """Number of effects and joints that are asked for."""
-        return len({each.at for each in self.equations.candidates})
+        return len({candidate.at for candidate in self.equations.candidates})
 
     def refutes_cad(self) -> bool:
         """Return whether bodies are farther from CAD than its prior lets them be.

@@ -221,7 +221,9 @@ class Trials:
 
     def every_place(self, candidate: Candidate) -> Indices:
         """Return the positions of all parameters of a candidate, whether they act or not."""
-        return next(each for each in self.equations.candidates if each.at == candidate.at).places
+        return next(
+            equation for equation in self.equations.candidates if equation.at == candidate.at
+        ).places
 
     def candidate(self, at: At) -> Candidate:
         """Return the first candidate of an effect at a joint, with what acts of it."""
@@ -270,7 +272,7 @@ class Trials:
 
     def values_in_halves(self, candidate: Candidate) -> list[Array]:
         """Return the values of a candidate next to all others in each half of the blocks."""
-        others = [each for each in self.taken if each is not candidate]
+        others = [taken for taken in self.taken if taken is not candidate]
         inside, blocks = self._list_inside(others), np.arange(len(self.equations.counts))
         found = []
         for half in np.array_split(blocks, 2):

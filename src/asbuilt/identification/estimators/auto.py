@@ -291,14 +291,16 @@ def _fit_candidates(
     candidates.add(
         "consistent",
         WEAKEST_BELIEF,
-        lambda: np.array([K @ conic.fit(each.stacked(of_joints)) for each in select_trainings()]),
+        lambda: np.array(
+            [K @ conic.fit(training.stacked(of_joints)) for training in select_trainings()]
+        ),
         lambda: consistent,
     )
     candidates.add(
         free.method,
         0.0,
         lambda: np.array(
-            [_with_drive_rows(each, of_joints, prior).x for each in select_trainings()]
+            [_with_drive_rows(training, of_joints, prior).x for training in select_trainings()]
         ),
         lambda: free,
         # Least squares needs a reason to be chosen unless its values could be those of a robot.

@@ -105,7 +105,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
         torque=_evaluate_rms(torque, data.n_judged),
         rms_cad=_evaluate_rms(e, data.n_judged),
         rms_chosen=_evaluate_rms(left, data.n_judged),
-        shares=tuple(sorted(shares, key=lambda each: -float(each.share @ np.sum(e**2, axis=1)))),
+        shares=tuple(sorted(shares, key=lambda cause: -float(cause.share @ np.sum(e**2, axis=1)))),
         unexplained=np.sum(left**2, axis=1) / energy,
         payload=next(
             (body_effect for body_effect in single if body_effect.effect == Payload.key), None

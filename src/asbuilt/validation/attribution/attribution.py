@@ -223,7 +223,7 @@ def describe_joint_effects(found: Attribution, k: int, *, brief: bool = False) -
     left = float(found.unexplained[k])
     shown = [e for e in found.shares if e.named and abs(e.share[k]) >= SHOWN.share]
     # Against the others an effect counts by its size.
-    shown.sort(key=lambda each: -abs(float(each.share[k])))
+    shown.sort(key=lambda cause: -abs(float(cause.share[k])))
     if not any(effect.share[k] > 0 for effect in shown) or left > SHOWN.left:
         whole = "it" if left > 1.0 - SHOWN.share else "most of it"
         return "unexplained" if brief else f"nothing explains {whole}"

@@ -120,7 +120,7 @@ def explain_bodies(
         fits = [(candidate, fit) for candidate, fit in fits if candidate.is_possible(fit)]
         if not fits:
             break
-        best, fit = min(fits, key=lambda each: each[1].least)
+        best, fit = min(fits, key=lambda pair: pair[1].least)
         gain = alone.least - fit.least
         # Twice the level, since amounts are not negative.
         if _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level:
@@ -134,7 +134,10 @@ def explain_bodies(
         found.append(Body(best.key, best.link, mean, spread, tuple(alike)))
         added = K[:, best.link] @ best.root * fit.amount
         # What is explained becomes part of the errors: others are tested next to it.
-        C, left = C + added @ added.T, [each for each in left if each.link != best.link]
+        C, left = (
+            C + added @ added.T,
+            [candidate for candidate in left if candidate.link != best.link],
+        )
     # Without the prior of the scatter: do the data alone ask for one?
     by_data = alone.deviance - DOUBT[:, None]
     ratio = by_data[0].min() - by_data.min()

@@ -393,7 +393,7 @@ def _pair_metrics(
     measured = result.validation or (result.train,)
     if cad is None:
         # The recording on which CAD is measured comes first.
-        measured = tuple(sorted(measured, key=lambda each: each.source != result.cad.source))
+        measured = tuple(sorted(measured, key=lambda robot: robot.source != result.cad.source))
         return tuple(
             (result.cad if metrics.source == result.cad.source else None, metrics)
             for metrics in measured

@@ -121,18 +121,18 @@ class Drift:
                 names[0],
                 align="decimal",
                 width=20,
-                of=lambda each: Shown(each.before, round_beside(each.before, each.error)),
+                of=lambda change: Shown(change.before, round_beside(change.before, change.error)),
             ),
             Column(
                 names[1],
                 align="decimal",
                 width=20,
-                of=lambda each: format_estimate(each.after, each.error)[0],
+                of=lambda change: format_estimate(change.after, change.error)[0],
             ),
             Column(
                 "std err",
                 align="decimal",
-                of=lambda each: format_estimate(each.after, each.error)[1],
+                of=lambda change: format_estimate(change.after, change.error)[1],
             ),
             Column(change, align="right", of=self._show_outcome),
             Column(
@@ -142,11 +142,11 @@ class Drift:
                 3,
                 of="torque_total",
             ),
-            Column("joint", align="right", detail=True, of=lambda each: each.felt_at or ""),
+            Column("joint", align="right", detail=True, of=lambda change: change.felt_at or ""),
             Column(
                 "matters",
                 detail=True,
-                of=lambda each: describe_relevance(each.matters, each.shared_with),
+                of=lambda change: describe_relevance(change.matters, change.shared_with),
             ),
         )
         note = (

@@ -114,7 +114,7 @@ def tabulate_joint_changes(
         Column(change, unit, "decimal", 3, of="torque"),
         Column("by chance", unit, "decimal", 3, of="by_chance"),
         Column("p", "", "right", format_probability, of="holm"),
-        Column("verdict", of=lambda each: beyond_doubt if each.holm <= level else "-"),
+        Column("verdict", of=lambda change: beyond_doubt if change.holm <= level else "-"),
     )
     note = (
         f"RMS on the validation motion of the {'second' if of_models else 'later'} result."

@@ -121,9 +121,9 @@ def _merge_group(group: Sequence[Finding]) -> Finding:
     )
     joints = list(
         dict.fromkeys(
-            each.joint
-            for each in others
-            if _name_source(each) == source_of_first and each.joint not in (None, first.joint)
+            merged.joint
+            for merged in others
+            if _name_source(merged) == source_of_first and merged.joint not in (None, first.joint)
         )
     )
     named = [name for name in joints if name is not None]

@@ -59,7 +59,7 @@ def refuse_swapped(
             (_measure_remaining_error((changed - arm.predicted) * weights, basis), what, cure)
             for changed, what, cure in _list_changes(arm.measured, result.joint_names)
         ]
-        best, what, cure = min(tried, key=lambda each: each[0])
+        best, what, cure = min(tried, key=lambda trial: trial[0])
         if best < LIMITS.left * as_logged:
             raise RecordingError(
                 f"{samples.source}: the torques do not fit the arm of the result with any body at"

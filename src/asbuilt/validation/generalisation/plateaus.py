@@ -180,8 +180,8 @@ def _find_plateau(
         values = fits.fit_without(
             [
                 # Filtered torques are compared at their own times.
-                np.interp(samples.t, each.t, x) >= RULES.left_out * level
-                for samples, each, x in zip(training, logged, torque, strict=True)
+                np.interp(samples.t, log.t, x) >= RULES.left_out * level
+                for samples, log, x in zip(training, logged, torque, strict=True)
             ]
         )
     except (AsbuiltError, np.linalg.LinAlgError):

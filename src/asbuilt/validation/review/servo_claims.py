@@ -135,8 +135,8 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
     within the limit. A motion that has the torque asked for contradicts the limit, one that has the
     torque of the limit supports it. `peak` is the largest torque that the command asks for.
     """
-    asked = np.concatenate([np.zeros(0), *(each.measured[:, k] for each in motions)])
-    moved = np.concatenate([np.zeros(0), *(each.predicted[:, k] for each in motions)])
+    asked = np.concatenate([np.zeros(0), *(motion.measured[:, k] for motion in motions)])
+    moved = np.concatenate([np.zeros(0), *(motion.predicted[:, k] for motion in motions)])
     beyond = np.abs(asked) > (1.0 + BEYOND) * claim.claimed
     within = np.abs(asked) <= claim.claimed
     # Too few samples beyond the limit, or so many that the fit rests on them.

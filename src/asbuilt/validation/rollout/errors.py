@@ -111,7 +111,7 @@ class RecordingErrors:
         return {
             "source": self.source,
             "n_windows": self.n_windows,
-            **{name: each and each.as_dict() for name, each in self.errors().items()},
+            **{name: error and error.as_dict() for name, error in self.errors().items()},
         }
 
     def errors(self) -> dict[str, RolloutErrors | None]:
@@ -207,8 +207,8 @@ def _measure_base(measured: Sequence[Array], simulated: Sequence[Array]) -> tupl
         np.concatenate([x[:, 1:].reshape(-1, x.shape[2]) for x in y]) for y in (measured, simulated)
     ]
     places, verticals = (
-        np.linalg.norm(np.subtract(*each), axis=1)
-        for each in ([x[:, :3] for x in q], [base_rotations(x)[:, 2] for x in q])
+        np.linalg.norm(np.subtract(*pair), axis=1)
+        for pair in ([x[:, :3] for x in q], [base_rotations(x)[:, 2] for x in q])
     )
     # Chord between unit vectors: 2 arcsin of its half is the angle.
     tilts = 2.0 * np.arcsin(np.clip(0.5 * verticals, 0.0, 1.0))

@@ -111,7 +111,7 @@ class Rollout:
             },
             "outlying": make_plain(self.outlying),
             "mean": average_errors(self.by_recording),
-            "motions": [each.as_dict() for each in self.by_recording],
+            "motions": [motion.as_dict() for motion in self.by_recording],
         }
 
 
@@ -311,12 +311,12 @@ def _report_worse_than_command(rollout: Rollout, length: str) -> Iterator[Findin
         )
         return
     worse = [
-        f"{Path(each.source).name} ({1e3 * each.no_physics.rms_all:.3g} against"
-        f" {_format_size(each.as_built)})"
-        for each in rollout.by_recording
-        if each.as_built is not None
-        and each.no_physics is not None
-        and each.as_built.rms_all > each.no_physics.rms_all
+        f"{Path(motion.source).name} ({1e3 * motion.no_physics.rms_all:.3g} against"
+        f" {_format_size(motion.as_built)})"
+        for motion in rollout.by_recording
+        if motion.as_built is not None
+        and motion.no_physics is not None
+        and motion.as_built.rms_all > motion.no_physics.rms_all
     ]
     if worse:
         yield Finding(
@@ -332,7 +332,7 @@ def _report_outlying(rollout: Rollout, length: str) -> Iterator[Finding]:
     if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
         return
     # Windows that diverged come first.
-    worst = sorted(rollout.outlying, key=lambda each: -np.nan_to_num(each.rms, nan=np.inf))
+    worst = sorted(rollout.outlying, key=lambda window: -np.nan_to_num(window.rms, nan=np.inf))
     places = [
         f"{Path(window.source).name} {window.start:.4g} s ({window.joint})" for window in worst
     ]

@@ -161,7 +161,7 @@ def _list_unexplained_joints(joints: Sequence[JointUse]) -> Iterator[Reason]:
     # If all joints are lost the error of the whole has said it.
     if not lost or len(lost) == len(joints):
         return
-    lost.sort(key=lambda each: -(each.error or 0.0))
+    lost.sort(key=lambda joint_use: -(joint_use.error or 0.0))
     at = join_names([joint_use.joint for joint_use in lost])
     shares = join_names(
         [f"{100 * joint_use.error:.0f}" for joint_use in lost if joint_use.error is not None]

@@ -83,23 +83,25 @@ def find_worst_torque_error(
     # A CAD without masses predicts nothing, and has no error to be better than.
     rows = [
         VerdictError(
-            each.metrics_as_built.relative_error,
-            None if each.metrics_exported is None else each.metrics_exported.relative_error,
-            each.metrics_cad.relative_error if np.any(each.predicted_cad) else None,
+            validation.metrics_as_built.relative_error,
+            None
+            if validation.metrics_exported is None
+            else validation.metrics_exported.relative_error,
+            validation.metrics_cad.relative_error if np.any(validation.predicted_cad) else None,
         )
-        for each in validations
+        for validation in validations
     ]
     # Without predictions the result's own numbers decide.
     if not rows:
         measured = result.validation[0] if result.validation else result.train
         cad = result.cad.relative_error if np.any(np.nan_to_num(result.cad_values)) else None
         rows = [VerdictError(measured.relative_error, None, cad)]
-    return max(rows, key=lambda each: each.decisive or 0.0)
+    return max(rows, key=lambda row: row.decisive or 0.0)
 
 
 def choose_decisive_rollout(rollouts: Sequence[Rollout]) -> Rollout | None:
     """Return the rollout of the longest windows that do not diverge as built; None without any."""
-    longest = sorted(rollouts, key=lambda each: -each.horizon)
+    longest = sorted(rollouts, key=lambda rollout: -rollout.horizon)
     whole = [rollout for rollout in longest if _read_finite_error(rollout.as_built) is not None]
     # The longest that does not diverge, else the shortest one.
     return (*whole, *reversed(longest), None)[0]

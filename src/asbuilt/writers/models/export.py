@@ -198,7 +198,7 @@ def export_result(
         files["observer"], files["observer_header"] = write_observer(
             observer, result, thresholds=thresholds
         )
-    for exact in [each for each in formats if each.exact]:
+    for exact in [choice for choice in formats if choice.exact]:
         files[exact.key], notes[exact.key] = exact.write(
             ExportedDrives(result.model, result), Path(formats.pop(exact))
         )

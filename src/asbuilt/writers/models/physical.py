@@ -44,6 +44,7 @@ def list_impossibilities(model: RobotModel) -> tuple[str, ...]:
         } | {
             f"{key} {symbol}": numbers.get(symbol)
             for key, numbers in joint.drive.terms.items()
+            # Terms of a plug-in that is not installed cannot be judged.
             if (term := available_terms().get(key)) is not None and term.non_negative
             for symbol in term.symbols
         }
@@ -67,12 +68,15 @@ def convert_to_plain_friction(model: RobotModel) -> RobotModel:
         smooth = terms.pop("smooth_coulomb", None)
         if asymmetric is not None:
             forwards, backwards = asymmetric["Fcp"], asymmetric["Fcn"]
+            # Fcp forwards and -Fcn backwards are a mean with the sign of motion, and half the
+            # difference.
             drive = replace(
                 drive,
                 coulomb=(drive.coulomb or 0.0) + 0.5 * (forwards + backwards),
                 offset=(drive.offset or 0.0) + 0.5 * (forwards - backwards),
             )
         if smooth is not None:
+            # Beyond its width smooth friction is dry friction.
             drive = replace(drive, coulomb=(drive.coulomb or 0.0) + smooth["Fct"])
         joints.append(replace(joint, drive=replace(drive, terms=terms)))
     return replace(model, joints=tuple(joints))
@@ -92,6 +96,7 @@ def note_left_out_drives(model: RobotModel, carried: Collection[str], kind: str)
     )
     best = "; a fit with the drive terms armature, viscous, coulomb and offset serves it best"
     return (
+        # The remedy helps only where Stribeck terms are what the file cannot hold.
         f"{kind} has no place for the drive terms {listed}; its torques lack them (robot files"
         f" of asbuilt hold all{best if 'stribeck' in joints else ''})",
     )
@@ -138,6 +143,7 @@ def _name_reasons(result: IdentificationResult, reasons: str) -> str:
 
     Dropped parameters prove nothing: they count as unknown.
     """
+    # The proof asks for bodies near CAD, and so starts from the masses of CAD.
     prior = build_cad_prior(result.model, result.base.drive)
     dropped, covariance = np.flatnonzero(result.dropped), np.array(result.covariance)
     # Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown.
@@ -145,6 +151,7 @@ def _name_reasons(result: IdentificationResult, reasons: str) -> str:
         100.0 * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
     ) ** 2
     proof = find_inconsistency(result.base, prior, result.estimates, covariance)
+    # With dropped parameters an inconsistency may be theirs: only a clear proof is told.
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
     zero = f"; the {len(dropped)} dropped parameters count as zero, which is rare for links"
@@ -160,6 +167,7 @@ def refuse_poor_nearest_model(
     Raises `InertiaError`.
     """
     if cost is not None:
+        # Worse than CAD is worse than no identification.
         poor, why = (
             bool(cost.bad) or cost.worse_than_cad,
             f"on {cost.judged_by}, {cost.objection()}",
@@ -185,6 +193,8 @@ def _measure_error_growth(result: IdentificationResult, beta: Array) -> float:
     `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's
     own error: exact for least squares.
     """
+    # Squares of the residuals at the estimate and of the step add: least squares has them
+    # orthogonal.
     d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
     return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
 
@@ -198,10 +208,12 @@ def note_left_out_servo(
     """
     if servo is None:
         return ()
+    # Simulators step in ms, and so do the sentences.
     late = 1e3 * (servo.delay or 0.0)
     losses = {
         f"a delay below zero, {late:.3g} ms: give the simulator each command {-late:.3g} ms"
         " earlier": late < 0.0,
+        # A step of first order takes a command for its whole length: half of it early in the mean.
         f"the delay of the servo: give the simulator each command {late:.3g} ms later, and half of"
         " its time step, by which steps of first order act early": late > 0.0 and not delay,
         f"the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g} rad/s^2: pass"

@@ -40,10 +40,13 @@ def format_robot_toml(model: RobotModel) -> str:
         "gravity": model.gravity,
         "root_link": model.root_link,
         "lengths": model.lengths or None,
+        # True is what a reader assumes: only the other is written.
         "drives_by_design": None if model.drives_by_design else False,
         "passive": [joint.name for joint in model.followers if joint.is_passive] or None,
+        # Only loops have several assembly modes to choose from.
         "posture": _find_posture(model) if model.loops else None,
     }
+    # Passive joints have no factors: the loops move them.
     moved = [joint for joint in model.moving_joints if joint.mimic and not joint.is_passive]
     links = ((model.moving_joints[k], model.links[k]) for k in _order_links(model))
     blocks = [
@@ -51,6 +54,7 @@ def format_robot_toml(model: RobotModel) -> str:
         *(block for joint, link in links for block in _write_link_blocks(model, joint, link)),
         *(
             _write_block("motors", {"name": joint.name, **_list_drive_fields(joint)})
+            # A follower with a motor of its own has its drive there, since its link block has none.
             for joint in moved
             if joint.has_motor
         ),
@@ -95,8 +99,10 @@ def _order_links(model: RobotModel) -> Sequence[int]:
 def _write_link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]:
     """Return the block of a link, and the blocks of its parts where it has any."""
     parts = [inertia.parameters for _, inertia in link.parts]
+    # Parts that no longer add up to the link are of CAD, and not as built.
     by_parts = bool(parts) and np.array_equal(np.sum(parts, axis=0), link.inertia.parameters)
     after = _list_placement_fields(joint.after, joint.after_symbols, model)
+    # Most joints have no displacement behind them.
     placed = not np.array_equal(joint.after, np.eye(4)) or joint.after_symbols is not None
     fields = {
         "name": link.name,
@@ -108,6 +114,7 @@ def _write_link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]
         "negligible": link.negligible or None,
         **(_list_inertia_fields(link.inertia) if link.inertia_known and not by_parts else {}),
         **(_list_drive_fields(joint) if joint.mimic is None or not joint.has_motor else {}),
+        # A mimic with a motor has its drive in its block of motors.
     }
     return [
         _write_block("links", fields),
@@ -128,6 +135,7 @@ def _write_coupling_block(joint: Joint) -> str:
 def _write_motor_blocks(model: RobotModel) -> list[str]:
     """Return a block for each motor that turns another joint than its own, or several."""
     n, names = model.n_joints, model.joint_names
+    # A motor that turns its own joint by one is the usual case, and needs no block.
     shares = np.eye(n) if model.motor_coupling is None else model.motor_coupling
     return [
         _write_block(
@@ -159,6 +167,7 @@ def _write_loop_block(loop: Loop) -> str:
         for side, end in zip("ab", loop.ends, strict=True)
         for what, value in zip(("link", "point"), end, strict=True)
     }
+    # Only a loop that holds frames together has a rotation to write.
     rotation = None if np.array_equal(loop.rotation, np.eye(3)) else loop.rotation
     return _write_block("loops", {**head, **ends, "rotation": rotation})
 
@@ -166,7 +175,10 @@ def _write_loop_block(loop: Loop) -> str:
 def _list_drive_fields(joint: Joint) -> dict[str, Any]:
     """Return limits and drive of a joint or a motor."""
     limits = {
-        name: value for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))
+        # An infinite limit is none.
+        name: value
+        for name in _LIMITS
+        if math.isfinite(value := getattr(joint.limits, name))
     }
     drive = {
         name: value
@@ -180,6 +192,7 @@ def _list_inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
     return {
         "mass": inertia.mass,
         "first_moment": inertia.first_moment,
+        # About the origin of the link, as identified: parameters stay linear and exact.
         "inertia_about_origin": dict(zip(PARAMETER_NAMES[:6], inertia.parameters[:6], strict=True)),
     }
 
@@ -192,6 +205,7 @@ def _list_placement_fields(
     # Largest difference [m] of a length from its symbols, which are written in its place.
     if (
         symbols is not None
+        # Symbols are kept only where they still give the number.
         and np.max(np.abs(evaluate_lengths(symbols, model.lengths) - p)) <= 1e-12
     ):
         xyz = [_write_length_sum(terms) if terms else 0.0 for terms in symbols]
@@ -205,6 +219,7 @@ def _write_length_sum(terms: Sequence[tuple[float, str]]) -> str:
         + symbol
         for factor, symbol in terms
     )
+    # A first term without sign reads as one would write it.
     return text[2:] if text.startswith("+ ") else "-" + text[2:]
 
 
@@ -236,13 +251,16 @@ def _write_value(value: Any) -> str:
     if isinstance(value, list | tuple | np.ndarray):
         return f"[{', '.join(map(_write_value, value))}]"
     if isinstance(value, bool | str):
+        # Behind "x = ": tomli_w knows how to quote, and ends with a line break.
         return tomli_w.dumps({"x": value})[4:].rstrip("\n")
+    # Adding zero takes the sign from -0.0.
     return repr(float(value) + 0.0)
 
 
 def _write_key(name: str) -> str:
     return (
         name
+        # Bare keys of TOML are ASCII letters, digits, - and _; all else is quoted.
         if name.replace("_", "").replace("-", "").isalnum() and name.isascii()
         else _write_value(name)
     )

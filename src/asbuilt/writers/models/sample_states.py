@@ -10,7 +10,9 @@ from asbuilt.description.model import RobotModel
 
 def draw_sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
     """Return `count` random q, qd, qdd within the limits, each (count, n); the same every time."""
+    # A fixed seed: the same file gives the same note.
     rng, n = np.random.default_rng(0), model.n_joints
+    # A turn, or half a metre, stands for limits that a joint does not have.
     reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]
     lower = np.array(
         [max(joint.limits.lower, -r) for joint, r in zip(model.joints, reach, strict=True)]
@@ -20,6 +22,7 @@ def draw_sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Arr
     )
     # Largest speed [rad/s or m/s].
     speed = np.array([min(joint.limits.velocity, 3.0) for joint in model.joints])
+    # Limits apart from zero may leave upper below lower: the joint is held there.
     q = lower + (np.maximum(upper, lower) - lower) * rng.uniform(size=(count, n))
     # Largest acceleration [rad/s^2 or m/s^2].
     return (

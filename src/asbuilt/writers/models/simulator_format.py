@@ -39,6 +39,7 @@ class ExportedDrives:
     def delay(self) -> float:
         """Delay of the servo [s], zero where it is below: no simulator has commands early."""
         servo = self.result.servo
+        # A delay below zero is told by `note_left_out_servo`.
         return 0.0 if servo is None else max(servo.delay or 0.0, 0.0)
 
     @property
@@ -50,10 +51,12 @@ class ExportedDrives:
     def origin(self) -> str:
         """Where the numbers come from, in one line of plain characters."""
         text = f"{self.result.robot}, identified from {', '.join(self.result.sources)}"
+        # Into comments of any language: no escapes, quotes or line breaks.
         return " ".join(re.sub(r"[^ -~]", "?", text).replace("\\", "/").replace('"', "'").split())
 
     def by_joint(self, value: Callable[[Joint], float | None]) -> dict[str, float]:
         """Return a value of every joint by name, zero where there is none."""
+        # Of the plain robot, so that asymmetric friction is in its Coulomb friction and offset.
         return {joint.name: float(value(joint) or 0.0) for joint in self.plain.joints}
 
     def generate_exact_c(self, stem: str, prefix: str) -> CCode:
@@ -81,8 +84,10 @@ class ExportedDrives:
     ) -> tuple[str, ...]:
         """Return notes on what a format cannot hold, apart from `carried` terms and the options."""
         present = {key for joint in self.model.joints for key in joint.drive.terms}
+        # Offsets of the model, without the share that plain friction adds: that share is told with
+        # it.
         offsets = self.by_joint(lambda joint: joint.drive.offset)
-        listed = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
+        listed = ", ".join(f"{name} {offset:.4g}" for name, offset in offsets.items() if offset)
         cases = {
             f"{key.replace('_', ' ')} friction is written as Coulomb friction": key in present
             and key not in carried

@@ -49,20 +49,26 @@ def format_urdf(model: RobotModel) -> str:
     model = _adapt_to_urdf(model)
     root = Element("robot", name=model.name)
     root.extend(
+        # XML forbids two hyphens in comments, and one at their end.
         Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} ")
         for note in (*model.notes, *note_urdf_limits(model))
     )
+    # Names of added frames must not meet those of the robot.
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
     moved = [_find_shift(joint) for joint in model.moving_joints]
     carriers = {
         ROOT: (model.root_link, np.eye(4)),
+        # Frames in the model's links become frames in the URDF's.
         **dict(enumerate(zip(model.link_names, moved, strict=True))),
     }
+    # Friction only: places and inertias are those of the model.
     joints = convert_to_plain_friction(model).moving_joints
     for joint, link, shift in zip(joints, model.links, moved, strict=True):
         _add_link(root, link, shift)
         parent, carried = carriers[joint.parent]
+        # Parent's URDF frame to the parent's link, to the joint, to the link, back to this URDF
+        # frame.
         place = compose_placements(carried, joint.before, joint.after, invert_placement(shift))
         _add_joint(root, joint, place, shift, parent, link.name)
         if not np.array_equal(shift, np.eye(4)):
@@ -78,19 +84,26 @@ def format_urdf(model: RobotModel) -> str:
 
 def _drop_base(root: Element, model: RobotModel) -> None:
     """Take the joints of a free base out, with the links between, so that it is the root link."""
+    # The base's own link is the last of the chain: it stays, as the root.
     count = model.n_floating
     links = {model.root_link, *model.link_names[: count - 1]}
+    # Frames marked on links that go would hang in the air.
     gone = {f"{name}_frame" for name in links}
-    for each in [*root.findall("link"), *root.findall("joint")]:
-        child = each.find("child")
+    for element in [*root.findall("link"), *root.findall("joint")]:
+        child = element.find("child")
         below = "" if child is None else child.get("link", "")
-        base_joint = each.tag == "joint" and each.get("name") in model.joint_names[:count]
-        if base_joint or below in gone or (each.tag == "link" and each.get("name") in links | gone):
-            root.remove(each)
+        base_joint = element.tag == "joint" and element.get("name") in model.joint_names[:count]
+        if (
+            base_joint
+            or below in gone
+            or (element.tag == "link" and element.get("name") in links | gone)
+        ):
+            root.remove(element)
 
 
 def _adapt_to_urdf(model: RobotModel) -> RobotModel:
     """Return the robot with a joint for every coordinate, as URDF needs; refuse what it cannot."""
+    # <mimic> follows joints only: motors that are none get rotors.
     model = _replace_loops(model).with_rotors
     for joint in model.followers:
         if joint.mimic is not None and len(joint.mimic.factors) > 1:
@@ -109,14 +122,17 @@ def _replace_loops(model: RobotModel) -> RobotModel:
     """
     if not model.loops:
         return model
+    # One posture cannot tell proportion from coincidence.
     # Random postures between which shares are compared.
     q = draw_postures(model, np.random.default_rng(0), 20)
     moved = model.link_motion(q)
+    # At the first posture, which all others agree with.
     n, G = model.n_joints, moved.shares[0]
     joints = list(model.followers)
     for k, joint in enumerate(joints):
         if not joint.is_passive:
             continue
+        # The share must be the same at all postures: only a straight line is a <mimic>.
         if np.ptp(moved.shares[:, n + k], axis=0).max() > PROPORTIONAL:
             raise DescriptionError(
                 f"URDF has no loops, and joint {joint.name!r} of {model.name} does not move in"
@@ -129,9 +145,11 @@ def _replace_loops(model: RobotModel) -> RobotModel:
             for name, share in zip(model.joint_names, G[n + k], strict=True)
             if abs(share) > PROPORTIONAL
         }
+        # What is left of the position at the first posture.
         offset = float(moved.q[0, n + k]) - sum(
             share * q[0, model.joint_names.index(name)] for name, share in shares.items()
         )
+        # Rounded to hide what Newton's method leaves.
         joints[k] = replace(joint, mimic=Mimic(shares, round(offset, 12)))
     return replace(model, followers=tuple(joints), loops=(), posture={})
 
@@ -153,6 +171,7 @@ def write_urdf(
 def _find_shift(joint: Joint) -> Array:
     """Return the pose of the model's link frame in the URDF's link frame."""
     # 1e-12: largest distance [m] of a link origin on the joint axis.
+    # A prismatic joint has a direction and no axis: its frame may be anywhere.
     if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= 1e-12:
         return np.eye(4)
     return np.array(joint.after)
@@ -163,6 +182,7 @@ def _add_link(root: Element, link: Link, shift: Array) -> None:
     inertia: LinkInertia = (
         link.inertia if np.array_equal(shift, np.eye(4)) else link.inertia.moved(shift)
     )
+    # A link without mass has no <inertial>: parsers refuse a mass of zero.
     if not inertia.parameters.any():
         return
     inertial, tensor = SubElement(element, "inertial"), inertia.inertia_about_com
@@ -180,10 +200,12 @@ def _add_joint(
 ) -> None:
     limits, drive = joint.limits, joint.drive
     limited = (
+        # A URDF has both limits of position or none.
         joint.kind != "continuous" and math.isfinite(limits.lower) and math.isfinite(limits.upper)
     )
     kind = "prismatic" if not joint.is_revolute else "revolute" if limited else "continuous"
     element = _connect_links(root, joint.name, kind, parent, child, origin)
+    # z of the joint's frame in axes of the URDF's link: row 2 of that rotation.
     SubElement(element, "axis", xyz=_write_numbers((joint.after @ invert_placement(shift))[2, :3]))
     bounds = (
         {}
@@ -191,6 +213,7 @@ def _add_joint(
         else {"lower": _write_bound(limits.lower), "upper": _write_bound(limits.upper)}
     )
     if bounds or math.isfinite(limits.torque) or math.isfinite(limits.velocity):
+        # Effort and velocity are both required, where a limit is written at all.
         SubElement(
             element,
             "limit",
@@ -198,6 +221,7 @@ def _add_joint(
             | {"effort": _write_bound(limits.torque), "velocity": _write_bound(limits.velocity)},
         )
     if joint.mimic is not None:
+        # `_adapt_to_urdf` has refused joints that follow several.
         ((other, factor),) = joint.mimic.factors.items()
         SubElement(
             element,
@@ -213,6 +237,7 @@ def _add_joint(
     }
     if given:
         SubElement(element, "dynamics", given)
+    # None and zero alike lose nothing.
     silent = [
         f"{name} {value!r}" for name in ("armature", "offset") if (value := getattr(drive, name))
     ]
@@ -250,8 +275,10 @@ def _reserve_name(name: str, taken: set[str]) -> str:
 
 
 def _write_bound(value: float) -> str:
+    # URDF has no infinity.
     return repr(min(max(float(value), -UNLIMITED), UNLIMITED))
 
 
 def _write_numbers(values: Array | list[float]) -> str:
+    # Adding zero takes the sign from -0.0; repr reads back to the same number.
     return " ".join(repr(float(value) + 0.0) for value in values)

@@ -50,6 +50,7 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, t
     plain = convert_to_plain_friction(model)
     content, source = described_text(original)
     kind = classify_base(model.n_floating)
+    # Of the same joints as the model, since locked ones stay in the file.
     described = _lock_alike(read_urdf(original, base=kind), model)
     _check_same_robot(described, model, source)
     file = XmlFile.of(content, source)
@@ -59,6 +60,7 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, t
     )
     edits: list[Edit] = []
     emptied: list[str] = []
+    # Unchanged inertias keep the bytes of the file.
     for was, link in zip(described.links, model.links, strict=True):
         if (
             link.negligible
@@ -66,12 +68,14 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, t
             or np.array_equal(was.inertia.parameters, link.inertia.parameters)
         ):
             continue
+        # The link's own inertial is what is edited; the others are subtracted.
         fixed = [(name, inertia) for name, inertia in was.parts if name != link.name]
         own = (
             link.inertia - LinkInertia(np.sum([inertia.parameters for _, inertia in fixed], axis=0))
             if fixed
             else link.inertia
         )
+        # A part of CAD may be heavier than the link as built.
         if fixed and not (own.mass > 0.0 and own.is_consistent):
             own = link.inertia
             for name, _ in fixed:
@@ -85,16 +89,22 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, t
                 ("damping", before.drive.viscous, joint.drive.viscous),
                 ("friction", before.drive.coulomb, joint.drive.coulomb),
             )
+            # A value that the file lacks counts as zero, as its readers take it.
             if new is not None and new != (old or 0.0)
         }
+        # Joints of a free base are not in the file.
         if values and joint.name in joints:
+            # The driven joint has the friction of all that it moves: followers must not add theirs.
             edits += _list_dynamics_edits(file, joints[joint.name], values)
             driven = model.link_shares[model.n_joints :, model.joint_names.index(joint.name)]
             for follower, share in zip(model.followers, driven, strict=True):
                 edits += _list_zero_friction_edits(joints[follower.name], values) if share else []
+    # Masses that data cannot tell are a choice, which a reader of the file must know.
     feasible = [note for note in model.notes if note.startswith(FEASIBLE_NOTE)]
     comments = "".join(f"\n  <!-- {note.replace('--', '- -')} -->" for note in feasible)
+    # Behind the root's start tag: first thing that a reader sees.
     edited = file.edited([*edits, Edit(file.root.inner, file.root.inner, comments)])
+    # Read as other programs do, without straightening: what the user's simulator will compute.
     literal = measure_torque_difference(
         model, _lock_alike(read_urdf(edited, straighten=False, base=kind), model)
     )
@@ -140,6 +150,7 @@ def note_urdf_limits(model: RobotModel) -> tuple[str, ...]:
             f"URDF has no place for the {key} of the drives; add it in the simulator ({symbol}"
             f" [{unit}]: {listed})"
         ] = bool(listed)
+    # Notes of drive terms are there only where one is lost.
     cases |= dict.fromkeys(note_left_out_drives(plain, (), "URDF"), True)
     cases[
         "URDF has no place for gravity; the model has"
@@ -175,6 +186,7 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
     ):
         if not same:
             refuse(what)
+    # Limits and friction may differ: they are what is identified.
     for there, here in zip(described.moving_joints, model.moving_joints, strict=True):
         if there.parent != here.parent or there.is_revolute != here.is_revolute:
             refuse(
@@ -191,9 +203,11 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
 
 
 def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
+    # One place each, since the tensor is symmetric.
     tensor, com = inertia.inertia_about_com, " ".join(map(_write_number, inertia.com))
     moments = {name: _write_number(tensor[place]) for name, place in TENSOR.items()}
     inertial = link.first("inertial")
+    # A link without inertial in the file has been identified nonetheless.
     if inertial is None:
         tag = link.named_as
         attributes = " ".join(f'{name}="{value}"' for name, value in moments.items())
@@ -208,11 +222,14 @@ def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> lis
             f"link {link.attributes['name']!r}: <inertial> lacks <mass> or <inertia>"
         )
     edits = list_attribute_edits(
-        mass, {"value": _write_number(inertia.mass)}
+        mass,
+        {"value": _write_number(inertia.mass)},
+        # A URDF without <origin> has the centre of mass at the link's origin.
     ) + list_attribute_edits(moment, moments)
     if origin is None:
         markup = f'<{inertial.named_as("origin")} xyz="{com}" rpy="0 0 0"/>'
         return [*edits, file.prepended(inertial, markup)]
+    # Moments are in axes of the link: a rotation of the old ones would turn them.
     turned = any(float(angle) != 0.0 for angle in origin.attributes.get("rpy", "").split())
     return edits + list_attribute_edits(origin, {"xyz": com} | ({"rpy": "0 0 0"} if turned else {}))
 
@@ -220,6 +237,7 @@ def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> lis
 def _list_dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[Edit]:
     dynamics = joint.first("dynamics")
     if dynamics is not None:
+        # A joint without friction in the file gets the element.
         return list_attribute_edits(dynamics, values)
     attributes = " ".join(f'{name}="{value}"' for name, value in values.items())
     return [file.appended(joint, f"<{joint.named_as('dynamics')} {attributes}/>")]
@@ -231,7 +249,7 @@ def _list_zero_friction_edits(joint: Span, values: dict[str, str]) -> list[Edit]
     if dynamics is None:
         return []
     return list_attribute_edits(
-        dynamics, {each: "0" for each in values if each in dynamics.attributes}
+        dynamics, {name: "0" for name in values if name in dynamics.attributes}
     )
 
 
@@ -241,11 +259,12 @@ def measure_torque_difference(model: RobotModel, read: RobotModel) -> Array:
     Links of negligible mass have the parameters of the file in both.
     """
     states, chi = draw_sample_states(model, 200), model.parameters
+    # What the file holds there is no error of the writer.
     for k in (k for k, link in enumerate(model.links) if link.negligible):
         chi[10 * k : 10 * k + 10] = read.links[k].inertia.parameters
-    found = inverse_dynamics(replace(read, gravity=model.gravity), *states)
+    torque = inverse_dynamics(replace(read, gravity=model.gravity), *states)
     expected = inverse_dynamics(model, *states, parameters=chi)
-    return np.asarray(np.abs(found - expected).max(axis=0))
+    return np.asarray(np.abs(torque - expected).max(axis=0))
 
 
 def _lock_alike(described: RobotModel, model: RobotModel) -> RobotModel:
@@ -259,4 +278,5 @@ def _lock_alike(described: RobotModel, model: RobotModel) -> RobotModel:
 
 
 def _write_number(value: float) -> str:
+    # Adding zero takes the sign from -0.0.
     return repr(float(value) + 0.0)

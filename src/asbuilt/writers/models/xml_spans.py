@@ -14,6 +14,7 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from asbuilt.errors import DescriptionError
 
+# Raw names with prefix, which expat replaces by namespaces.
 _NAME = re.compile(rb"<([^\s/>]+)")
 _ATTRIBUTE = re.compile(rb"\s+([^\s=/>]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _TAG_END = re.compile(rb"\s*(/?)>")
@@ -49,6 +50,7 @@ class Span:
         return next(self.all(tag), None)
 
     def named_as(self, tag: str) -> str:
+        # Elements that are added take the prefix of their neighbours.
         """Return `tag` with the namespace prefix of this element, if it has one."""
         prefix, colon, _ = self.raw_name.rpartition(":")
         return prefix + colon + tag
@@ -74,9 +76,11 @@ class XmlFile:
     @classmethod
     def of(cls, content: bytes, source: str) -> XmlFile:
         """Locate every element; raises `DescriptionError` if the file cannot be edited."""
+        # Expat counts bytes of UTF-8, so that the file is edited as such.
         encoding = _detect_encoding(content)
         try:
             decoded = content.decode(encoding)
+            # What does not encode to the same bytes would change all the file.
             faithful = decoded.encode(encoding) == content
         except (UnicodeError, LookupError) as error:
             raise DescriptionError(
@@ -89,23 +93,28 @@ class XmlFile:
             )
         text = decoded.encode()
         spotter = _Spotter(text)
+        # Documents may declare a type, but no entities.
         parser = DefusedXMLParser(target=spotter, encoding="utf-8", forbid_dtd=False)
+        # The target needs the parser for positions, and the parser the target.
         spotter.parser = parser.parser
         try:
             parser.feed(text)
             parser.close()
         except (DefusedXmlException, ParseError) as error:
             raise DescriptionError(f"{source}: the XML cannot be edited: {error}") from None
+        # XML has one root, else the parser has refused it.
         return cls(text, encoding, spotter.roots[0])
 
     def edited(self, edits: Iterable[Edit]) -> bytes:
         """Return the file with the edits made, which must not overlap."""
         pieces, at = [], 0
+        # Insertions before replacements at the same place.
         for edit in sorted(edits, key=lambda edit: (edit.start, edit.stop)):
             if edit.start < at:
                 raise ValueError(f"two edits overlap at byte {edit.start}")
             pieces += [self.text[at : edit.start], edit.text.encode()]
             at = edit.stop
+        # In the encoding of the original, as its declaration says.
         return b"".join([*pieces, self.text[at:]]).decode().encode(self.encoding)
 
     def blanks_before(self, element: Span) -> str:
@@ -116,6 +125,7 @@ class XmlFile:
     def appended(self, parent: Span, markup: str) -> Edit:
         """Return the edit that adds an element behind the last child, indented like it."""
         if not parent.children:
+            # Without children there is no indentation to copy.
             return self.prepended(parent, markup)
         last = parent.children[-1]
         return Edit(last.stop, last.stop, self.blanks_before(last) + markup)
@@ -131,6 +141,7 @@ class XmlFile:
         # The line break in front of the parent, with its indentation.
         line = re.findall(r"\r?\n[^\n]*\Z|\Z", self.blanks_before(parent))[0]
         inside = line + "  " if line else ""
+        # An element that closes itself is opened: its "/>" is replaced.
         if parent.close is not None:
             return Edit(parent.inner, parent.inner, inside + markup)
         return Edit(parent.named, parent.stop, f">{inside}{markup}{line}</{parent.raw_name}>")
@@ -143,8 +154,10 @@ def list_attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]
     """
     edits, added = [], ""
     for name, value in values.items():
+        # Behind the last attribute, in the order given.
         if name not in element.values:
             added += f' {name}="{value}"'
+        # Equal values keep their bytes.
         elif element.attributes.get(name) != value:
             edits.append(Edit(*element.values[name], value))
     return [*edits, Edit(element.named, element.named, added)] if added else edits
@@ -160,15 +173,18 @@ class _Spotter:
         self.roots: list[Span] = []
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
+        # Expat is at the "<" when it calls.
         start = self.parser.CurrentByteIndex
         name = _NAME.match(self.text, start)
         assert name is not None
         at, values = name.end(), {}
         while attribute := _ATTRIBUTE.match(self.text, at):
+            # Without the quotes, whichever they are.
             values[attribute[1].decode()] = (attribute.start(2) + 1, attribute.end(2) - 1)
             at = attribute.end()
         end = _TAG_END.match(self.text, at)
         assert end is not None
+        # Until its end is met a span ends behind its start tag.
         span = Span(
             tag.rpartition("}")[2],
             attributes,
@@ -180,17 +196,20 @@ class _Spotter:
             close=None if end[1] else end.end(),
             stop=end.end(),
         )
+        # The open element is the parent.
         (self.open[-1].children if self.open else self.roots).append(span)
         self.open.append(span)
 
     def end(self, tag: str) -> None:
         span = self.open.pop()
+        # At "</": the end tag may hold blanks before its ">".
         if span.close is not None:
             span.close = self.parser.CurrentByteIndex
             span.stop = self.text.index(b">", span.close) + 1
 
 
 def _detect_encoding(content: bytes) -> str:
+    # A byte order mark counts before the declaration.
     for mark, encoding in (
         (codecs.BOM_UTF16_LE, "utf-16-le"),
         (codecs.BOM_UTF16_BE, "utf-16-be"),
@@ -199,4 +218,5 @@ def _detect_encoding(content: bytes) -> str:
         if content.startswith(mark):
             return encoding
     declared = _DECLARED.match(content)
+    # XML without a declaration is UTF-8.
     return declared[1].decode().lower() if declared else "utf-8"

@@ -133,7 +133,7 @@ def drop_terms(
 ) -> DriveSet:
     """Return drive terms without those of some keys at some joints, by name."""
     for key, joint in places:
-        term = next(each for each in drive.terms if each.key == key)
+        term = next(term for term in drive.terms if term.key == key)
         left = {k for k, name in enumerate(joint_names) if term.is_at(k) and name != joint}
         drive = drive.without(key)
         drive = drive.with_term(_place_term(term, left, len(joint_names))) if left else drive
