@@ -42,12 +42,9 @@ ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process, where the system does not look."""
 ENDING = 0.5
 """Seconds that a child is given to end by itself, as one that has no more requests does."""
-OWN_GROUP: Mapping[str, Any] = (
-    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-    if sys.platform == "win32"
-    else {"process_group": 0}
-)
-"""How a child starts apart: Ctrl-C is for this process, which ends its children."""
+OWN_GROUP: Mapping[str, Any] = {"creationflags": 0x200} if os.name == "nt" else {"process_group": 0}
+"""How a child starts apart (CREATE_NEW_PROCESS_GROUP of Windows): Ctrl-C is for this process, which
+ends its children."""
 STILL = 60.0
 """Seconds without any computing after which a child waits in vain; it gets some in every second
 on a computer with a hundred others."""
