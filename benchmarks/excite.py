@@ -14,7 +14,6 @@ from scipy.optimize import minimize
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.batches import count_cores
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.excitation.design.design import choose_size, design_motion
@@ -29,6 +28,7 @@ from asbuilt.excitation.information.information import (
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.excitation.state_constraint import TorqueLimit
+from asbuilt.executor import count_cores
 
 ROBOT, DURATION, HARMONICS, FRACTION, TORQUE_FRACTION = "kuka-iiwa7-r800", 20.0, 5, 0.95, 0.8
 RANDOM_MOTIONS = 1000

@@ -36,10 +36,15 @@ from asbuilt.isolation import (
 PROGRAM = "from asbuilt.children import serve; serve({parent})"
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux."""
+WAITED_FOR, NOT_YET = 0x0010_0000, 0x102
+"""SYNCHRONIZE and WAIT_TIMEOUT of Windows."""
 ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process, where the system does not look."""
 ENDING = 0.5
 """Seconds that a child is given to end by itself, as one that has no more requests does."""
+OWN_GROUP: Mapping[str, Any] = {"creationflags": 0x200} if os.name == "nt" else {"process_group": 0}
+"""How a child starts apart (CREATE_NEW_PROCESS_GROUP of Windows): Ctrl-C is for this process, which
+ends its children."""
 STILL = 60.0
 """Seconds without any computing after which a child waits in vain; it gets some in every second
 on a computer with a hundred others."""
@@ -83,7 +88,7 @@ class Child:
             env={**os.environ, **environment}
             if trusted
             else build_isolated_environment(environment),
-            process_group=0,  # Ctrl-C is for this process, which ends its children
+            **OWN_GROUP,
         )
         self._made_by = (os.getpid(), tuple(sys.path))
         self.calls = 0
@@ -324,6 +329,24 @@ def _end_with(parent: int) -> None:
 
 
 def _watch(parent: int) -> None:
-    while os.getppid() == parent:
+    # The parent on Windows may be the launcher of a virtual environment, which `parent` started.
+    while is_running(parent) if sys.platform == "win32" else os.getppid() == parent:
         time.sleep(ORPHAN_CHECK)
     os._exit(1)
+
+
+def is_running(process: int) -> bool:
+    """Return whether a process of this machine runs."""
+    if sys.platform == "win32":  # where signal 0 of `os.kill` is Ctrl-C
+        kernel: Any = ctypes.WinDLL("kernel32")
+        kernel.OpenProcess.restype = ctypes.c_void_p
+        handle = ctypes.c_void_p(kernel.OpenProcess(WAITED_FOR, False, process))
+        try:
+            return bool(kernel.WaitForSingleObject(handle, 0) == NOT_YET)
+        finally:
+            kernel.CloseHandle(handle)
+    try:
+        os.kill(process, 0)
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
+    return True

@@ -7,7 +7,6 @@ from __future__ import annotations
 import gc
 import glob
 import hashlib
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -202,14 +201,15 @@ def compile_kernels(wanted: Kernel, report: Callable[[float], None]) -> None:
     take most of the compiler's time. `report` gets the fraction done. A kernel that a worker could
     not compile is compiled where it is called.
     """
-    from asbuilt.executor import open_workers  # noqa: PLC0415 - only where something is compiled
+    from asbuilt.executor import count_cores, open_workers  # noqa: PLC0415 - only where something is compiled
 
     missing = [each for each in KERNELS if each is wanted or each.usual]
     missing = [each for each in missing if not each.is_on_disk()]
     report(0.0)
-    if len(missing) < 2 or os.cpu_count() == 1:
+    count = min(len(missing), count_cores())
+    if count < 2:
         return
-    with open_workers(min(len(missing), os.cpu_count() or 1)) as workers:
+    with open_workers(count) as workers:
         tasks = [(each.py_func.__module__, each.py_func.__name__) for each in missing]
         for done, _ in enumerate(workers.run(_compile_kernel, tasks), start=1):
             report(done / len(missing))

@@ -188,6 +188,11 @@ def _run_numbered(function: Callable[[Task], Result], task: tuple[int, Task]) ->
     return function(task[1])
 
 
+def count_cores() -> int:
+    """Return the number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @contextmanager
 def open_workers(workers: int | None = None, scheduler: str | None = None) -> Iterator[Workers]:
     """Yield workers: processes of this machine, or the workers of a Dask scheduler.
@@ -211,7 +216,7 @@ def open_workers(workers: int | None = None, scheduler: str | None = None) -> It
         with _open_cluster(scheduler) as found:
             yield found
         return
-    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    count = count_cores() if workers is None else workers
     if count < 0:
         raise UsageError(f"the number of workers must be 0 or more, got {count}")
     pool = ChildPool(count, ONE_THREAD) if count else _Here()

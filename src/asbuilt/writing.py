@@ -16,6 +16,7 @@ from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 
+from asbuilt.children import is_running
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.untrusted import is_input, shorten_path
@@ -189,20 +190,12 @@ def remove_leftovers(folder: Path) -> None:
     """Remove temporary files that processes of this machine left behind when they were killed."""
     for path in folder.glob(".*.part"):
         *_, host, process, _, _ = ["", "", *path.name.split(".")]
-        if host == _HOST and process.isdigit() and not _is_alive(int(process)):
+        if host == _HOST and process.isdigit() and not is_running(int(process)):
             path.unlink(missing_ok=True)
 
 
 _remove_leftovers_once = cache(remove_leftovers)
 """Looking into a folder at each of its files would make many files slow."""
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except OSError as error:
-        return not isinstance(error, ProcessLookupError)
-    return True
 
 
 def _create(temporary: Path, target: Path) -> None:

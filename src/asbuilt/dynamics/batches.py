@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,14 +12,10 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.errors import UsageError
+from asbuilt.executor import count_cores
 
 _WORTH_A_THREAD = 8192
 """Samples that take longer than a thread takes to start."""
-
-
-def count_cores() -> int:
-    """Return the number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def choose_threads(asked: int | None, usual: int) -> int:

@@ -15,7 +15,6 @@ from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters, inverse_dynamics
-from asbuilt.dynamics.batches import count_cores
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
@@ -37,6 +36,7 @@ from asbuilt.excitation.limits import MotionBounds, refuse_open_postures
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.state_constraint import StateConstraint
+from asbuilt.executor import count_cores
 
 Progress = Callable[[SearchProgress], None]
 

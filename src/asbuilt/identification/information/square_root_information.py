@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.batches import choose_threads, count_cores
+from asbuilt.dynamics.batches import choose_threads
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.executor import count_cores
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import (

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -262,13 +262,13 @@ def _list_covariates(entry: Entry, first: int, block: int, joint: int) -> list[d
 
 def _unpack_frame(content: bytes) -> pl.DataFrame:
     """Return the table of an entry, unpacked by another process with limits."""
-    with NamedTemporaryFile(suffix=".parquet") as file:
-        file.write(content)
-        file.flush()
+    with TemporaryDirectory(prefix="asbuilt-") as folder:
+        file = Path(folder, "entry.parquet")
+        file.write_bytes(content)
         try:
-            table = read_isolated(unpack_table, Path(file.name))
+            table = read_isolated(unpack_table, file)
         except RecordingError as problem:
-            raise ValueError(problem.message.replace(file.name, "it")) from None
+            raise ValueError(problem.message.replace(str(file), "it")) from None
     return pl.read_ipc_stream(io.BytesIO(table.columns["arrow"].tobytes()))
 
 

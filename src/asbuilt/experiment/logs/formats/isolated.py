@@ -232,7 +232,7 @@ def _describe_crash(path: Path, size: float, ended: ChildEnded) -> dict[str, Any
         }
     if ended.stopped == "disk":
         what = f"unpacks to more than {LIMITS.disk / 1e9:.3g} GB"
-    elif -status in (signal.SIGPROF, signal.SIGXCPU):
+    elif status < 0 and signal.Signals(-status).name in ("SIGPROF", "SIGXCPU"):
         what = f"takes more than {LIMITS.time_for(size):.3g} s of computing to read"
     elif status < 0:
         what = f"crashes its reader ({signal.Signals(-status).name})"
