@@ -1,4 +1,4 @@
-"""Rows from standard input: the events of the file, told within a sample; broken streams are said."""
+"""Rows from standard input: the events of the file, within a sample; broken streams are said."""
 
 from __future__ import annotations
 

@@ -36,7 +36,10 @@ from asbuilt.findings import list_findings
 
 def watch(
     result: Result,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="the recording to watch; - : rows from standard input")],
+    log: Annotated[
+        Path,
+        typer.Argument(metavar="LOG", help="the recording to watch; - : rows from standard input"),
+    ],
     *,
     calibrate: Annotated[
         list[Path] | None,

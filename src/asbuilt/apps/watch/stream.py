@@ -39,13 +39,15 @@ EPOCH = 1e6
 class RowReader:
     """Turn rows of numbers into time, positions, torques and velocities of the robot's joints.
 
-    Each quantity is an affine function of the row, as names, units, gains and signs of the columns
-    make it: `offset + matrix row`.
+    The quantities, one after another, are an affine function of the row, as names, units, gains and
+    signs of the columns make it: `offset + matrix row`.
     """
 
     time: int
     time_scale: float
-    maps: Mapping[str, tuple[Array, Array]]
+    quantities: tuple[str, ...]
+    offset: Array
+    matrix: Array
 
     @classmethod
     def of(
@@ -78,19 +80,20 @@ class RowReader:
         rows[:, time] = 0.01 * np.arange(len(names)) / scale
         rows[1 + np.arange(len(others)), others] = STEP
         (probe,) = as_recordings(model, [dict(zip(names, rows.T, strict=True))], options)
-        maps = {}
-        for quantity in ("q", "tau", "qd"):
-            values = getattr(probe, quantity)
-            if values is not None:
-                matrix = np.zeros((model.n_joints, len(names)))
-                matrix[:, others] = (values[1:] - values[0]).T / STEP
-                maps[quantity] = (values[0], matrix)
-        return cls(time, scale, maps)
+        given = {key: getattr(probe, key) for key in ("q", "tau", "qd")}
+        found = {key: values for key, values in given.items() if values is not None}
+        values = np.hstack([*found.values()])
+        matrix = np.zeros((values.shape[1], len(names)))
+        matrix[:, others] = (values[1:] - values[0]).T / STEP
+        return cls(time, scale, tuple(found), values[0], matrix)
 
     def read(self, row: Array) -> tuple[float, dict[str, Array]]:
         """Return the time [s] of a row, and its quantities."""
-        found = {key: offset + matrix @ row for key, (offset, matrix) in self.maps.items()}
-        return float(row[self.time]) * self.time_scale, found
+        whole = self.offset + self.matrix @ row
+        parts = whole.reshape(len(self.quantities), -1)
+        return float(row[self.time]) * self.time_scale, dict(
+            zip(self.quantities, parts, strict=True)
+        )
 
 
 def read_lines(source: int, tell: Callable[[str], None]) -> Iterator[str]:
@@ -241,43 +244,50 @@ class StreamWatch:
         observer, self._time = self.observer, t
         observer.update(t, q, tau, qd)
         self.n_samples += 1
-        error = observer.model_error.std(observer.q[None], observer.qd[None], observer.qdd[None])[0]
-        scale = self.thresholds.scale(observer.qd, observer.slowness, error)
-        parts = observer.slowness, observer.step, observer.unknown_friction
-        limit = self.thresholds.limit(observer.qd, *parts, error)
-        self._follow(t, scale, limit)
+        self._follow(t)
 
     def finish(self) -> None:
         """End an event that goes on."""
         if self._rows:
             self._end()
 
-    def _follow(self, t: float, scale: Array, limit: Array) -> None:
-        ratio = np.abs(self.observer.residual) / limit
-        beyond = bool((ratio > 1.0).any())
+    def _follow(self, t: float) -> None:
+        see = self.observer
         if self._rows and t - self._last > self.thresholds.block_seconds:
             self._end()
+        # The error of the model only raises a limit, and takes most of the time: most samples are
+        # below the limit without it.
+        limit = self._limit(np.zeros(see.residual.shape))
+        beyond = bool((np.abs(see.residual) > limit).any())
+        if beyond:
+            limit = self._limit(see.model_error.std(see.q[None], see.qd[None], see.qdd[None])[0])
+            beyond = bool((np.abs(see.residual) > limit).any())
         if beyond and not self._rows:
-            k = int(np.argmax(ratio))
-            name = self.observer.model.joint_names[k]
-            self.begun(t, name, float(self.observer.residual[k]), float(limit[k]))
+            k = int(np.argmax(np.abs(see.residual) / limit))
+            self.begun(t, see.model.joint_names[k], float(see.residual[k]), float(limit[k]))
         if beyond or self._rows:
-            see = self.observer
             self._rows.append(
                 (t, see.q, see.qd, see.qdd, see.step, see.unknown_friction, see.residual,
-                 scale, limit)
+                 see.slowness)
             )  # fmt: skip
         if beyond:
             self._last = t
         if len(self._rows) >= LONGEST_EVENT:
             self._end()
 
+    def _limit(self, error: Array) -> Array:
+        see = self.observer
+        return self.thresholds.limit(see.qd, see.slowness, see.step, see.unknown_friction, error)
+
     def _end(self) -> None:
         times, *arrays = zip(*self._rows, strict=True)
-        q, qd, qdd, step, unknown, residual, scale, limit = map(np.array, arrays)
+        q, qd, qdd, step, unknown, residual, slowness = map(np.array, arrays)
         observed = Observed(
             np.array(times), np.zeros(len(times)), q, qd, qdd, step, unknown, residual
         )
+        error = self.observer.model_error.std(q, qd, qdd)
+        scale = self.thresholds.scale(qd, slowness, error)
+        limit = self.thresholds.limit(qd, slowness, step, unknown, error)
         self._rows.clear()
         for event in find_events(
             self.observer, observed, scale, limit, self.thresholds, self._tool,
@@ -307,7 +317,7 @@ def watch_stream(
     for row in rows:
         if reader is None:
             reader = RowReader.of(rows.names, watching.observer.model, chosen, "standard input")
-            if not filtered and "qd" not in reader.maps:
+            if not filtered and "qd" not in reader.quantities:
                 raise RecordingError(
                     "the stream has no velocities, but the thresholds were set with logged ones",
                     cure=Cure("stream velocities, or set the thresholds on logs without them"),
