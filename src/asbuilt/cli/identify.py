@@ -212,7 +212,9 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT=FILE",
-            help="for a simulator: isaac-lab, usd, mjlab, bam or ros2-control; repeat for more",
+            help=(
+                "isaac-lab, usd, mjlab, bam, ros2-control or ros2-inverse-dynamics; repeat for more"
+            ),
         ),
     ] = None,
     ensemble: Annotated[

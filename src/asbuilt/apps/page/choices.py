@@ -26,7 +26,7 @@ FORMATS = {
     "isaac-lab": ("Isaac Lab", "--to", "actuators.py"),
     "usd": ("USD overlay", "--to", "overlay.usda"),
     "mjlab": ("mjlab", "--to", "mjlab.py"),
-    "ros2-control": ("ros2_control", "--to", "ros2_control.xacro"),
+    "ros2-control": ("ros2_control", "--to", "ros2_control.yaml"),
 }
 """Name, option and file of each format of `export`; the page writes into its folder alone."""
 LINES: dict[str, tuple[type[Any], ...]] = {

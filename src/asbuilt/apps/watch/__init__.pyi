@@ -8,9 +8,13 @@ from .observed import ModelError as ModelError
 from .observed import Observed as Observed
 from .observer import Observer as Observer
 from .options import WatchOptions as WatchOptions
+from .stream import StreamWatch as StreamWatch
+from .stream import read_lines as read_lines
+from .stream import watch_stream as watch_stream
 from .thresholds import Thresholds as Thresholds
 from .thresholds import set_thresholds as set_thresholds
 from .timeline import timeline_of_watched as timeline_of_watched
 from .watched_log import WatchedLog as WatchedLog
 from .watched_log import read_thresholds as read_thresholds
+from .watching import make_stream_observer as make_stream_observer
 from .watching import watch as watch

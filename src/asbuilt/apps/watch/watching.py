@@ -27,7 +27,7 @@ from asbuilt.apps.watch.watch_findings import (
 )
 from asbuilt.apps.watch.watched_log import POINTS, Trace, WatchedLog
 from asbuilt.description import refuse_free_base
-from asbuilt.errors import RecordingError, ResultError
+from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment import (
     TOO_LITTLE,
     Recording,
@@ -122,6 +122,47 @@ def watch(
         findings += of_thresholds
     observer = Observer(robot, thresholds=thresholds)
     return _watch_log(result, observer, thresholds, log, options, findings, measured, report)
+
+
+def make_stream_observer(
+    result: IdentificationResult,
+    *,
+    calibrate: Sequence[RecordingLike] | None = None,
+    thresholds: Thresholds | None = None,
+    options: WatchOptions | None = None,
+) -> Observer:
+    """Return the observer of a stream, with thresholds that are given or set on quiet recordings.
+
+    Raises
+    ------
+    UsageError
+        If there are neither: a stream cannot set its own, since what comes is not known.
+    """
+    options = options or WatchOptions()
+    refuse_free_base(
+        result.robot,
+        result.model.n_floating,
+        "forces that its feet exert count as external torque; watching one is not possible yet",
+    )
+    robot = result if options.model == "as_built" else result.model
+    if thresholds is not None:
+        return Observer(robot, thresholds=thresholds)
+    quiet = [require_logged(each) for each in as_recordings(result.model, calibrate or [])]
+    if not quiet:
+        raise UsageError(
+            "a stream has no quieter half that could set thresholds",
+            cure=Cure("give recordings without contact", {"calibrate": "LOG"}),
+        )
+    _check_covariance(result)
+    for each in quiet:
+        check_joints(result, each)
+        if options.checked:
+            check_recording(result.model, head_of(each)).raise_errors(but=TOO_LITTLE)
+    measured = all(map(uses_logged_velocities, quiet))
+    error = estimate_doubtful_speed(quiet, options.bandwidth, measured=measured)
+    observer = Observer(robot, bandwidth=options.bandwidth, velocity_error=error)
+    found, _ = _choose_thresholds(result, observer, quiet[0], quiet, options, measured=measured)
+    return Observer(robot, thresholds=found)
 
 
 def _check_covariance(result: IdentificationResult) -> None:

@@ -48,10 +48,10 @@ class Franka(PayloadFormat):
                     "transformation": np.eye(4).ravel(order="F"),
                 }
             )
-        inertia = list_decimals(body.inertia.ravel(order="F"))
+        columns = list_decimals(body.inertia.ravel(order="F"))
         return (
             f"robot.setLoad({format_decimals(body.mass)}, {{{{{list_decimals(body.centre)}}}}},\n"
-            f"              {{{{{inertia}}}}});\n"
+            f"              {{{{{columns}}}}});\n"
         )
 
 
