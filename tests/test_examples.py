@@ -67,7 +67,7 @@ def test_the_lines_that_run_an_exported_servo_arm_follow_its_episode(
     runpy.run_path(str(HOUSE / "examples" / "10_record_an_episode.py"), run_name="__main__")
     options = {"kp": 17.8, "torque_limit": 3.35}
     study = asbuilt.identify("so-101", "episode.csv", **options)
-    asbuilt.write_study(Path("study"), study)
+    asbuilt.write_study("study", study)
     asbuilt.export_result(study.result, mjcf="so101.xml")
     page = (HOUSE / "docs" / "how-to" / "so-101.md").read_text(encoding="utf-8")
     lines = re.findall(r"^```py\n(.*?)^```", page, re.DOTALL | re.MULTILINE)[0]
