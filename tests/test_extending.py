@@ -33,6 +33,7 @@ GROUPS = {
     "log_formats": "json_lines_format",
     "motions": "mirrored_motions",
     "program_formats": "json_program",
+    "payload_formats": "plain_payload",
     "report_sections": "outside_section",
     "description_formats": "chain_format",
     "simulator_formats": "gains_format",
@@ -40,8 +41,8 @@ GROUPS = {
     "drivers": "mujoco_driver",
 }
 
-SEAMS = ("c_observers", "program_writers")
-"""Registries by which a command of the core reaches one app."""
+SEAMS = ("c_observers", "link_shapes", "program_writers")
+"""Registries by which the core reaches one app."""
 
 
 NAMES = ("halved", "ols")

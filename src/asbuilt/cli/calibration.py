@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +10,14 @@ from typing import Annotated, Any
 import typer
 
 import asbuilt
-from asbuilt import ChannelOptions, GainOptions, PayloadOptions, ReadingOptions, writers
+from asbuilt import (
+    ChannelOptions,
+    GainOptions,
+    PayloadOptions,
+    ReadingOptions,
+    UsageError,
+    writers,
+)
 from asbuilt.cli.answers import answer, describe_cure, list_files, show_progress
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -18,19 +26,19 @@ from asbuilt.cli.arguments.options import (
     Filtering,
     Full,
     Judges,
-    Logs,
     Out,
-    Result,
     Robot,
     Unchecked,
     load_described_robot,
     parse_number_list,
+    parse_places,
     read_recordings_of_robot,
     read_robot_and_recordings,
+    refuse_idle,
     require_distinct_logs,
 )
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.findings import list_findings
+from asbuilt.findings import Cure, list_findings
 
 
 def channels(
@@ -163,8 +171,17 @@ def gains(
 
 
 def payload(
-    result: Result,
-    log: Logs,
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT",
+            help="a result.json of `asbuilt identify --out`; with --to alone: a payload.json",
+        ),
+    ],
+    log: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG...", help="recordings under load"),
+    ] = None,
     *,
     options: PayloadOptions,
     unloaded: Annotated[
@@ -196,13 +213,32 @@ def payload(
             ),
         ),
     ] = None,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--to",
+            metavar="MAKER=FILE",
+            help="in the maker's words: ur, franka, kuka, abb, fanuc, yaskawa, doosan or an"
+            " installed one; repeat for more",
+        ),
+    ] = None,
     reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
+    """Identify what the flange carries: mass, centre and inertia, from recordings under load.
+
+    With --to and no recording: write a stored payload.json in the words of robot makers.
+    """
+    places = parse_places(to)
+    for key in places:
+        writers.PAYLOAD_FORMATS.find(key)
+    refuse_idle("--moments finds no inertia, which makers ask for", {"--to": moments and bool(to)})
+    if not log:
+        _convert_stored_payload(result, places, as_json=as_json)
+        return
     require_distinct_logs(log, unloaded, validate)
     identified = asbuilt.read_result(result)
     loaded, bare, others = (
@@ -236,9 +272,37 @@ def payload(
     else:
         name, document = "payload", writers.payload_document(found)
         text = writers.payload_text(found, full)
-    files = {} if out is None else {name: writers.write_json(out / f"{name}.json", document)}
+    files, notes = writers.write_payload(found, places) if places else ({}, {})
+    if out is not None:
+        files = {name: writers.write_json(out / f"{name}.json", document)} | files
     answer(
         as_json,
-        lambda: writers.with_files(document, files),
-        lambda: text + list_files(files),
+        lambda: writers.with_files(document, files) | _document_notes(notes),
+        lambda: text + list_files(files, notes),
     )
+
+
+def _convert_stored_payload(stored: Path, places: Mapping[str, Path], *, as_json: bool) -> None:
+    """Write a payload.json in the words of makers; raises `UsageError` on anything else."""
+    body = writers.read_stored_payload(stored)
+    if body is None:
+        raise UsageError(
+            f"{stored} needs recordings under load: asbuilt payload {stored} LOG...",
+            cure=Cure("name them, or give a payload.json with --to MAKER=FILE"),
+        )
+    if not places:
+        raise UsageError(
+            f"{stored} is a payload; name what to write of it with --to MAKER=FILE",
+            available=[*writers.PAYLOAD_FORMATS],
+        )
+    files, notes = writers.write_payload(body, places)
+    document = {"robot": body.robot, "frame": body.frame, "mass": {"estimate": body.mass}}
+    answer(
+        as_json,
+        lambda: writers.with_files(document, files) | _document_notes(notes),
+        lambda: f"{body.robot}: payload of {body.mass:.4g} kg" + list_files(files, notes),
+    )
+
+
+def _document_notes(notes: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    return {"notes": {key: list(lines) for key, lines in notes.items()}} if notes else {}

@@ -152,7 +152,7 @@ TABLE: dict[str, dict[str, Entry | str]] = {
             "Find mass, centre and inertia of what the flange carries.",
             (
                 "study/result.json loaded.csv",
-                "study/result.json loaded.csv --frame tool0 --arm frozen",
+                "study/result.json loaded.csv -o study --to ur=payload.script",
             ),
             "identify_payload",
         ),

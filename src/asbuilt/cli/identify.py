@@ -26,6 +26,7 @@ from asbuilt.cli.arguments.options import (
     Seed,
     TimelineFiles,
     load_described_robot,
+    parse_places,
     read_robot_and_recordings,
     refuse_idle,
     refuse_sharing,
@@ -256,7 +257,8 @@ def export(
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
-    places, identified = _parse_places(to or []), asbuilt.read_result(result)
+    places = parse_places(to)
+    identified = asbuilt.read_result(result)
 
     exported = asbuilt.export_result(
         identified,
@@ -273,19 +275,6 @@ def export(
         elastic=elastic,
     )
     answer(as_json, exported.as_document, exported.as_text)
-
-
-def _parse_places(to: list[str]) -> dict[str, Path]:
-    """Return the file of each simulator format, from FORMAT=FILE."""
-    places: dict[str, Path] = {}
-    for each in to:
-        key, equals, place = each.partition("=")
-        if not equals or not place:
-            raise UsageError(f"--to takes FORMAT=FILE, got {each!r}", value=each)
-        if key in places:
-            raise UsageError(f"--to {key} is given twice", value=each)
-        places[key] = Path(place)
-    return places
 
 
 def _export_ensemble(

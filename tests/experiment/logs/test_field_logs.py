@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import call
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
@@ -18,6 +17,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.experiment import check_recording, propose_sheet, read_recording
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.untrusted import parse_toml
+from command_line import call
 
 from .test_ros_logs import STATE, Store
 
@@ -58,7 +58,7 @@ def clean() -> dict[str, Array]:
     speeds = 2.0 * np.pi * np.array([[0.35, 0.5, 0.62], [0.8, 1.1, 0.95]])
     sizes = np.array([[0.5, 0.45, 0.4], [0.2, 0.18, 0.22]])
     waves = [speed * t[:, None] + phases for speed in speeds]
-    q = sum(a * np.sin(x) for a, x in zip(sizes, waves, strict=True)) + [0.1, 0.4, -0.3]
+    q = sum(a * np.sin(x) for a, x in zip(sizes, waves, strict=True)) + np.array([0.1, 0.4, -0.3])
     qd = sum(a * w * np.cos(x) for a, w, x in zip(sizes, speeds, waves, strict=True))
     qdd = sum(-a * w**2 * np.sin(x) for a, w, x in zip(sizes, speeds, waves, strict=True))
     turns = [np.column_stack([np.cos(row), np.sin(row)]).ravel() for row in q]

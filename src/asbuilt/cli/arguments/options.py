@@ -320,6 +320,23 @@ def parse_number_list(option: str, text: str | None, count: int | None = None) -
     return values
 
 
+def parse_places(to: Sequence[str] | None) -> dict[str, Path]:
+    """Return the file or folder of each format, from FORMAT=FILE; raises `UsageError` otherwise.
+
+    >>> parse_places(["ur=arm.script"])["ur"].name
+    'arm.script'
+    """
+    places: dict[str, Path] = {}
+    for each in to or ():
+        key, equals, place = each.partition("=")
+        if not equals or not place:
+            raise UsageError(f"--to takes FORMAT=FILE, got {each!r}", value=each)
+        if key in places:
+            raise UsageError(f"--to {key} is given twice", value=each)
+        places[key] = Path(place)
+    return places
+
+
 def read_robot_and_recordings(
     model: asbuilt.RobotModel, reading: asbuilt.ReadingOptions, *logs: Sequence[Path] | None
 ) -> tuple[asbuilt.RobotModel, list[list[asbuilt.Recording | RecordingStream]]]:

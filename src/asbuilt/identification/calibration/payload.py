@@ -6,8 +6,8 @@ The ten inertial parameters of a payload, from a loaded recording and a model of
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import clarabel
@@ -18,6 +18,7 @@ from scipy import sparse
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import invert_placement
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
@@ -111,6 +112,9 @@ class Payload:
         Base parameters of the arm that were used (p,).
     n_samples, torque_source
         Of the loaded recordings.
+    frames
+        Placement (4, 4) in `frame` of the other frames of the same link, by name: makers take a
+        payload in one of them.
     metrics, metrics_bare
         Torque errors on each recording with the payload, and of the arm alone.
     """
@@ -138,6 +142,7 @@ class Payload:
     metrics: tuple[TorqueMetrics, ...]
     metrics_bare: tuple[TorqueMetrics, ...]
     names: tuple[str, ...] = PAYLOAD_NAMES
+    frames: Mapping[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         shown = ", ".join(
@@ -312,7 +317,20 @@ def identify_payload_samples(
         metrics_bare=tuple(
             _measure_torque_error(result, samples, result.estimates, None) for samples in tested
         ),
+        frames=_place_other_frames(result.model, name, link, placement),
     )
+
+
+def _place_other_frames(
+    model: RobotModel, name: str, link: int, placement: Array
+) -> dict[str, Array]:
+    """Return the placements (4, 4) of the link's other frames in the frame of the payload."""
+    back = invert_placement(placement)
+    return {
+        each.name: back @ each.placement
+        for each in model.frames
+        if each.link == link and each.name != name
+    }
 
 
 def _derive_gain_slopes(

@@ -111,6 +111,7 @@ def study_verdict(
     rollouts
         Simulations of the same.
     """
+    # Commands are measured by the motion that follows from them.
     simulated = choose_decisive_rollout(rollouts) if result.servo is not None else None
     untested = simulated is None and is_untested(result, findings, validations)
     measure: Measure = "torque" if simulated is None else "rollout"
@@ -132,14 +133,14 @@ def study_verdict(
         # The error of what was fitted is no promise, so an untested model has none.
         VerdictError(None, None, error.cad) if untested else error,
         measure,
-        tuple(dict.fromkeys(each.code for each in (*reasons, *of_bodies))),
+        tuple(dict.fromkeys(reason.code for reason in (*reasons, *of_bodies))),
         joints,
         bodies,
     )
 
 
 def _decide_use(reasons: Sequence[Reason], of_bodies: Sequence[Reason], *, untested: bool) -> Use:
-    if any(each.forbids for each in reasons):
+    if any(reason.forbids for reason in reasons):
         return "no"
     if untested:
         return "untested"
@@ -149,7 +150,7 @@ def _decide_use(reasons: Sequence[Reason], of_bodies: Sequence[Reason], *, untes
 def _decide_bodies(reasons: Sequence[Reason]) -> BodiesUse:
     if not reasons:
         return BodiesUse("yes")
-    forbidden = any(each.forbids for each in reasons)
+    forbidden = any(reason.forbids for reason in reasons)
     return BodiesUse("no" if forbidden else "with care", reasons[0].text)
 
 
@@ -160,15 +161,16 @@ def _write_verdict(
     opening = "USE for torque" if use == "with care" and not reasons else OPENING[use]
     if use == "untested":
         # Other reasons wait for another motion, and masses are no reason to use it.
-        reasons = [each for each in reasons if each.code == "torque_unexplained"]
+        reasons = [reason for reason in reasons if reason.code == "torque_unexplained"]
         mass = ""
-    texts = list(dict.fromkeys(each.text for each in reasons))
+    texts = list(dict.fromkeys(reason.text for reason in reasons))
     against = f"{join_names(texts[: RULES.named])}; " if texts else ""
     if bodies.text and use != "no":
         mass = f"; {OPENING[bodies.use]} as bodies: {bodies.text}"
     return f"{opening}: {against}{outcome}{mass}."
 
 
+# One use for torque and bodies is said once where it is no.
 def _word_outcome(
     result: IdentificationResult,
     simulated: Rollout | None,
@@ -190,8 +192,9 @@ def _word_motion(
     result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
 ) -> str:
     """Return what the errors were measured on."""
-    sources = [each.source for each in validations or result.validation]
-    repeated = sum(each.code == "held_out_repeats" for each in findings)
+    sources = [prediction.source for prediction in validations or result.validation]
+    repeated = sum(finding.code == "held_out_repeats" for finding in findings)
+    # Every recording repeats the training motion: it is the same one.
     if repeated and repeated >= len(sources):
         return "the same motion"
     # A recording that is left out whole is another motion; a part of one belongs to its motion.

@@ -12,7 +12,10 @@ from typing import ClassVar
 
 from asbuilt.description.model import Joint, RobotModel
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.registry import Registry
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.models.c.c_code import CCode, generate_c_code
 from asbuilt.writers.models.physical import (
     convert_to_plain_friction,
     note_left_out_drives,
@@ -53,6 +56,19 @@ class ExportedDrives:
         """Return a value of every joint by name, zero where there is none."""
         return {joint.name: float(value(joint) or 0.0) for joint in self.plain.joints}
 
+    def generate_exact_c(self, stem: str, prefix: str) -> CCode:
+        """Return C code of exactly the identified parameters, whose torque is the result's.
+
+        They need not be those of possible bodies. All names begin with `prefix`; the header is
+        `stem`.h.
+        """
+        result = self.result
+        torque = result.torque_model
+        model = set_link_parameters(result.model, result.base, result.estimates)
+        return generate_c_code(
+            model, drive=torque.drive, drive_values=torque.values, stem=stem, prefix=prefix
+        )
+
     def left_out(
         self,
         kind: str,
@@ -89,10 +105,17 @@ class SimulatorFormat(ABC):
 
     key: ClassVar[str]
     title: ClassVar[str]
+    exact: ClassVar[bool] = False
+    """Whether it holds the identified parameters themselves, which need no possible bodies."""
 
     @abstractmethod
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the text of the file, and notes on what it cannot hold."""
+
+    def write(self, drives: ExportedDrives, path: Path) -> tuple[Path, tuple[str, ...]]:
+        """Write the file, or a folder of several; return it and its notes."""
+        text, notes = self.document(drives, path)
+        return atomic_write(path, text), notes
 
 
 SIMULATOR_FORMATS: Registry[SimulatorFormat] = Registry(

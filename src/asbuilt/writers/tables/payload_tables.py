@@ -156,6 +156,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
     return {
         "robot": payload.robot,
         "frame": payload.frame,
+        "frames": {name: placement.tolist() for name, placement in payload.frames.items()},
         "headline": describe_payload_outcome(payload),
         "n_samples": payload.n_samples,
         "mass": {

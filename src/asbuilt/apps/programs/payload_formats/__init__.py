@@ -1,0 +1,1 @@
+"""Payloads in the words of robot makers, one file a maker."""
