@@ -76,7 +76,11 @@ def _write_stage(page: str, text: str, names: list[str]) -> str:
     title = page.removeprefix("apps-")
     kind = "app" if title != page else "stage"
     home = f" of the {kind} `asbuilt.{page.replace('-', '.')}`" if page not in LEAVES else ""
-    lines = [f"# {title.capitalize()}", "", f"Names{home}, {text}. All are also in `asbuilt`."]
+    lines = [
+        f"# {title.capitalize()}",
+        "",
+        f"Names{home}, {text}. All are also in `asbuilt` ([every name](index.md)).",
+    ]
     return "\n".join([*lines, *(f"\n::: asbuilt.{name}" for name in names)]) + "\n"
 
 

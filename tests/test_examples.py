@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+
+import asbuilt
 
 pytestmark = pytest.mark.apps(
     *("estimators", "fleet", "masses", "page", "paper", "programs", "simulators", "watch")
@@ -51,6 +54,26 @@ def test_example_runs(
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(example), run_name="__main__")
     assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.study
+def test_the_lines_that_run_an_exported_servo_arm_follow_its_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page's own lines, in MuJoCo alone: within a milliradian on commands."""
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["10_record_an_episode.py", "--out", "episode.csv"])
+    runpy.run_path(str(HOUSE / "examples" / "10_record_an_episode.py"), run_name="__main__")
+    options = {"kp": 17.8, "torque_limit": 3.35}
+    study = asbuilt.identify("so-101", "episode.csv", **options)
+    asbuilt.write_study("study", study)
+    asbuilt.export_result(study.result, mjcf="so101.xml")
+    page = (HOUSE / "docs" / "how-to" / "so-101.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^```py\n(.*?)^```", page, re.DOTALL | re.MULTILINE)[0]
+    capsys.readouterr()
+    exec(compile(lines, "so-101.md", "exec"), {})
+    assert float(capsys.readouterr().out.split()[0]) < 1.0
 
 
 def cells_of(notebook: Path) -> list[str]:

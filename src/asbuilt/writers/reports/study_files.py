@@ -108,7 +108,7 @@ def write_result(path: str | os.PathLike[str], result: IdentificationResult | St
 
 
 def write_study(
-    folder: Path,
+    folder: str | Path,
     study: Study,
     *,
     payload: Payload | None = None,
@@ -140,6 +140,7 @@ def write_study(
     tuple
         Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
+    folder = Path(folder)
     result, shown = study.result, [*study.validations, *study.training]
     with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
         files = {

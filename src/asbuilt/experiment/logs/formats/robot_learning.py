@@ -71,8 +71,8 @@ def read_lerobot(path: Path) -> LogTable:
         joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
         left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
         groups.append((quantity, quantity, joints, values[:, kept]))
-    joints = groups[0][2]
-    calibration = find_calibration(path, joints)
+    _, _, measured, positions = groups[0]
+    calibration = find_calibration(path, measured)
     notes = [f"features that are no positions were left out: {', '.join(left_out)}"]
     table = tabulate_joints(
         str(path), _join_times(path, frame, info), groups, notes if left_out else []
@@ -83,7 +83,7 @@ def read_lerobot(path: Path) -> LogTable:
             " range: it was taken from the recording sheet"
         )
         return replace(table, open_units=tuple(table.known), notes=(note, *table.notes))
-    return _apply_calibration(table, calibration, calibration.find_unit(joints, groups[0][3]))
+    return _apply_calibration(table, calibration, calibration.find_unit(measured, positions))
 
 
 def _apply_calibration(table: LogTable, calibration: ServoCalibration, unit: str) -> LogTable:
