@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -124,7 +125,7 @@ def read_fitted_recordings(
     RecordingError
         If an item is no recording or does not fit the robot.
     UsageError
-        If options say how to read what is read already.
+        If options say how to read what is read already, or two items hold the same samples.
     """
     chosen = options or ReadingOptions()
     if chosen.gravity is not None:
@@ -157,8 +158,44 @@ def read_fitted_recordings(
     whole, model = model, model.locked({**asked, **values})
     if model is not whole or any(each != model.joint_names for group in logged for each in group):
         read = [[_select_joints(item, model.joint_names) for item in items] for items in read]
+    refuse_same_recordings([item for items in read for item in items])
     whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
     return set_rolling_radii(model, whole_ones), read
+
+
+def refuse_same_recordings(items: Sequence[Recorded]) -> None:
+    """Raise `UsageError` where two items hold the same samples, whatever their names are.
+
+    Counted twice a log seems surer than it is, and it judges itself. Clocks may differ: positions
+    and torques that agree to the last digit are no second recording.
+    """
+    for k, item in enumerate(items):
+        other = next((each for each in items[:k] if _hold_the_same(item, each)), None)
+        if other is not None:
+            named = item.source == other.source
+            what = "given twice" if named else f"the same samples as {other.source}"
+            raise UsageError(
+                f"{item.source} is {what}", cure=Cure("give every log once"), value=item.source
+            )
+
+
+def _hold_the_same(one: Recorded, other: Recorded) -> bool:
+    """Return whether two items hold the same positions, torques and commands."""
+    if one is other:
+        return True
+    if isinstance(one, RecordingStream) and isinstance(other, RecordingStream):
+        return one.path.resolve() == other.path.resolve() or filecmp.cmp(
+            one.path, other.path, shallow=False
+        )
+    if isinstance(one, RecordingStream) or type(one) is not type(other):
+        return False
+    pairs = [
+        (getattr(one, name, None), getattr(other, name, None)) for name in ("q", "tau", "command")
+    ]
+    return all(
+        (a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True))
+        for a, b in pairs
+    )
 
 
 OF_THE_ROBOT = ("lock", "gravity", "fixed_base", "free_base", "contacts")
