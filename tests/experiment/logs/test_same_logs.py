@@ -20,7 +20,7 @@ def test_a_log_given_twice_is_refused_by_content(log, place) -> None:
     copy = replace(log, t=log.t + 7.0, q=np.array(log.q), source="copy.csv", notes=("a copy",))
     given = ([log, copy], None) if place == "recordings" else (log, copy)
     others = {} if given[1] is None else {"validation": given[1]}
-    with pytest.raises(UsageError, match="copy.csv is the same samples as") as caught:
+    with pytest.raises(UsageError, match=r"copy\.csv is the same samples as") as caught:
         identify(MODEL, given[0], **others)
     assert "give every log once" in str(caught.value)
     with pytest.raises(UsageError, match="given twice"):

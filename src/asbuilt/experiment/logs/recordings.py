@@ -193,7 +193,7 @@ def _hold_the_same(one: Recorded, other: Recorded) -> bool:
         (getattr(one, name, None), getattr(other, name, None)) for name in ("q", "tau", "command")
     ]
     return all(
-        (a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True))
+        a is b or (a is not None and b is not None and np.array_equal(a, b, equal_nan=True))
         for a, b in pairs
     )
 
