@@ -87,11 +87,13 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); echo "python3 cannot make a virtual environment: install python3-venv"; exit 1; }
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[sim]'
+	@echo "Installing asbuilt and what it needs into $(VENV): one or two minutes, once"
+	$(BIN)/python -m pip install --editable '.[sim]'
 	@touch $@
 
 $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	@echo "Installing what the tests need into $(VENV): a few minutes, once"
+	$(BIN)/python -m pip install --editable '.[test]'
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-check: pyproject.toml | $(BIN)/python

@@ -8,6 +8,7 @@ import re
 import shlex
 from dataclasses import replace
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -213,22 +214,54 @@ def test_code_in_tables_has_no_escaped_bars() -> None:
     assert {name: code for name, code in shown.items() if code} == {}
 
 
+def described_names() -> list[str]:
+    """The names whose docstrings the pages of the Python interface show."""
+    pages = sorted((HOUSE / "docs" / "reference" / "api").glob("*.md"))
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    return re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE)
+
+
+def test_the_reference_is_what_the_code_says() -> None:
+    """Every option of every command, and a page a stage; `docs/build_reference.py` renews them."""
+    spec = spec_from_file_location("build_reference", HOUSE / "docs" / "build_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    builder = module_from_spec(spec)
+    spec.loader.exec_module(builder)
+    for name, text in builder.build_pages().items():
+        kept = (HOUSE / "docs" / "reference" / name).read_text(encoding="utf-8")
+        assert kept == text, f"{name} is old: python docs/build_reference.py"
+    manual = (HOUSE / "docs" / "reference" / "cli.md").read_text(encoding="utf-8")
+    for name, options in OPTIONS.items():
+        _, heading, below = manual.partition(f"### `asbuilt {name}`\n")
+        section = below.partition("\n### ")[0]
+        own = [names for names in options if not names & builder.ON_ALL]
+        listed = set(re.findall(r"--[a-z][a-z-]*", section))
+        assert [names for names in own if not names & listed] == [], name
+        assert heading or own == []
+
+
+def test_every_page_is_listed_and_the_menu_is_short() -> None:
+    docs = HOUSE / "docs"
+    menu = (HOUSE / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    entries = set(re.findall(r"[\w/-]+\.(?:md|ipynb)$", menu, re.MULTILINE)) - {"pages.md"}
+    listed = set(re.findall(r"\]\(([^)]+)\)", (docs / "pages.md").read_text(encoding="utf-8")))
+    own = {"index.md", "pages.md"}
+    pages = {str(page.relative_to(docs)) for page in docs.rglob("*.md")} - own
+    below = {page for page in pages if page.startswith(("robots/", "reference/api/", "built/"))}
+    assert len(entries) <= 30
+    assert entries - {"index.md"} <= listed
+    assert pages - below <= listed
+
+
 def test_the_python_interface_is_what_asbuilt_exports() -> None:
-    documented = re.findall(
-        r"^::: asbuilt\.(?:[\w]+\.)*(\w+)$",
-        (HOUSE / "docs" / "reference" / "api.md").read_text(encoding="utf-8"),
-        re.MULTILINE,
-    )
+    documented = [name.rpartition(".")[2] for name in described_names()]
     assert sorted(documented) == sorted(asbuilt._list_all_names())
 
 
 def test_examples_in_docstrings_have_a_heading() -> None:
     """Without a heading the page shows `>>>` as quotations within each other."""
-    for name in re.findall(
-        r"^::: ([\w.]+)$",
-        (HOUSE / "docs" / "reference" / "api.md").read_text(encoding="utf-8"),
-        re.MULTILINE,
-    ):
+    for name in described_names():
         module, _, thing = name.rpartition(".")
         found = getattr(import_module(module), thing)
         own = [found, *vars(found).values()] if isinstance(found, type) else [found]

@@ -41,8 +41,8 @@ GROUPS = {
     "drivers": "mujoco_driver",
 }
 
-SEAMS = ("c_observers", "program_writers")
-"""Registries by which a command of the core reaches one app."""
+SEAMS = ("c_observers", "link_shapes", "program_writers")
+"""Registries by which the core reaches one app."""
 
 
 NAMES = ("halved", "ols")

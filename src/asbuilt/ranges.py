@@ -41,11 +41,11 @@ def check_ranges(options: Any) -> None:
 
     None and texts, which stand for a choice, are passed over; of a tuple, every number counts.
 
-    >>> from asbuilt.workflow.watching.options import WatchOptions
-    >>> WatchOptions(bandwidth=float("nan"))
+    >>> from asbuilt import DesignOptions
+    >>> DesignOptions(duration=float("nan"))
     Traceback (most recent call last):
     ...
-    asbuilt.errors.UsageError: bandwidth is nan; it must be a number from 0.001 to 10000 Hz
+    asbuilt.errors.UsageError: duration is nan; it must be a number from 0.01 to 3600 s
     """
     for item in fields(options):
         allowed, given = item.metadata.get("range"), getattr(options, item.name)

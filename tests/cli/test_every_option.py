@@ -29,7 +29,7 @@ ARGUMENTS = {
     "ROBOT": "two-link", "RESULT": "result.json", "LOG": "log.csv", "MOTION": "motion.csv",
     "LEDGER": "ledger", "OUT": "out.toml", "RESULT|ROBOT": "result.json", "LOG...": "log.csv",
     "ROBOT|RESULT": "two-link", "[MOTION]": "motion.csv", "[LOG...]": "log.csv",
-    "KIND": "sheet",
+    "KIND": "sheet", "[QUANTITY]...": "mass",
 }  # fmt: skip
 """What stands for each argument."""
 SKIPPED = {"demo", "reproduce", "fleet", "open"}

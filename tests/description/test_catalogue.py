@@ -23,6 +23,7 @@ EXPECTED = {
     "puma-560": 6,
     "scara": 4,
     "so-101": 5,
+    "so-101-gripper": 6,
     "two-link": 2,
     "ur10e": 6,
 }
@@ -117,6 +118,16 @@ def test_the_so_101_needs_the_torques_of_the_makers_file(shared):
     )
     assert ours.joint_names == theirs.joint_names
     q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 50, 5))
+    assert np.allclose(
+        inverse_dynamics(ours, q, qd, qdd), inverse_dynamics(theirs, q, qd, qdd), atol=1e-7
+    )
+
+
+def test_the_so_101_with_its_gripper_needs_the_torques_of_the_makers_file(shared):
+    ours = load_robot("so-101-gripper")
+    theirs = load_robot(shared / "models" / "so101" / "so101_new_calib.xml")
+    assert ours.joint_names == theirs.joint_names
+    q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 50, 6))
     assert np.allclose(
         inverse_dynamics(ours, q, qd, qdd), inverse_dynamics(theirs, q, qd, qdd), atol=1e-7
     )

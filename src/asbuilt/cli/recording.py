@@ -88,7 +88,7 @@ def check(
     # What limits a motion on legs is balance, of which limits of joints say nothing.
     information = information and not model.n_floating
     carried = [
-        workflow.recorded_information(model, recording) if information and found.ok else None
+        _measure_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
     ]
     if not proposals and any(_is_cured_by_sheet(found) for found in checks):
@@ -115,6 +115,16 @@ def check(
         raise typer.Exit(1)
 
 
+def _measure_information(
+    model: asbuilt.RobotModel, recording: asbuilt.Recording | experiment.RecordingStream
+) -> workflow.RecordedInformation | None:
+    """Return the information of a recording; None of a robot for which no motion is designed."""
+    try:
+        return workflow.recorded_information(model, recording)
+    except UsageError:
+        return None
+
+
 def _propose_sheets(
     model: asbuilt.RobotModel, logs: list[Path], reading: ReadingOptions
 ) -> dict[Path, experiment.SheetProposal]:
@@ -126,7 +136,7 @@ def _propose_sheets(
     }
 
 
-def _is_cured_by_sheet(check: asbuilt.RecordingCheck) -> bool:
+def _is_cured_by_sheet(check: experiment.RecordingCheck) -> bool:
     """Return whether a field of a sheet cures an error or a warning."""
     cures = [finding.cure for finding in (*check.errors, *check.warnings) if finding.cure]
     return any(cure.sheet or cure.settings.get("flip_torque") for cure in cures)

@@ -18,7 +18,13 @@ from asbuilt import (
     experiment,
     writers,
 )
-from asbuilt.cli.answers import answer, list_files, serve_page, show_progress
+from asbuilt.cli.answers import (
+    answer,
+    describe_cure,
+    list_files,
+    serve_page,
+    show_progress,
+)
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -75,7 +81,9 @@ def show(
             robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
         )
         answer(
-            as_json, lambda: writers.robot_document(model), lambda: writers.robot_text(model, full)
+            as_json,
+            lambda: writers.robot_document(model),
+            lambda: writers.robot_text(model, full, describe_cure),
         )
         return
     refuse_idle(
@@ -96,7 +104,7 @@ def show(
         ),
         lambda: (
             ("" if masses is None else writers.mass_table(masses).as_text(full) + "\n")
-            + writers.robot_text(model, full)
+            + writers.robot_text(model, full, describe_cure)
         ),
     )
 

@@ -361,6 +361,7 @@ def feasible(
             "--cad-tolerance goes with --prior cad", {"--cad-tolerance": cad_tolerance is not None}
         )
     identified = asbuilt.read_result(result)
+    condition = identification.describe_condition(identified)
     found = asbuilt.feasible_intervals(
         identified,
         quantity or (),
@@ -370,8 +371,12 @@ def feasible(
     )
     answer(
         as_json,
-        lambda: {"robot": identified.robot, "quantities": [each.as_dict() for each in found]},
-        lambda: writers.feasible_table(found).as_text(full),
+        lambda: {
+            "robot": identified.robot,
+            "quantities": [each.as_dict() for each in found],
+            "condition": condition,
+        },
+        lambda: writers.feasible_table(found, condition).as_text(full),
     )
 
 

@@ -17,6 +17,13 @@ from .formats.xml import read_origin as read_origin
 from .inertia import LinkInertia as LinkInertia
 from .load import load_robot as load_robot
 from .model import RobotModel as RobotModel
+from .plausibility import Plausibility as Plausibility
+from .plausibility import add_plausibility as add_plausibility
+from .plausibility import check_in_shape as check_in_shape
+from .plausibility import check_plausibility as check_plausibility
+from .plausibility import explain_implausible_links as explain_implausible_links
+from .plausibility import find_wrong_units as find_wrong_units
+from .plausibility import make_link_finding as make_link_finding
 from .rotation import placement as placement
 from .rotation import quaternion_from_rotation as quaternion_from_rotation
 from .rotation import rotation_from_rpy as rotation_from_rpy

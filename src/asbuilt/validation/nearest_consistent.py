@@ -61,6 +61,7 @@ class NearestModel:
     @property
     def worse_than_cad(self) -> bool:
         """Whether CAD predicts the recording better, all joints together."""
+        # All joints together, each by its own torque.
         return bool(np.linalg.norm(self.nearest) > np.linalg.norm(self.cad))
 
     def objection(self) -> str:
@@ -72,6 +73,7 @@ class NearestModel:
             for k in self.bad
         ]
         if not poor and self.worse_than_cad:
+            # Poor joints are named; a model that is only worse on the whole has none to name.
             return "CAD predicts the recording better"
         return "; ".join(poor)
 
@@ -91,8 +93,8 @@ class NearestModel:
             "measured torque": self.torque,
         }
         rows = (
-            (what, *each.tolist(), float(np.linalg.norm(each)) / whole if whole else None)
-            for what, each in errors.items()
+            (what, *errors_of.tolist(), float(np.linalg.norm(errors_of)) / whole if whole else None)
+            for what, errors_of in errors.items()
         )
         return Table(columns, tuple(rows), title=f"On {self.judged_by}")
 
@@ -123,6 +125,7 @@ def compare_with_nearest(result: IdentificationResult, beta: ArrayLike) -> Neare
     if cause_data is None:
         return None
     names, values = result.base.names, np.asarray(beta, dtype=np.float64)
+    # The same sums with fitted data in place of held-out ones.
     fitted = replace(cause_data, judged=cause_data.fitted, n_judged=cause_data.n_fitted)
     return NearestModel(
         joint_names=result.joint_names,

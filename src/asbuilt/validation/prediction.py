@@ -165,6 +165,7 @@ def _predict_under_gravity(
     model: RobotModel, base: BaseParameters, design: Array, samples: Samples, described: RobotModel
 ) -> Prediction:
     """Predict by base parameters under the gravity of a description."""
+    # Gravity as described: the difference is linear, and added apart.
     turned = described.gravity - model.gravity
     if not turned.any():
         return predict_torque(model, base, design, samples)
@@ -233,7 +234,9 @@ def derive_cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
         "after_rotation",
         "after_translation",
     ):
-        one, two = (np.asarray(getattr(each, what), dtype=np.float64) for each in (ours, theirs))
+        one, two = (
+            np.asarray(getattr(geometry, what), dtype=np.float64) for geometry in (ours, theirs)
+        )
         off = np.abs(one - two).reshape(len(one), -1).max(axis=1)
         worst = int(np.argmax(off))
         if off[worst] > SAME_GEOMETRY:
@@ -254,13 +257,16 @@ def predict_friction_torque(
 
     A parameter that is regrouped with others counts as zero.
     """
-    springs = [each.key for each in base.drive.terms if each.by_position]
-    own = base.drive.without("armature", "motor_armature", *springs)
+    springs = [term.key for term in base.drive.terms if term.by_position]
+    friction = base.drive.without("armature", "motor_armature", *springs)
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
-    values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
+    # A parameter that was regrouped has no value of its own.
+    values = [
+        identified.get(name, 0.0) for k in range(model.n_joints) for name in friction.names(k + 1)
+    ]
     torque, shares = np.zeros(samples.q.shape), model.motor_shares
     for span, rigid, _ in predict_in_spans(model, base, estimates, samples):
         state = samples.q[span], samples.qd[span], samples.qdd[span]
-        load = rigid if own.needs_load else None
-        torque[span] = drive_torque(own, values, *state, load=load, shares=shares)
+        load = rigid if friction.needs_load else None
+        torque[span] = drive_torque(friction, values, *state, load=load, shares=shares)
     return torque

@@ -46,7 +46,9 @@ class Recovery:
     @property
     def held(self) -> int:
         """How many feasible intervals hold the true value of their quantity."""
-        return sum(each.holds(self.true_values[each.quantity]) for each in self.intervals)
+        return sum(
+            interval.holds(self.true_values[interval.quantity]) for interval in self.intervals
+        )
 
     def interval_table(self) -> Table:
         """Return the feasible intervals next to the truth."""
@@ -76,6 +78,7 @@ class Recovery:
 
         Of all that have an error, of links, or of drives (`of_links` False).
         """
+        # Dropped parameters have no error to be within.
         chosen = np.isfinite(self.std_error) & (
             True if of_links is None else self.of_links == of_links
         )
@@ -114,8 +117,10 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
         drive=base.drive,
         columns=base.columns,
     )
+    # Relative to the torque of the truth along the motion.
     size = float(np.linalg.norm(W @ truth))
     links = [link.name for link in result.model.links if not link.negligible]
+    # Armatures only where the drive has them.
     rotors = ["armature"] * ("armature" in base.drive.keys)
     names = ("mass", *(f"mass:{name}" for name in links), "com", *rotors)
     return Recovery(

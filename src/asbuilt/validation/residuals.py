@@ -48,6 +48,7 @@ def find_contiguous_segments(t: Array) -> Segments:
     """
     steps = np.diff(t)
     forward = steps[steps > 0]
+    # Steps that do not advance end a segment as gaps do.
     limit = SETTINGS.gap * float(np.median(forward)) if len(forward) else np.inf
     cuts = np.flatnonzero((steps <= 0) | (steps > limit)) + 1
     return tuple(pairwise([0, *cuts.tolist(), len(t)])) if len(t) else ()
@@ -61,11 +62,13 @@ def autocorrelation(residual: Array, segments: Segments, max_lag: int) -> Array:
     """
     e, rho = residual - residual.mean(), np.zeros(max_lag + 1)
     energy = float(e @ e)
+    # Without an error there is nothing to correlate: white by definition.
     if energy == 0:
         rho[0] = 1.0
         return rho
     for start, stop in segments:
         x = e[start:stop]
+        # Twice the length: a circular correlation must not wrap around.
         size = 1 << (2 * len(x) - 1).bit_length()
         lags = min(max_lag + 1, len(x))
         rho[:lags] += np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[:lags]
@@ -88,6 +91,7 @@ def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
     A white residual has a larger Q with this probability. Source: Ljung and Box, Biometrika
     65 (1978), equation 1.3.
     """
+    # No more lags than there are, and than samples allow.
     k = np.arange(1, min(lags, len(rho) - 1, n_samples - 1) + 1)
     if len(k) == 0:
         return 0.0, 1.0
@@ -102,8 +106,11 @@ def effective_samples(rho: Array, n_samples: int) -> float:
     """
     usable = len(rho) // 2 * 2
     pairs = rho[:usable].reshape(-1, 2).sum(axis=1)
+    # Geyer: sums of neighbouring pairs are positive for a reversible chain; the first other is
+    # noise.
     negative = np.flatnonzero(pairs <= 0)
     kept = pairs[: negative[0]] if len(negative) else pairs
+    # Between one sample and all of them, whatever the noise of the correlation.
     return float(np.clip(n_samples / max(2.0 * kept.sum() - 1.0, 1.0 / n_samples), 1.0, n_samples))
 
 
@@ -116,6 +123,7 @@ def measure_whiteness(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
     Second, the effective samples as a fraction of the 2 f a second of a white residual.
     """
     segments, step = find_contiguous_segments(t), float(np.median(np.diff(t)))
+    # Half a period of the cutoff: where white noise behind the low-pass has decorrelated.
     lag = max(1, round(0.5 / (cutoff * step)))
     apart = np.concatenate(
         [
@@ -129,6 +137,7 @@ def measure_whiteness(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
     with np.errstate(invalid="ignore", divide="ignore"):
         statistic = (
             np.where(energy > 0, np.mean(apart**2, axis=0), np.nan) / energy
+            # Segments too short to hold such a pair leave the statistic open.
             if len(apart)
             else np.full(len(energy), np.nan)
         )
@@ -198,6 +207,7 @@ def _estimate_spectrum(residual: Array, segments: Segments, rate: float) -> tupl
     total, weight = np.zeros((window // 2 + 1, residual.shape[1])), 0
     for start, stop in segments:
         if stop - start >= window:
+            # By length, so that long segments count more.
             total += (stop - start) * power_density(residual[start:stop], rate, window)
             weight += stop - start
     frequencies = np.arange(window // 2 + 1, dtype=np.float64) * rate / window
@@ -220,8 +230,10 @@ class VelocityCurve:
 
 def bin_by_velocity(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve:
     """Sort `torque` (N,) of a joint by its velocity `qd` (N,) into bins that do not span zero."""
+    # A joint that never moves has one bin about zero.
     largest = float(np.max(np.abs(qd), initial=0.0)) or 1.0
     half = max(1, bins // 2)
+    # Floor about zero, so that no bin holds both directions of motion.
     index = np.clip(np.floor(qd / largest * half).astype(np.int64), -half, half - 1) + half
     count = np.bincount(index, minlength=2 * half)
     order = np.argsort(index, kind="stable")

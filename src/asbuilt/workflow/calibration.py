@@ -104,6 +104,7 @@ def identify_payload(
         frame=options.frame,
         arm=options.arm,
         validation=(*prepared.held_out, *others)
+        # Without other data the fit is validated on what it has seen, and says so.
         or [
             replace(samples, source=f"{samples.source}, the data used")
             for samples in prepared.training
@@ -142,11 +143,12 @@ def _prepare_loaded(
 ) -> Prepared:
     """Prepare recordings with the delay that the arm was identified with, if none is stated."""
     chain, model = options.chain or SignalChain(), result.model
+    # A delay found with the arm is a property of the log's channels, and no load changes it.
     known = None if result.chain is None else result.chain.delay
     return prepare(
         model,
         as_recordings(model, recordings),
-        others=[as_recordings(model, each) for each in others],
+        others=[as_recordings(model, group) for group in others],
         chain=replace(chain, delay=known) if chain.delay == "auto" else chain,
         holdout=holdout,
         checked=options.checked,
@@ -158,6 +160,7 @@ def find_gains(
     robot: RobotModel | str,
     recordings: RecordingLike | Sequence[RecordingLike],
     loaded: RecordingLike | Sequence[RecordingLike],
+    # Gains are what is looked for: torques in a wrong unit are no error here.
     *,
     mass: float,
     options: GainOptions | None = None,
@@ -201,10 +204,11 @@ def find_gains(
         tolerated=(*TOO_LITTLE, *UNKNOWN_TORQUE),
         progress=progress,
     )
+    # Gains in use are stated by the recordings, which samples have forgotten.
     heads = [head_of(item) for item in (*bare, *under) if not isinstance(item, Samples)]
     samples = [
-        _select_known_direction(each, item, prepared)
-        for each, item in zip(prepared.training, (*bare, *under), strict=True)
+        _select_known_direction(samples_of, item, prepared)
+        for samples_of, item in zip(prepared.training, (*bare, *under), strict=True)
     ]
     return identify_gains(
         model,
@@ -270,6 +274,7 @@ def identify_channels(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
             " of motors"
         )
+    # Resting joints differ by noise, which the motion of others must not excuse.
     pairs = [_match_instants(*pair) for pair in zip(sensors, motors, strict=True)]
     prepared = prepare(
         model,

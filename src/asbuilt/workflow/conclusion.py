@@ -98,7 +98,7 @@ def conclude_study(
         Fit.concluded,
         train=train,
         cad=train_cad if decisive is None else decisive.metrics_cad,
-        validation=[each.metrics_as_built for each in validations],
+        validation=[validation.metrics_as_built for validation in validations],
         cause_data=cause_data,
         chain=prepared.chain,
         holdout=prepared.holdout,
@@ -112,25 +112,28 @@ def conclude_study(
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
         encoders=fits.encoders,
+        # Values that have not seen what was held out are stored, for later validation on it.
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
     lacking = fits.effects.lacking
+    # Bias by effects that are not in the model widens the errors of the result.
     omitted = None if lacking is None else lacking.bias(fits.final)
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
-        *(as_identified(each, result) for each in named),
+        *(as_identified(effect, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
     result = replace(result, effects=bound_effects(result, effects))
+    # With a free base every row has parts of all joints: no joint has causes of its own.
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
     if attribution and options.wanted_effects.named:
         result = replace(result, effects=(*result.effects, *attribution.bodies))
     validations = tuple(
-        with_exported(result.without_recording(number), each, samples)
+        with_exported(result.without_recording(number), prediction, samples)
         if number < len(prepared.held_out)
-        else with_exported(result.of_training, each, samples)
-        for number, (each, samples) in enumerate(zip(validations, held, strict=True))
+        else with_exported(result.of_training, prediction, samples)
+        for number, (prediction, samples) in enumerate(zip(validations, held, strict=True))
     )
     findings = (
         *result.findings,
@@ -164,8 +167,12 @@ def conclude_study(
         *report_springs(result),
         *leg_findings(result, fits.samples),
     )
-    modelled = {(each.effect, each.joint) for each in result.effects if each.in_model}
-    findings = tuple(each for each in findings if (each.effect, each.joint) not in modelled)
+    # An effect that is in the model needs no finding that it is missing.
+    modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
+    # What was validated decides which joint's error matters, training only without it.
+    findings = tuple(
+        finding for finding in findings if (finding.effect, finding.joint) not in modelled
+    )
     shares = _measure_error_shares((*validations, *trained)[0].metrics_as_built)
     return Conclusion(
         result, consolidate_findings(findings, shares), trained, validations, attribution
@@ -174,6 +181,7 @@ def conclude_study(
 
 def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:
     """Return the share of the squared torque error at each joint with a torque channel, by name."""
+    # Exact torques have no error to share.
     energy = np.nan_to_num(metrics.rms**2)
     shares = energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
     return dict(zip(metrics.joint_names, shares.tolist(), strict=True))
@@ -186,8 +194,9 @@ def _report_validation(
     further: Sequence[Finding],
 ) -> tuple[Finding, ...]:
     """Return findings on validation errors, compared with the training error of the same fit."""
-    if not validations and any(each.code == "nothing_held_out" for each in further):
+    if not validations and any(finding.code == "nothing_held_out" for finding in further):
         return ()
+    # Training errors of the same fit: the final one has seen what is validated.
     of_training = fits.validated.metrics(fits.prepared.training)[0] if fits.refitted else train
     return check_validations(of_training, validations, refitted=fits.refitted)
 
@@ -212,6 +221,7 @@ def _report_model(
         ),
         *report_servo(fits.model, fits.servo, fits.choice.drive),
         *(fits.refined.findings() if fits.refined else ()),
+        # Without CAD masses there is nothing that could have caused a difference.
         *(report_causes(attribution, fits.model) if fits.model.has_masses else ()),
     )
 
@@ -219,7 +229,7 @@ def _report_model(
 def _report_effects(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
     """Return what can be done about effects: errors of the log even where none are wanted."""
     named = options.wanted_effects.named
-    own = [each for each in effects.found if named or EFFECTS[each.effect].of_log]
+    own = [effect for effect in effects.found if named or EFFECTS[effect.effect].of_log]
     return report_effects(replace(effects, found=tuple(own)))
 
 
@@ -228,9 +238,9 @@ def _merge_metrics(
 ) -> tuple[TorqueMetrics, TorqueMetrics]:
     """Return the metrics of several predictions together, as built and by CAD."""
     as_built, by_cad = (TorqueTally(fits.model.joint_names) for _ in range(2))
-    for each in predictions:
-        as_built.add(each.measured, each.predicted)
-        by_cad.add(each.measured, each.predicted_cad)
+    for prediction in predictions:
+        as_built.add(prediction.measured, prediction.predicted)
+        by_cad.add(prediction.measured, prediction.predicted_cad)
     source = ", ".join(fits.final.information.sources)
     return as_built.metrics(source), by_cad.metrics(source)
 
@@ -243,7 +253,7 @@ def _build_cause_data(
     held = (*prepared.held_out, *prepared.validation)
     # The first motion that is left out tests the causes that the others show.
     first = prepared.motions[0] if prepared.motions else ()
-    used = [each for number, each in enumerate(prepared.training) if number not in first]
+    used = [samples for number, samples in enumerate(prepared.training) if number not in first]
     try:
         return gather_cause_data(
             fits.model,

@@ -134,11 +134,13 @@ def compare_controller(
         )
     if options.checked:
         check_recording(result.model, logged).raise_errors(but=TOO_LITTLE)
+    # The controller's prediction is a log of its own, of the same motion.
     predicted = replace(
         logged,
         tau=logged.tau - external,
         source=f"{logged.source}, predicted by the controller",
     )
+    # One chain for both, so that they are filtered alike.
     prepared = prepare(
         result.model,
         [logged, predicted],
@@ -148,6 +150,7 @@ def compare_controller(
     )
     measured, modelled = prepared.held_out
     identified = identify_samples(result.model, prepared.training[1], base=result.base)
+    # Held out by the result too, if it was identified with this rule.
     validation = validate_samples(result, measured)
     return ControllerComparison(
         robot=result.robot,

@@ -193,12 +193,14 @@ def sweep_cutoffs(
     for k, cutoff in enumerate(tried):
         if progress is not None:
             progress("cutoff", k / len(tried))
+        # A default parallel cutoff is half of this one.
         at = replace(start, cutoff=cutoff, parallel_cutoff=None)
         try:
             training, held_out = divide_recordings(recordings, at, rule)
             result = identify_samples(model, training, base=base, method=method)
             validations = [validate_samples(result, held) for held in held_out]
             if min(item.t.size for item in validations) < SWEEP.fewest:
+                # Too low a cutoff leaves nothing of short blocks: it is passed over.
                 raise RecordingError("the low-pass leaves too few samples to validate")
         except AsbuiltError as problem:
             last = problem
@@ -208,9 +210,11 @@ def sweep_cutoffs(
                 np.mean([getattr(item.metrics_as_built, name) ** 2 for item in validations], axis=0)
             )
             for name in ("rms_recorded", "rms")
+            # Each joint relative to its best cutoff: joints of large torques do not decide alone.
         )
         whiteness, share = np.mean(
-            [measure_whiteness(each.t, each.error, cutoff) for each in validations], axis=(0, 2)
+            [measure_whiteness(errors.t, errors.error, cutoff) for errors in validations],
+            axis=(0, 2),
         )
         found.append(CutoffTrial(cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
@@ -218,6 +222,7 @@ def sweep_cutoffs(
             "no cutoff leaves enough samples to train and to validate; record longer (at"
             f" {tried[-1]:.3g} Hz: {last})"
         )
+    # The best of each joint, at whatever cutoff.
     best = np.min([trial.rms_recorded for trial in found], axis=0)
     scores, bands = (
         np.array([np.sqrt(np.mean((rms / best) ** 2)) for rms in each])
@@ -227,6 +232,7 @@ def sweep_cutoffs(
         replace(trial, score=float(score / scores.min()), in_band=float(band / scores.min()))
         for trial, score, band in zip(found, scores, bands, strict=True)
     )
+    # The lowest: it leaves the least noise in the regressor.
     chosen = next(trial for trial in trials if trial.score <= SWEEP.as_good)
     worst = max(trials, key=lambda trial: trial.score)
     why = (
@@ -235,11 +241,15 @@ def sweep_cutoffs(
         " Hz would"
         f" cost {100 * (worst.score - 1):.0f} % more."
     )
+    # At the edge of what was tried the choice may lie beyond.
     if chosen in (trials[0], trials[-1]) and len(trials) > 1:
         why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."
     return CutoffSweep(model.joint_names, trials, chosen.cutoff, why, rule)
 
 
 def _list_cutoffs(usual: float, highest: float) -> list[float]:
-    below = [each * usual for each in MULTIPLES if each * usual * SWEEP.apart <= highest]
+    below = [
+        multiple * usual for multiple in MULTIPLES if multiple * usual * SWEEP.apart <= highest
+    ]
+    # The last at the highest cutoff that the rate allows.
     return [*below, min(MULTIPLES[-1] * usual, highest)] if len(below) < len(MULTIPLES) else below

@@ -42,17 +42,19 @@ class Delays:
 
     def of(self, digest: str) -> RecordingDelay | None:
         """Return the delay of the recording with this fingerprint; None if it is another one."""
-        return next((each for each in self.recordings if each.digest == digest), None)
+        return next(
+            (recording for recording in self.recordings if recording.digest == digest), None
+        )
 
     def applied(self, samples: Samples, digest: str) -> Samples:
         """Return samples of a recording with the standard errors of their delay."""
-        own = self.of(digest)
-        return replace(samples, delay_errors=own.errors) if own and own.errors else samples
+        delay = self.of(digest)
+        return replace(samples, delay_errors=delay.errors) if delay and delay.errors else samples
 
     def chain_of(self, digest: str) -> SignalChain:
         """Return the signal chain of a recording."""
-        own = self.of(digest)
-        return replace(self.chain, delay=own.delays or None) if own else self.chain
+        delay = self.of(digest)
+        return replace(self.chain, delay=delay.delays or None) if delay else self.chain
 
 
 def settle_delays(
@@ -80,6 +82,7 @@ def settle_delays(
     """
     if chain.delay == "auto" and model.n_floating:
         chain = replace(chain, delay=None)  # the torque of a joint is in the rows of all
+    # Stated delays are exact: nothing is estimated, and nothing added to errors.
     if chain.delay != "auto" or not heads:
         stated = tuple(
             state_delay(head, digest, chain.delays)
@@ -89,16 +92,21 @@ def settle_delays(
 
     def prepared(delays: Array) -> list[Samples]:
         shifted = [
-            motion.samples(tuple(own.tolist())) for motion, own in zip(motions, delays, strict=True)
+            motion.samples(tuple(delay.tolist()))
+            for motion, delay in zip(motions, delays, strict=True)
         ]
-        return shifted if holdout is None else [hold_out(each, holdout)[0] for each in shifted]
+        return (
+            shifted if holdout is None else [hold_out(samples, holdout)[0] for samples in shifted]
+        )
 
     try:
         filters = filters or MotionFilters()
         motions = [filters.prepare(head, chain) for head in heads]
         usual = choose_usual_drive(model, heads[0].torque_source)
+        # Friction missing from the fit looks like a torque that is late.
         drive = DriveSet((*usual.terms, *FRICTION.without(*usual.keys).terms))
         found = find_delays(model, prepared, drive=drive, count=len(heads))
+    # Without a delay the torque is taken as logged, as before there was an estimate.
     except (AsbuiltError, np.linalg.LinAlgError):
         return Delays(replace(chain, delay=None))
     recordings = tuple(
@@ -114,22 +122,27 @@ def _make_recording_delay(
     estimate, error = float(found.estimates[place]), float(found.std_errors[place])
     applied = estimate if found.applied[place] else 0.0
     if found.joint_estimates is not None and found.joint_errors is not None:
-        own, errors = found.joint_estimates[place].tolist(), found.joint_errors[place].tolist()
+        values, errors = found.joint_estimates[place].tolist(), found.joint_errors[place].tolist()
         joints = tuple(
             JointDelay(name, x, dx, x if np.isfinite(dx) else 0.0)
-            for name, x, dx in zip(head.joint_names, own, errors, strict=True)
+            for name, x, dx in zip(head.joint_names, values, errors, strict=True)
         )
-        applied = float(np.mean([each.applied for each in joints]))
+        applied = float(np.mean([joint.applied for joint in joints]))
     return RecordingDelay(head.source, digest, estimate, error, applied, joints)
 
 
 def _average_delays(recordings: Sequence[RecordingDelay]) -> float | tuple[float, ...] | None:
     """Return the mean of applied delays, weighted by their errors; None if none was applied."""
-    if not any(each.delays for each in recordings):
+    if not any(recording.delays for recording in recordings):
         return None
-    n = max(len(each.delays) for each in recordings)
-    values = np.array([np.broadcast_to(each.delays or (0.0,), (n,)) for each in recordings])
-    weight = 1.0 / np.maximum(np.array([each.std_error for each in recordings]), 1e-6) ** 2
+    n = max(len(recording.delays) for recording in recordings)
+    values = np.array(
+        [np.broadcast_to(recording.delays or (0.0,), (n,)) for recording in recordings]
+    )
+    # A delay that is known to the microsecond counts as exact.
+    weight = (
+        1.0 / np.maximum(np.array([recording.std_error for recording in recordings]), 1e-6) ** 2
+    )
     weight = weight if weight.sum() > 0.0 else np.ones(len(recordings))
     mean = (weight @ values / weight.sum()).tolist()
     return mean[0] if n == 1 else tuple(mean)
@@ -139,12 +152,19 @@ def report_delays(
     result: IdentificationResult, recordings: Sequence[RecordingDelay], moved: Array | None
 ) -> tuple[Finding, ...]:
     """Return a finding if torques are late; `moved` (p,) is what that does to parameters."""
-    late = [each for each in recordings if each.delays and not np.isnan(each.estimate)]
+    late = [
+        recording
+        for recording in recordings
+        if recording.delays and not np.isnan(recording.estimate)
+    ]
     if not late:
         return ()
-    listed = ", ".join(f"{each.source.rpartition('/')[2]} {each.text}" for each in late)
+    listed = ", ".join(
+        f"{recording.source.rpartition('/')[2]} {recording.text}" for recording in late
+    )
     shift = np.zeros(1) if moved is None else moved
     errors = np.nan_to_num(result.std_errors, nan=np.inf)
+    # A parameter without an error has no bias in errors.
     ratio = np.divide(np.abs(shift), errors, out=np.zeros_like(errors), where=errors > 0)
     worst = int(np.argmax(ratio))
     cost = (
@@ -153,9 +173,12 @@ def report_delays(
         if ratio[worst] > 1.0
         else ""
     )
-    joints = " (joints differ)" if any(each.joints for each in late) else ""
+    joints = " (joints differ)" if any(recording.joints for recording in late) else ""
     # Standard errors that a delay must exceed for a warning: of fault-free recordings 5 % exceed 2.
-    sure = any(each.joints or abs(each.estimate) > 3.0 * each.std_error for each in late)
+    sure = any(
+        recording.joints or abs(recording.estimate) > 3.0 * recording.std_error
+        for recording in late
+    )
     return (
         Finding(
             "torque_delayed",
@@ -182,12 +205,14 @@ def settle_rates(
     """
     if chain.velocity != "auto" or not model.n_floating or any(head.qd is None for head in heads):
         return chain
+    # Both fits have the same low-pass, so that the rates alone differ.
     alike = resolve_chain(chain, *heads, filters=filters)
     base = find_base_parameters(model, choose_usual_drive(model, heads[0].torque_source))
 
     def residual(velocity: Velocity) -> float:
-        own = replace(alike, velocity=velocity, delay=None)
-        samples = [filters.prepare(head, own).samples() for head in heads]
+        chain_of_rates = replace(alike, velocity=velocity, delay=None)
+        samples = [filters.prepare(head, chain_of_rates).samples() for head in heads]
+        # The last entry of a triangle of rows and torque is the residual.
         factor = triangular_factor(accumulate_stream(model, base, samples).stacked())
         return float(factor[-1, -1])
 

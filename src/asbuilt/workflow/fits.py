@@ -27,8 +27,11 @@ from asbuilt.identification.drives.drive_choice import (
     settle_nonlinear,
 )
 from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.effects.families.tilt import Tilt
+from asbuilt.identification.effects.groups import find_places
 from asbuilt.identification.effects.search import Effects, find_effects
+from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
@@ -133,15 +136,17 @@ def fit_study(
         return _fit_all(model, prepared, options, servo, parts, report)
 
     fits = _fit_divided_or_whole(fitted, prepared)
-    if all(each.encoder is None for each in fits.samples):
+    if all(samples.encoder is None for samples in fits.samples):
         return fits
     pairs = _identify_encoders(fits, fits.samples)
-    if not any(each.determined for each in pairs):
+    if not any(pair.determined for pair in pairs):
         return replace(fits, encoders=pairs)
     # Links that move by their own encoder are other samples, with effects of their own.
     stiff = _fit_divided_or_whole(fitted, _move_to_link(prepared, pairs, fits.final))
+    # Stiff drives must predict better: a second encoder may be the worse one.
     if _measure_torque_error(stiff) >= _measure_torque_error(fits):
         return replace(fits, encoders=pairs)
+    # Compliance is told from the samples as they were, whose encoders still differ.
     return replace(stiff, encoders=_identify_encoders(stiff, fits.samples))
 
 
@@ -151,6 +156,7 @@ def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared
         try:
             return fitted(prepared)
         except IdentifiabilityError:
+            # Nothing is held out then, since what is left would determine nothing.
             training = prepared.whole or prepared.training
             prepared = replace(
                 prepared, training=training, held_out=(), whole=(), motions=(), holdout=None
@@ -161,18 +167,21 @@ def _fit_divided_or_whole(fitted: Callable[[Prepared], Fits], prepared: Prepared
 def _measure_torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
     predicted = predict_held_out(fits) or predict_samples(fits.validated, fits.prepared.training)
-    return float(np.mean([each.metrics_as_built.relative_error**2 for each in predicted]))
+    return float(
+        np.mean([prediction.metrics_as_built.relative_error**2 for prediction in predicted])
+    )
 
 
 def _identify_encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
     """Return what lies between two encoders, by the friction that was identified."""
-    fit, samples = fits.final, [each.compact() for each in samples]
-    taken = [_predict_friction(fit, each) for each in samples]
+    fit, samples = fits.final, [batch.compact() for batch in samples]
+    taken = [_predict_friction(fit, batch) for batch in samples]
     pairs = identify_encoders(samples, [joint.is_revolute for joint in fit.model.joints], taken)
     errors = np.sqrt(np.diag(fit.uncertainty.covariance))
     named = dict(zip(fit.base.names, errors.tolist(), strict=True))
-    numbers = [fit.model.joint_names.index(each.joint) + 1 for each in pairs]
+    numbers = [fit.model.joint_names.index(pair.joint) + 1 for pair in pairs]
     viscous, dry = (
+        # Friction by direction or without: the larger error of either counts.
         [max(named.get(f"{symbol}{k}", 0.0) for symbol in symbols) for k in numbers]
         for symbols in (("Fv",), ("Fc", "Fct"))
     )
@@ -189,7 +198,7 @@ def _move_to_link(prepared: Prepared, pairs: Sequence[EncoderPair], fit: Fit) ->
 
     def moved(samples: Sequence[Samples]) -> tuple[Samples, ...]:
         return tuple(
-            refer_to_links(each, pairs, partial(_predict_friction, fit)) for each in samples
+            refer_to_links(batch, pairs, partial(_predict_friction, fit)) for batch in samples
         )
 
     return replace(
@@ -210,7 +219,9 @@ def _fit_all(
     parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
+    # Effects are sought in what the final fit uses, so that holding out changes no value.
     used = prepared.whole or prepared.training
+    # Rows are the same in search and fit: they are kept between both.
     kept = KeptRows()
     model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
@@ -233,6 +244,12 @@ def _fit_all(
 
     if options.refine is None or parts is None:
         final = fitted(used, choice.drive)
+        unsure = _list_unsure(final, effects)
+        if unsure:
+            effects = effects.without(unsure)
+            choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
+            final = fitted(used, choice.drive)
+        # A second fit only where the final one sees what validation is to predict.
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
         left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
         return Fits(
@@ -247,14 +264,36 @@ def _fit_all(
         servo,
         options.rollout,
         report,
+        # Terms that are stated are not chosen among.
         choose=not isinstance(options.drive, DriveSet),
     )
     if drive is not choice.drive:
         choice = replace(choice, drive=drive, sentences=(*choice.sentences, ADDED))
     if servo is not None:
-        late = tuple((each.source, each.digest) for each in prepared.delay)
+        late = tuple((delay.source, delay.digest) for delay in prepared.delay)
         prepared = replace(prepared, delay=make_recording_delays(servo, late))
     return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
+
+
+def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
+    """Return key and joint of effects that a fit of everything leaves under two standard errors.
+
+    The search is sure of them next to bodies near CAD; the final fit may hold bodies less.
+    """
+    unsure, covariance = set[tuple[str, str]](), fit.uncertainty.covariance
+    for each in effects.found:
+        term = getattr(EFFECTS[each.effect], "term", None)
+        if not each.in_model or each.joint is None or term is None:
+            continue
+        # That another form of friction is zero is no question, and fitted forms have values.
+        if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
+            continue
+        own = find_places(fit.base, each.effect, fit.model.joint_names.index(each.joint))
+        values = fit.estimate.beta[own]
+        square = float(values @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ values)
+        if own.size and square < RULES.two_errors**2 * own.size:
+            unsure.add((each.effect, each.joint))
+    return unsure
 
 
 def _leave_out(
@@ -270,8 +309,9 @@ def _leave_out(
     for motion in prepared.motions:
         left = {prepared.training[number].source for number in motion}
         beta = final.without(left, options.undetermined)
+        # Without these rows the factor is at hand for most estimators; others fit again.
         if beta is None:
-            others = [each for each in prepared.training if each.source not in left]
+            others = [batch for batch in prepared.training if batch.source not in left]
             beta = fitted(others).estimate.beta
         rows[list(motion)] = beta
     return rows
@@ -294,6 +334,7 @@ def _add_effects(
     fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
     if stated and not fixed:
         raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
+    # A command's torque is computed: what a log could lack is sought only if asked for.
     open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
     if fixed and (open_to_all or stated):
         flat = (
@@ -302,12 +343,13 @@ def _add_effects(
         effects = find_effects(
             model,
             drive,
+            # Saturated torques would pass for effects of their own.
             drop_plateaus(samples, flat),
             keys=None if open_to_all else stated,
             applied=_list_open_effects(model, options) | stated,
             stated=stated,
             kept=kept,
-        ).beside_plateaus({model.joint_names[each.joint] for each in flat})
+        ).beside_plateaus({model.joint_names[plateau.joint] for plateau in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
     choice = replace(choice, fitted=(*effects.fitted, *choice.fitted))
     return effects.model, choice, effects, flat
@@ -320,6 +362,7 @@ def _list_open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
     """
     every = options.wanted_effects.choice == "auto"
     keys = set(EFFECTS if every else list_drive_effects())
+    # A description with usual terms states them as a user does.
     stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
     if stated or not (every or options.drive):
         keys -= set(list_drive_effects(by_construction=True))
@@ -333,8 +376,8 @@ def predict_held_out(fits: Fits) -> tuple[Validation, ...]:
         return predict_samples(fits.validated, (*held, *others))
     fit = fits.final
     left_out = tuple(
-        predict_both(fit.model, fit.base, beta, fit.design, each)
-        for beta, each in zip(fits.left_out, held, strict=True)
+        predict_both(fit.model, fit.base, beta, fit.design, held_out)
+        for beta, held_out in zip(fits.left_out, held, strict=True)
     )
     return (*left_out, *predict_samples(fit, others))
 
@@ -342,5 +385,5 @@ def predict_held_out(fits: Fits) -> tuple[Validation, ...]:
 def predict_samples(fit: Fit, samples: Sequence[Samples]) -> tuple[Validation, ...]:
     """Predict samples by a fit, and by CAD."""
     return tuple(
-        predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, each) for each in samples
+        predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, batch) for batch in samples
     )

@@ -80,6 +80,7 @@ class RecordedInformation:
         The best motion has the same length; infinite if the parameter is undetermined.
         """
         with np.errstate(divide="ignore"):
+            # No information: an infinite error.
             return np.asarray(1.0 / np.sqrt(self.efficiency.by_joint))
 
     def as_text(self, cure_text: Callable[[Cure], str] = str) -> str:
@@ -107,7 +108,9 @@ class RecordedInformation:
                 f"Joints that moved too little: {'; '.join(part for part in parts if part)}.",
                 f"{self._word_worst()} {advice[:1].upper()}{advice[1:]}.",
             ]
-        return "\n".join(textwrap.fill(each, 80, subsequent_indent="  ") for each in paragraphs)
+        return "\n".join(
+            textwrap.fill(paragraph, 80, subsequent_indent="  ") for paragraph in paragraphs
+        )
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers and names; None is a standard error that is infinite."""
@@ -138,6 +141,7 @@ class RecordedInformation:
     def _word_excess(self) -> str:
         outside = [
             f"{name} {factor:.2g} times"
+            # Noise of derivatives exceeds limits a little.
             for name, factor in zip(self.joint_names, self.efficiency.beyond, strict=True)
             if factor > RULES.beyond
         ]
@@ -149,6 +153,7 @@ class RecordedInformation:
 
     def _word_worst(self) -> str:
         ratios, names = self.std_error_ratios, self.efficiency.base.names
+        # Of the joints that moved too little, the worst first.
         worst = sorted(self._lacking, key=lambda k: -ratios[k])[: RULES.most_named]
         listed = [
             f"{names[index]} {float(f'{ratios[k]:.2g}'):g} times"
@@ -173,6 +178,7 @@ def recorded_information(
         If the recording is too short for the filters.
     """
     source = head_of(recording).torque_source
+    # A description's own terms, else those of the torque source.
     drive = choose_usual_drive(model, source) if model.usual_drive else DriveSet.default(source)
     (samples,) = prepare(model, [recording], checked=False).training
     return RecordedInformation(
@@ -187,6 +193,7 @@ def recorded_information(
 def _measure_limit_use(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
     """Return position range and top speed of each joint, as shares of its limits, two (n,)."""
     bounds = MotionBounds.assumed(model)
+    # A joint that turns for ever has a turn as its range.
     turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, np.inf)
     full = np.minimum(bounds.upper - bounds.lower, turn)
     return np.ptp(samples.q, axis=0) / full, np.max(np.abs(samples.qd), axis=0) / bounds.velocity

@@ -35,6 +35,7 @@ AUTOMATIC = "auto"
 
 
 def _parse_drive(text: str) -> DriveSet | str:
+    # "auto" among terms is chosen on the data, which are not here.
     automatic = "auto" in [part.strip().lower() for part in text.split(",")]
     return text if automatic else DriveSet.parse(text)
 
@@ -60,6 +61,7 @@ def parse_horizons(text: str) -> tuple[float, ...]:
             f"lengths of rollouts are numbers {HORIZONS}, such as 0.1,0.5,2, got {text[:80]!r}",
             value=text,
         )
+    # Each length once, in the order given.
     return tuple(dict.fromkeys(values))
 
 
@@ -70,6 +72,7 @@ def hold_out_rule(text: str) -> str | None:
 
 def _check_rule(rule: str | None) -> None:
     if rule not in (None, AUTOMATIC):
+        # The parser imports the signal chain, which the command line loads only if needed.
         from asbuilt.experiment.signal.hold_out import parse_rule  # noqa: PLC0415 (heavy)
 
         parse_rule(rule)
@@ -240,6 +243,7 @@ class StudyOptions:
     def __post_init__(self) -> None:
         _check_rule(self.holdout)
         for name in ("effects", "drive", "total_mass", "link_mass", "siblings"):
+            # Text is parsed here too, so that Python and command line mean the same by it.
             given, parse = getattr(self, name), self.__dataclass_fields__[name].metadata["parse"]
             if isinstance(given, str | Path):
                 object.__setattr__(self, name, parse(given))

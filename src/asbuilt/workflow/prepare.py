@@ -149,6 +149,7 @@ def prepare(
         raise UsageError(f"no recording of {model.name} is given; give at least one")
     report, filters = progress or (lambda what, fraction: None), filters or MotionFilters()
     report("check", 0.0)
+    # All recordings are checked before any is filtered: errors come at once.
     every = [item for group in (recordings, validation, *others) for item in group]
     heads = _list_recording_heads(every if checked else ())
     checks = tuple(check_recording(model, head) for head in heads)
@@ -156,19 +157,24 @@ def prepare(
         check.raise_errors(but=tolerated)
     report("filter", 0.0)
     own = _list_recording_heads(recordings)
+    # Validation takes part in the choice, so that none is cut short by a chain for another.
     chosen, settled = [*own, *_list_recording_heads(validation)], chain or SignalChain()
     if chosen:
+        # Rates before the cutoff: it depends on which velocities are used.
         settled = settle_rates(model, chosen, settled, filters)
         settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
         settled = settle(settled, own)
     automatic, holdout = holdout == AUTOMATIC, settle_rule(recordings, holdout)
     digests, late = tuple(map(digest_recording, own)), Delays(settled, tuple(delays))
+    # Delays that are known already are not estimated again.
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
         report("delay", 0.0)
+        # By default both parts estimate the delay, which is of the log and not of the fit.
         rule = None if automatic else holdout
         late = settle_delays(model, own, digests, settled, rule, filters)
         settled = late.chain
+    # Equations at contacts are weighed by their noise, common to all recordings.
     whole = with_equation_noise(
         model, [_prepare_samples(item, settled, filters, late) for item in recordings]
     )
@@ -185,6 +191,7 @@ def prepare(
     if parts is None:
         holdout, parts = None, (whole, ())
 
+    # Other recordings are weighed as those that were fitted.
     def alike(item: Recorded) -> Samples:
         return replace(_prepare_samples(item, settled, filters), noise=whole[0].noise)
 
@@ -209,14 +216,17 @@ def group_by_motion(recordings: Sequence[Samples]) -> tuple[tuple[int, ...], ...
     One that repeats the states of another is of its motion: whichever is left out, the other would
     show it. Recordings that share a name cannot be told apart, and count as one motion.
     """
-    if len({each.source for each in recordings}) < max(len(recordings), 2):
+    if len({samples.source for samples in recordings}) < max(len(recordings), 2):
         return ()
     motion = list(range(len(recordings)))
     for one, other in itertools.combinations(motion[:], 2):
+        # Recordings of one motion form a group, and groups that touch are joined.
         if motion[one] != motion[other] and repeats(recordings[one], recordings[other]):
             joined = motion[other]
-            motion = [motion[one] if each == joined else each for each in motion]
-    groups = [tuple(k for k, each in enumerate(motion) if each == own) for own in set(motion)]
+            motion = [motion[one] if group == joined else group for group in motion]
+    groups = [
+        tuple(k for k, group_of in enumerate(motion) if group_of == own) for own in set(motion)
+    ]
     return tuple(sorted(groups)) if len(groups) > 1 else ()
 
 
@@ -240,6 +250,7 @@ def settle_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | No
 
 
 def measure_shortest(recordings: Sequence[Recorded]) -> float:
+    # A stream is measured by its beginning, which is long enough for any rule.
     """Return the length of the shortest recording [s]."""
     parts = (item if isinstance(item, Samples) else head_of(item) for item in recordings)
     return min(float(part.t[-1] - part.t[0]) for part in parts)
@@ -247,6 +258,7 @@ def measure_shortest(recordings: Sequence[Recorded]) -> float:
 
 def digest_recording(recording: Recording) -> str:
     """Return a fingerprint of the first times and positions of a recording."""
+    # Beginnings tell recordings apart: reading all of a stream would take too long.
     # Samples in a fingerprint; a stream holds more at once.
     parts = [part[:50_000].tobytes() for part in (recording.t, recording.q)]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
@@ -258,13 +270,15 @@ def is_trained_on(result: IdentificationResult, item: Recorded) -> bool:
 
 
 def find_unseeing(
-    result: IdentificationResult, item: Recorded
+    # Samples have no fingerprint: whether they were seen is not known.
+    result: IdentificationResult,
+    item: Recorded,
 ) -> tuple[IdentificationResult, str | None]:
     """Return a result with values that have not seen a recording, and the rule that divides it.
 
     The rule is None if they have seen nothing of it, or all.
     """
-    if result.holdout is None or not is_trained_on(result, item):
+    if isinstance(item, Samples) or result.holdout is None or not is_trained_on(result, item):
         return result, None
     if result.holdout == RECORDINGS:
         number = result.digests.index(digest_recording(head_of(item)))
@@ -282,7 +296,7 @@ def _divide_samples(
     """Divide samples into training and held-out ones."""
     if holdout is None:
         return tuple(whole), ()
-    parts = [hold_out(each, holdout, shared=shared) for each in whole]
+    parts = [hold_out(samples, holdout, shared=shared) for samples in whole]
     return (
         tuple(training for training, _ in parts),
         tuple(name_held_out(held, holdout) for _, held in parts),
@@ -299,6 +313,7 @@ def _divide_if_enough(
         parts = _divide_samples(whole, holdout, shared=True)
     except RecordingError:
         return None
+    # Of every part of every recording: one that is too short leaves a motion out.
     enough = min(part.n_filtered for side in parts for part in side) >= FEWEST
     return parts if enough else None
 
@@ -308,14 +323,15 @@ def _prepare_samples(
 ) -> Samples:
     if isinstance(item, Samples):
         return item
-    own = digest_recording(head_of(item)) if delays and delays.recordings else ""
-    if delays and own:
-        chain = delays.chain_of(own)
+    digest = digest_recording(head_of(item)) if delays and delays.recordings else ""
+    if delays and digest:
+        chain = delays.chain_of(digest)
     if isinstance(item, RecordingStream):
+        # What the chain still leaves open is chosen for this stream alone.
         samples = item.prepared(resolve_chain(chain, item.head))
     else:
         samples = drop_saturated(filters.prepare(item, chain).samples(chain.delay), item)
-    return samples if delays is None else delays.applied(samples, own)
+    return samples if delays is None else delays.applied(samples, digest)
 
 
 def with_settled_holdout(
@@ -329,6 +345,7 @@ def with_settled_holdout(
     if options.holdout != AUTOMATIC:
         return options
     if validation:
+        # A refinement is fitted once, to the training part.
         return replace(options, holdout=None)
     if options.refine is not None:
         return replace(options, holdout=settle_rule(recordings, AUTOMATIC))

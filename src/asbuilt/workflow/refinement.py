@@ -170,6 +170,7 @@ def refine_study(
     RecordingError
         If no window fits into the training data.
     """
+    # Torques first: trajectories start from a robot that is nearly right.
     fit = fitted(drive)
     if np.any(fit.model.motor_shares):
         raise UsageError(
@@ -182,6 +183,7 @@ def refine_study(
     began, given = time.perf_counter(), drive
     horizon = min(max(horizons, default=RULES.usual), RULES.longest)
     windows = _cut_windows(parts.trained, horizon)
+    # Only under commands the servo is part of what moves the robot.
     driven = servo if kinds == {"command"} else None
 
     def refined(fit: Fit, servo: ServoEstimate | None, begin: Array | None = None) -> RefinedFit:
@@ -194,32 +196,35 @@ def refine_study(
             progress=lambda fraction: report("refine", fraction),
         )
 
-    found = refined(fit, driven)
-    iterations = found.refinement.iterations
+    best = refined(fit, driven)
+    iterations = best.refinement.iterations
     term = available_terms()["stribeck"]
     term = term.with_nonlinear({each.name: each.default for each in term.nonlinear if each.fitted})
-    if choose and _calls_for(found, term):
+    if choose and _calls_for(best, term):
         wider, n = drive.with_term(term), fit.model.n_joints
-        begin = widen_parameters(found.refinement.point.chi, drive, wider, n)
-        before = None if driven is None else _update_servo(driven, found)
+        begin = widen_parameters(best.refinement.point.chi, drive, wider, n)
+        before = None if driven is None else _update_servo(driven, best)
         other = refined(fitted(wider), before, begin)
         iterations += other.refinement.iterations
-        gained = _measure_gain(found, other) > RULES.worth * n
-        if gained and _is_better(found, other, wider, parts.held_out or parts.trained, horizon):
-            found, drive = replace(other, start=found.start), wider
+        # Akaike, a parameter a joint; and motion that was not fitted must agree.
+        gained = _measure_gain(best, other) > RULES.worth * n
+        if gained and _is_better(best, other, wider, parts.held_out or parts.trained, horizon):
+            best, drive = replace(other, start=best.start), wider
     seconds = time.perf_counter() - began
-    tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
-    tried = _validate_refinement(tried, found.robot, parts.held_out or parts.trained)
+    tried = Refined(horizon, iterations, seconds, best.undetermined, best.start)
+    tried = _validate_refinement(tried, best.robot, parts.held_out or parts.trained)
+    # A robot that is simulated worse than before is not the result.
     if not tried.kept:
         return fit, servo, tried, given
-    better = servo if servo is None or driven is None else _update_servo(servo, found)
-    return found.fit, better, tried, drive
+    better = servo if servo is None or driven is None else _update_servo(servo, best)
+    return best.fit, better, tried, drive
 
 
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
     """Return whether the trajectories promise to be explained better with a term."""
     objective = found.objective
     keys, n = objective.trajectories.base.drive.keys, objective.trajectories.model.n_joints
+    # Stribeck friction replaces Coulomb's: without it there is nothing to replace.
     if "coulomb" not in keys or term.key in keys:
         return False
     return predict_fall(objective, found.refinement, term) > RULES.no_effect * n
@@ -232,13 +237,14 @@ def _measure_gain(found: RefinedFit, other: RefinedFit) -> float:
     """
     one, two = (
         sum(
-            float(np.sum(each))
-            for each in of.objective.window_costs(
+            float(np.sum(costs))
+            for costs in of.objective.window_costs(
                 of.refinement.point, of.refinement.motions, found.refinement.weights
             )
         )
         for of in (found, other)
     )
+    # The wider fit diverges: no gain, however the first one went.
     return one - two if np.isfinite(two) else -np.inf
 
 
@@ -272,6 +278,7 @@ def _make_servo_coordinates(servo: ServoEstimate | None) -> ServoCoordinates:
     return ServoCoordinates(
         stiffness=any(x != "given" for x in servo.errors.scale),
         delay=servo.errors.delay > 0.0,
+        # A torque ahead of its command is no delay: the rate of the error may be the law.
         lead=servo.errors.lead > 0.0 or (servo.precedes_command and not any(servo.servo.lead)),
         spread=_estimate_stiffness_spread(servo),
     )
@@ -281,6 +288,7 @@ def _estimate_stiffness_spread(servo: ServoEstimate) -> float:
     """Return the relative standard error of a common stiffness by the fit to torques."""
     free = np.array(servo.errors.scale) != "given"
     unknown = np.array(servo.errors.kp)[free] / np.array(servo.servo.kp)[free]
+    # The best known stiffness, as one factor is common to all.
     known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
     return float(np.min(known, initial=STIFFNESS_SPREAD))
 
@@ -294,7 +302,9 @@ def _validate_refinement(
     except RecordingError:
         return refined
     if before is None or after is None:
+        # Where only one robot can start, it is the better one.
         return replace(refined, before=before, after=after, kept=after is not None)
+    # Windows that diverge count before errors, which they have none of.
     kept = (after.diverged, after.rms_all_until) <= (before.diverged, before.rms_all_until)
     return replace(refined, before=before, after=after, kept=kept)
 
@@ -306,6 +316,7 @@ def _measure_rollout_errors(
     windows = thin_windows(_cut_windows(parts, horizon))
     found = roll_out(
         other.model,
+        # A servo that is not used would act on the torque as well.
         windows,
         [drop_unused_servo(one, cut.signal) for cut in windows],
         [drop_unused_servo(other, cut.signal) for cut in windows],

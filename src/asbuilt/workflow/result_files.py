@@ -44,6 +44,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     """
     text = read_text(Path(path), "result", ResultError, LARGEST)
     try:
+        # Checked before the study is imported, which takes longer than the check.
         parse_stored_document(text)
         from asbuilt.workflow.study import Study  # noqa: PLC0415 (heavy, and of no use before)
 

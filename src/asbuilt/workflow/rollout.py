@@ -81,6 +81,7 @@ def roll_out_result(
     results, parts = [], []
     for item in as_recordings(result.model, recordings):
         # What was held out of this recording is simulated by values that have not seen it.
+        # With a chain of its own the division of the study does not apply.
         fitted, holdout = (result, None) if options.chain else find_unseeing(result, item)
         parts.append(_prepare_part(with_servo(item, result.servo), chain, holdout, MotionFilters()))
         results.append(fitted)
@@ -135,6 +136,7 @@ def simulate_rollouts(
         return ()
     by_cad, built = [], []
     for result, (recording, _, signal) in zip(results, parts, strict=True):
+        # The result's servo is the one identified, the recording's what was stated.
         servo = result.servo or recording.servo
         described = build_robot_as_described(cad or result.model, servo)
         by_cad.append(drop_unused_servo(described, signal))
@@ -170,6 +172,7 @@ def select_simulated_parts(
     filters: MotionFilters,
 ) -> SimulatedParts:
     """Return what a study may simulate: all but what is held out, and that and other recordings."""
+    # What is held out is simulated by parts, other recordings whole.
     held = () if holdout is None else recordings
     return SimulatedParts(
         tuple(_prepare_part(item, chain, holdout, filters, train=True) for item in recordings),
@@ -182,6 +185,7 @@ def select_simulated_parts(
 
 def drop_unused_servo(robot: SimulatedRobot, signal: DriveSignal) -> SimulatedRobot:
     """Return the robot with its servo only where a command drives it."""
+    # A torque drives the robot directly: its servo would add to it.
     return robot if signal.kind == "command" else robot.with_servo(None)
 
 
@@ -198,6 +202,7 @@ def _prepare_part(
         samples = item
         recording = Recording(
             t=item.t,
+            # Without the filter's torque: simulations are driven by what was logged.
             q=item.q,
             tau=item.tau_raw,
             joint_names=item.joint_names,
@@ -207,6 +212,7 @@ def _prepare_part(
     else:
         recording = head_of(item)
         settled = resolve_chain(chain or SignalChain(), recording, filters=filters)
+        # Rests are part of a motion, and windows need every sample.
         whole = replace(settled, rests=True, parallel=False, decimate=None)
         samples = filters.prepare(recording, whole).samples(whole.delay)
     signal = choose_driving_signal(recording)

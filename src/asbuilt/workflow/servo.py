@@ -63,10 +63,10 @@ def settle_servo(
     if all(servo is None for servo in servos):
         return [*recordings], [*validation], None, options
     if any(
-        each is None
+        servo is None
         or servos[0] is None
-        or not np.array_equal(getattr(each, name), getattr(servos[0], name), equal_nan=True)
-        for each in servos
+        or not np.array_equal(getattr(servo, name), getattr(servos[0], name), equal_nan=True)
+        for servo in servos
         for name in PER_JOINT
     ):
         raise UsageError(
@@ -91,8 +91,10 @@ def settle_servo(
         filters=filters,
     )
     seconds = sum(block.stop - block.start for block in found.unexplained)
+    # Most of the motion without explanation is how the robot moves, not an exception.
     if seconds > EXCEPTION * sum(float(np.ptp(item.t)) for item in heads):
         found = replace(found, unexplained=())
+    # Numbers of the recordings alone: samples have no servo of their own.
     numbers = np.cumsum([not isinstance(item, Samples) for item in recordings]) - 1
     return (
         [
@@ -101,6 +103,7 @@ def settle_servo(
         ],
         [with_servo(item, found.servo) for item in validation],
         found,
+        # The servo has taken the delay over: torques of its command are not late.
         replace(options, chain=replace(chain, delay=None)),
     )
 
@@ -112,6 +115,7 @@ def make_recording_delays(
     late, error = found.servo.delay, found.errors.delay
     if late is None:
         return ()
+    # A stated delay is no estimate.
     estimate, error = (late, error) if error > 0.0 else (np.nan, np.nan)
     return tuple(RecordingDelay(*each, estimate, error, late) for each in recordings)
 
@@ -136,8 +140,9 @@ def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
         return item
     stated = head_of(item).servo
     if stated is not None:
-        own = np.array(stated.goal_acceleration)
-        kept = np.where(np.isnan(own), servo.goal_acceleration, own)
+        stated_limit = np.array(stated.goal_acceleration)
+        # A limit that is stated for a recording holds in it.
+        kept = np.where(np.isnan(stated_limit), servo.goal_acceleration, stated_limit)
         servo = replace(servo, goal_acceleration=tuple(kept.tolist()), goal_speed=stated.goal_speed)
     if isinstance(item, RecordingStream):
         return replace(item, servo=servo)
@@ -183,6 +188,7 @@ def drop_unexplained(
     def drop(parts: Sequence[Samples]) -> tuple[Samples, ...]:
         kept = []
         for samples, item in zip(parts, recordings if parts else (), strict=True):
+            # Blocks carry the name of their recording.
             windows = [
                 (block.start, block.stop)
                 for block in found.unexplained
@@ -194,6 +200,7 @@ def drop_unexplained(
                 continue
             if left.n_filtered and not isinstance(item, Samples):
                 kept.append(drop_slow_rows(left, head_of(item), cutoff))
+        # Rather unexplained motion than none.
         return tuple(kept) or tuple(parts)
 
     return replace(prepared, training=drop(prepared.training), whole=drop(prepared.whole))
@@ -221,6 +228,7 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
         )
     if found.expected is not None:
         doubt = found.expected.doubt(fit.information, fit.estimate)
+        # Errors of the delay, of the replay and between recordings add up in one covariance.
         late = late or DelayErrors(np.zeros_like(doubt), np.zeros(len(doubt)))
         late = replace(late, covariance=late.covariance + doubt)
     beyond = _measure_recording_excess(fit, late)
@@ -237,6 +245,7 @@ def _measure_recording_excess(fit: Fit, late: DelayErrors | None) -> Array | Non
     known = np.diag(fit.uncertainty.covariance)
     if late is not None:
         known = known + np.diag(late.covariance)
+    # Only what exceeds the errors known so far is added.
     beyond = np.maximum(estimate_recording_variances(fit.information, fit.estimate) - known, 0.0)
     return np.diag(beyond) if np.any(beyond) else None
 
@@ -272,7 +281,7 @@ def report_servo(
         return
     errors, free = found.errors, model.n_floating
     names = np.array(model.joint_names)
-    unknown = np.array([each != "given" for each in errors.scale])
+    unknown = np.array([scale_source != "given" for scale_source in errors.scale])
     relative = np.array(errors.kp) / np.where(unknown, found.servo.kp, 1.0)
     # Relative standard error of a stiffness beyond which only ratios to it are determined.
     lost = unknown & ~(relative < 0.5)
@@ -283,9 +292,10 @@ def report_servo(
             f"The stiffness of the position servo of {join_names(names[lost].tolist())} is"
             " undetermined: only ratios of parameters to it are determined",
             Cure("give it, or record a motion with more gravity, or a known payload"),
+            # Undetermined gains are said first: then their scale is no question.
         )
     elif np.any(unknown):
-        sources = sorted({each for each in errors.scale if each != "given"})
+        sources = sorted({scale_source for scale_source in errors.scale if scale_source != "given"})
         one = "one stiffness for all joints" if errors.shared else "a stiffness for each joint"
         yield Finding(
             "servo_gain_from_cad",
@@ -360,6 +370,7 @@ def report_servo(
     if found.unexplained:
         yield _report_unexplained(found)
     yield from _report_currents(model, found)
+    # Damping and viscous friction have the same column.
     if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
         yield Finding(
             "servo_damping_in_friction",
@@ -398,9 +409,9 @@ def _report_currents(model: RobotModel, found: ServoEstimate) -> Iterator[Findin
 
 def _report_goals(found: ServoEstimate) -> Iterator[Finding]:
     """Yield what recordings show of a limit of the goal's acceleration."""
-    everywhere = all(each is not None for each in found.goals)
+    everywhere = all(goal_limit is not None for goal_limit in found.goals)
     for goal in filter(None, found.goals):
-        first, seconds = goal.acts[0], sum(each.stop - each.start for each in goal.acts)
+        first, seconds = goal.acts[0], sum(block.stop - block.start for block in goal.acts)
         yield Finding(
             "servo_goal_limited",
             "info",
@@ -447,6 +458,7 @@ def _select_linear_terms(drive: DriveSet | str | None) -> DriveSet | None:
     """Return the linear terms of a given drive; None where it is not given or chosen later."""
     if not isinstance(drive, DriveSet):
         return None
+    # Nonlinear terms and friction by load have no columns before the robot is known.
     terms = tuple(term for term in drive.terms if not term.nonlinear and not term.needs_load)
     return DriveSet(terms) if terms else None
 

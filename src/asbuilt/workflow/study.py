@@ -150,6 +150,7 @@ class Study:
         return self.result.tvalues
 
     def conf_int(self, alpha: float = USUAL_ALPHA) -> Array:
+        # Commands are measured by simulated motion, so that its errors are the ones shown.
         """Return confidence intervals, shape (p, 2): `IdentificationResult.conf_int`."""
         return self.result.conf_int(alpha)
 
@@ -166,6 +167,7 @@ class Study:
 
         A study that was read from a file holds no recording: give one as `of`.
         """
+        # What was held out, else what was used.
         shown = (*self.validations, *self.training, None)[0] if of is None else of
         return self.result.plot(kind, shown, axes)
 
@@ -284,6 +286,7 @@ def identify(
                 " validate on is validation=..., arrays are {'t': t, 'q': q, 'tau': tau}"
             ),
         )
+    # Settings by name go to the options that have them.
     of_study, of_reading = divide_settings(settings, StudyOptions, ReadingOptions)
     wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
@@ -296,23 +299,28 @@ def identify(
         )
     refuse_ground(robot.name, robot.contacts, wanted.refine)
     if wanted.rollout:
+        # A missing simulator is said before the work.
         import_mujoco("a rollout")  # before hours of work
     model, (trained, others) = read_fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_prior(model)
+    # Samples of no recording have nothing to be held out of.
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
     filters = MotionFilters()
     trained, others, servo, options = settle_servo(model, trained, others, options, filters)
+    # Nothing is left to simulate that the model has not seen.
     if options.rollout and options.holdout is None and not others:
         raise _make_all_fitted_error()
     prepared, cutoffs = _prepare_recordings(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
     parts, horizons = None, options.rollout
+    # A verdict on commands needs simulated motion, where the simulator is installed.
     if not horizons and servo is not None and find_spec("mujoco") is not None:
         horizons = (HORIZON_OF_VERDICT,)
     if options.refine or horizons:
         from asbuilt.workflow.rollout import select_simulated_parts  # noqa: PLC0415 - light start
 
         parts = select_simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
+    # Motions are kept for the preparation alone: they are the largest part of the memory.
     del filters  # motions of whole recordings
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
@@ -353,6 +361,7 @@ def _prepare_recordings(
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
         sweeps.append(_sweep_cutoff(model, heads, chain, options, report))
+        # The parallel cutoff was that of another one.
         return replace(chain, cutoff=sweeps[0].chosen, parallel_cutoff=None)
 
     prepared = prepare(
@@ -364,6 +373,7 @@ def _prepare_recordings(
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
+        # The servo has its own delay.
         estimate_delay=servo is None,
         filters=filters,
         # Simulated windows are cut from a part of each recording.
@@ -396,12 +406,15 @@ def _roll_out(
 
     if not held:
         raise _make_all_fitted_error()
+    # Values that have not seen what is simulated.
     result = study.result.of_training
     rollouts = simulate_rollouts([result] * len(held), held, horizons, workers=workers)
     known = study.findings
     if result.servo is not None and choose_decisive_rollout(rollouts) is not None:
+        # Simulated motion decides: what torques say of its use is information.
         known = tuple(
-            replace(each, severity="info") if each.code in OF_TORQUE else each for each in known
+            replace(finding, severity="info") if finding.code in OF_TORQUE else finding
+            for finding in known
         )
     findings = rank_findings((*known, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)

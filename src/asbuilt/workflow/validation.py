@@ -101,9 +101,9 @@ def decide_validation_verdict(
     `validations` and `rollouts` are of these recordings.
     """
     logged = as_recordings(result.model, recordings)
-    own = result.holdout is None and all(is_trained_on(result, each) for each in logged)
+    seen = result.holdout is None and all(is_trained_on(result, item) for item in logged)
     finding = Finding("nothing_held_out", "warning", "the result was identified from these logs")
-    return study_verdict(result, (finding,) if own else (), validations, rollouts)
+    return study_verdict(result, (finding,) if seen else (), validations, rollouts)
 
 
 def validate_robot(
@@ -134,9 +134,9 @@ def validate_robot(
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = read_fitted_recordings(model, (recordings,))
-    for each in filter(has_open_servo, logged):
+    for recording_open in filter(has_open_servo, logged):
         raise UsageError(
-            f"{each.source} holds commands and no gains of the servo, so that it has"
+            f"{recording_open.source} holds commands and no gains of the servo, so that it has"
             " no torque to compare with",
             cure=Cure("compare simulated motion", {"rollout": "0.5"}),
         )
@@ -168,9 +168,11 @@ def _prepare_recording(
         holdout=rule,
         checked=options.checked,
         estimate_delay=True,
+        # A delay that was estimated with the result is not estimated anew, so that numbers agree.
         delays=result.delay if options.chain is None else (),
     )
     samples = (prepared.held_out or prepared.training)[0]
+    # The recording was left out as a whole, and its name says so.
     if fitted is not result and rule is None:
         samples = name_held_out(samples, RECORDINGS)
     return fitted, samples
@@ -232,8 +234,10 @@ def review(
         raise UsageError(
             "a review tests numbers with torques; rollouts and refinement go with an identification"
         )
+    # A review tests claims: an estimate toward them would confirm them.
     if options.method == "auto":
         options = replace(options, method="wls")
+    # Nothing is held out: there is no prediction to judge.
     if options.holdout == AUTOMATIC:
         options = replace(options, holdout=None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
@@ -252,6 +256,7 @@ def review(
 
 def _find_peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
     """Return the largest torque (n,) that the servo of each joint was asked for."""
+    # Without its limits, so that what was asked for shows.
     free = replace(servo, torque_limit=())
     heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
     asked = [drive_by_command(head, free).tau for head in heads if head.command is not None]

@@ -13,7 +13,12 @@ from asbuilt.excitation.information.criteria import (
     select_criterion,
 )
 
-EVERY = (DOptimality(), AOptimality(), EOptimality(), ConditionNumber(), FocusedDOptimality((0, 4)))
+WEIGHT = np.diag([0.0, 1.0, 4.0, 0.0, 0.2, 1.0]) + 0.1
+"""What matters: not all parameters, and some together."""
+EVERY = (
+    *(DOptimality(), AOptimality(), AOptimality(WEIGHT), EOptimality(), ConditionNumber()),
+    FocusedDOptimality((0, 4)),
+)
 
 
 def information(seed: int = 0, p: int = 6) -> np.ndarray:
@@ -48,6 +53,9 @@ def test_values_are_what_their_names_say() -> None:
     p = len(m)
     assert DOptimality().value(m) == pytest.approx(np.log(eigenvalues).sum())
     assert AOptimality().value(m) == pytest.approx(-p * np.log(np.mean(1 / eigenvalues)))
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(p), np.linalg.inv(m), 200_000)
+    cost = np.mean(np.einsum("np,pq,nq->n", draws, WEIGHT, draws))
+    assert np.exp(-AOptimality(WEIGHT).value(m) / p) == pytest.approx(cost / p, rel=0.01)
     assert EOptimality().value(m) / p == pytest.approx(np.log(eigenvalues[0]), abs=np.log(p) / 16)
     assert ConditionNumber().value(m) / p == pytest.approx(
         -np.log(np.linalg.cond(m)) / 2, abs=np.log(p) / 16

@@ -3,6 +3,7 @@
 import io
 import json
 import pickle
+import tomllib
 import zipfile
 from collections import OrderedDict
 from pathlib import Path
@@ -168,6 +169,79 @@ def test_a_lerobot_dataset_is_read_once_its_unit_is_said(tmp_path):
     steps = np.diff(recording.t)
     assert steps.min() == pytest.approx(1 / 30)
     assert np.count_nonzero(steps > 1.0) == 1
+
+
+def calibrated(folder, amplitude, **changes):
+    """Write a dataset whose elbow swings by `amplitude`, with ranges of 60 and 120 degrees."""
+    folder.mkdir()
+    (folder / "meta").mkdir()
+    (folder / "data").mkdir()
+    names = ["elbow.pos", "wrist.pos", "gripper.pos"]
+    features = {key: {"names": names, "shape": [3]} for key in ("observation.state", "action")}
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": 50, "features": features}))
+    counts = {"elbow": (1000, 1000 + 4096 // 3), "wrist": (0, 4096 // 3 * 2), "gripper": (0, 1024)}
+    servos = {
+        name: {"id": 1, "drive_mode": 0, "homing_offset": -7, "range_min": low, "range_max": high}
+        for name, (low, high) in counts.items()
+    }
+    servos["wrist"]["drive_mode"] = 1
+    servos["elbow"].update(changes)
+    (folder.parent / "my_follower.json").write_text(json.dumps(servos))
+    wave = np.sin(np.linspace(0.0, 20.0, 500))
+    values = np.column_stack([amplitude * wave, 50.0 * wave, 50.0 + 50.0 * wave]).tolist()
+    pl.DataFrame(
+        {"observation.state": values, "action": values, "frame_index": list(range(500))}
+    ).write_parquet(folder / "data" / "file.parquet")
+    return folder, wave
+
+
+def test_a_calibration_gives_shares_of_the_range_their_angles(tmp_path):
+    """As LeRobot does: norm = (counts - min) / (max - min) * 200 - 100, 4096 counts a turn."""
+    folder, wave = calibrated(tmp_path / "set", 95.0)
+    recording = read_recording(folder)
+    elbow = (0.95 * wave) * (4096 // 3) / 2 * 2 * np.pi / 4096
+    wrist = (-0.5 * wave) * (4096 // 3) * 2 * np.pi / 4096
+    gripper = (0.5 + 0.5 * wave) * np.pi / 2
+    assert np.allclose(recording.q, np.column_stack([elbow, wrist, gripper]), atol=1e-6)
+    assert np.allclose(recording.command, recording.q)
+    assert any("-100 to 100 of the range" in note for note in recording.notes)
+
+
+def test_a_calibration_leaves_degrees_degrees(tmp_path):
+    folder, wave = calibrated(tmp_path / "set", 130.0)
+    recording = read_recording(folder)
+    assert np.allclose(recording.q[:, 0], np.deg2rad(130.0 * wave), atol=1e-6)
+    assert np.allclose(recording.q[:, 2], (0.5 + 0.5 * wave) * np.pi / 2, atol=1e-6)
+
+
+def test_where_a_motion_fits_both_units_the_error_has_the_complete_sheet(tmp_path):
+    folder, wave = calibrated(tmp_path / "set", 40.0)
+    with pytest.raises(RecordingError, match="degrees and -100 to 100") as caught:
+        read_recording(folder)
+    lines = str(caught.value.cure).partition("[joint_units]")[2]
+    sheet = tomllib.loads(f"[joint_units]{lines}")
+    assert set(sheet["joint_units"]) == {"elbow", "wrist"}
+    shares = read_recording(folder, sheet=sheet)
+    assert np.allclose(shares.q[:, 0], 0.4 * wave * np.pi / 3, atol=1e-3)
+    degrees = read_recording(folder, sheet={"units": {"position": "deg", "command": "deg"}})
+    assert np.allclose(degrees.q[:, 0], np.deg2rad(40.0 * wave), atol=1e-6)
+    assert np.allclose(degrees.q[:, 2], shares.q[:, 2])
+
+
+def test_a_range_without_extent_is_named(tmp_path):
+    folder, _ = calibrated(tmp_path / "set", 95.0, range_max=1000)
+    with pytest.raises(RecordingError, match="elbow has the range 1000 to 1000"):
+        read_recording(folder)
+
+
+def test_two_calibrations_are_not_guessed_between(tmp_path):
+    folder, _ = calibrated(tmp_path / "set", 95.0)
+    text = (tmp_path / "my_follower.json").read_text()
+    (tmp_path / "my_leader.json").write_text(text)
+    assert read_recording(folder).n_samples == 500
+    (tmp_path / "my_follower.json").rename(tmp_path / "another.json")
+    with pytest.raises(RecordingError, match="several calibrations"):
+        read_recording(folder)
 
 
 GRIPPER = """<robot name="arm"><link name="base"/>

@@ -51,6 +51,7 @@ def test_the_scale_of_gravity_torques_is_that_of_the_log(right, half):
 def test_agreement_with_cad_keeps_the_usual_gain_error(right):
     np.testing.assert_allclose(derive_gain_errors(right, "motor"), USUAL_UNCERTAINTY["motor"])
     assert name_doubtful_gains(right, "motor") == ()
+    assert derive_gain_errors(right, "unknown").max() == 0.0
 
 
 def test_half_of_the_gravity_torque_widens_gains(half):
@@ -59,6 +60,10 @@ def test_half_of_the_gravity_torque_widens_gains(half):
     assert errors[0] == UNCALIBRATED
     assert name_doubtful_gains(half, "motor")[:1] == (half.model.joint_names[1],)
     assert derive_gain_errors(half, "sensor").max() == 0.0
+    # What measured the torques is not stated, and gravity contradicts that they are right.
+    np.testing.assert_allclose(
+        derive_gain_errors(half, "unknown")[1], np.hypot(UNCALIBRATED, 0.3), rtol=1e-2
+    )
     np.testing.assert_allclose(derive_gain_errors(half, "motor", 0.03), 0.03)
 
 

@@ -210,7 +210,7 @@ def test_evidence_survives_json_and_its_absence_is_said() -> None:
 def test_text_tables_and_figure() -> None:
     found = attribute(identified(ARM, "pf"))
     text = found.as_text(full=True)
-    assert re.search(r"% of the squared error is payload \(1\.9", text)
+    assert re.search(r"% of the squared error is payload \(0 to [\d.]+\s+kg,\s+chosen\s+1\.9", text)
     assert "unexplained" in text
     assert all(line == line.rstrip() for line in text.splitlines())
     huge = np.zeros(7)

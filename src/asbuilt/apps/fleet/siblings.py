@@ -178,8 +178,8 @@ def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
         k += kept.T @ a
     own, none = Scaled(K), np.zeros((1, len(T) + 1))
     assert pooled.refit is not None  # the consistent fit is not linear in the torque
-    rows = np.column_stack([own.root, own.whiten(k)])
-    return pooled.refit(triangular_factor(np.vstack([rows, none])))
+    both = np.column_stack([own.root, own.whiten(k)])
+    return pooled.refit(triangular_factor(np.vstack([both, none])))
 
 
 def estimate_with_siblings(

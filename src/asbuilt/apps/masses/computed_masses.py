@@ -15,18 +15,23 @@ from asbuilt.apps.masses.cad.solids import GeometryKind, LinkSolid, read_solids
 from asbuilt.apps.masses.cad.table import read_cad_table
 from asbuilt.apps.masses.mass_findings import (
     LinkMass,
-    Plausibility,
     check_described_mass,
     check_surface,
     has_plausible_size,
-    make_link_finding,
-    report_copies,
     sort_by_plausibility,
 )
 from asbuilt.arrays import Array
-from asbuilt.description import Link, LinkInertia, RobotModel, close_match
+from asbuilt.description import (
+    Link,
+    LinkInertia,
+    Plausibility,
+    RobotModel,
+    add_plausibility,
+    close_match,
+    make_link_finding,
+)
 from asbuilt.errors import DescriptionError, UsageError
-from asbuilt.findings import Finding, rank_findings
+from asbuilt.findings import Finding
 
 Material = str | float
 """Name of a material, or a density [kg/m^3]."""
@@ -131,8 +136,8 @@ def link_masses(
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
         links, findings = _weigh_solids(model, solids, _read_materials(model, density, material))
     findings += [found for each in links for found in check_described_mass(each, limits)]
-    findings += report_copies(links, limits)
-    return LinkMasses(model, sort_by_plausibility(links, findings), rank_findings(findings))
+    findings = list(add_plausibility(model, findings))
+    return LinkMasses(model, sort_by_plausibility(links, findings), tuple(findings))
 
 
 def _read_materials(

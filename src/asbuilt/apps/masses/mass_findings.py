@@ -1,32 +1,16 @@
-"""What is implausible about mass properties of links: densities, inertias, copies, surfaces."""
+"""What is implausible about mass properties of links next to their geometry."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from asbuilt.apps.masses.cad.meshes import PLAUSIBLE_SIZE
 from asbuilt.apps.masses.cad.solids import LinkSolid
 from asbuilt.arrays import Array
-from asbuilt.description import LinkInertia
+from asbuilt.description import LinkInertia, Plausibility, check_in_shape, make_link_finding
 from asbuilt.findings import SEVERITIES, Cure, Finding
-
-
-@dataclass(frozen=True, slots=True)
-class Plausibility:
-    """Thresholds of mass properties."""
-
-    lightest: float = 100.0
-    """Density [kg/m^3] of a hollow housing with thin walls; foam and balsa are lighter."""
-    heaviest: float = 20000.0
-    """Density [kg/m^3] above tungsten's, 19300."""
-    equal: float = 1e-6
-    """Relative difference below which two values count as copied."""
-    change: float = 0.2
-    """Relative difference to the computed value that is worth a note: a CAD model without cables,
-    grease and paint differs by less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +96,7 @@ def check_surface(link: str, solid: LinkSolid) -> list[Finding]:
 
 
 def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
-    """Return what is implausible about the values of the description."""
+    """Return what is implausible about the values of the description, beside the geometry."""
     if link.described is None:
         return [
             make_link_finding(
@@ -120,95 +104,21 @@ def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
             )
         ]
     body, reason = link.described, link.described.inconsistency()
-    computed = float("nan") if link.computed is None else link.computed.mass
-    moments = np.diag(body.inertia_about_com)
-    # All of these are NaN, and their comparisons false, where there is no geometry.
-    half = (link.upper - link.lower) / 2.0
-    largest = body.mass * (np.sum(half**2) - half**2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        axis = int(np.argmax(moments / largest))
-    outside = np.maximum(link.lower - body.com, body.com - link.upper).max()
-    possible = (
-        (
-            reason is not None,
-            make_link_finding("inconsistent_inertia", "error", link.name, reason or ""),
-        ),
-        (
-            np.isfinite(link.density) and not limits.lightest <= link.density <= limits.heaviest,
-            make_link_finding(
-                "implausible_density",
-                "error",
-                link.name,
-                f"{body.mass:.4g} kg in {1e3 * link.volume:.4g} litres is {link.density:.3g}"
-                f" kg/m^3, outside {limits.lightest:g} to {limits.heaviest:g}",
-            ),
-        ),
-        (
-            body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=limits.equal),
-            make_link_finding(
-                "unit_inertia", "error", link.name, "its inertia is 1 kg m^2 about every axis"
-            ),
-        ),
-        (
-            abs(link.mass_change) > limits.change,
+    findings = []
+    if reason is not None:
+        findings.append(make_link_finding("inconsistent_inertia", "error", link.name, reason))
+    corners = np.array([link.lower, link.upper])
+    findings += check_in_shape(link.name, body, link.volume, corners, limits)
+    if link.computed is not None and abs(link.mass_change) > limits.change:
+        findings.append(
             make_link_finding(
                 "mass_differs",
                 "info",
                 link.name,
-                f"{body.mass:.4g} kg in the description, {computed:.4g} kg computed",
-            ),
-        ),
-        (
-            np.any(moments > (1.0 + limits.equal) * largest),
-            make_link_finding(
-                "inertia_too_large",
-                "error",
-                link.name,
-                f"I{'xyz'[axis] * 2} about the centre of mass is {moments[axis]:.3g} kg m^2; within"
-                f" its box {body.mass:.4g} kg have at most {largest[axis]:.3g}",
-            ),
-        ),
-        (
-            body.mass > 0.0 and outside > limits.equal * half.max(),
-            make_link_finding(
-                "com_outside",
-                "warning",
-                link.name,
-                f"its centre of mass lies {1e3 * outside:.3g} mm outside the box of its geometry",
-            ),
-        ),
-    )
-    return [finding for holds, finding in possible if holds]
-
-
-def report_copies(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
-    """Return a finding per link whose inertia about the centre of mass equals another link's."""
-    known = [(each.name, each.described) for each in links if each.described is not None]
-    tensors = [(name, body.mass, body.inertia_about_com) for name, body in known if body.mass > 0.0]
-    findings = []
-    for k, (name, mass, tensor) in enumerate(tensors):
-        same = [
-            other
-            for j, (other, its, of_other) in enumerate(tensors)
-            if j != k
-            and np.isclose(mass, its, rtol=limits.equal, atol=0.0)
-            and np.abs(tensor - of_other).max() <= limits.equal * np.abs(tensor).max()
-        ]
-        if same:
-            message = f"same mass and inertia as {', '.join(same)}"
-            findings.append(make_link_finding("copied_inertia", "warning", name, message))
+                f"{body.mass:.4g} kg in the description, {link.computed.mass:.4g} kg computed",
+            )
+        )
     return findings
-
-
-def make_link_finding(
-    code: str,
-    severity: Literal["error", "warning", "info"],
-    link: str,
-    message: str,
-    cure: Cure | None = None,
-) -> Finding:
-    """Return a finding whose message begins with the link."""
-    return Finding(code, severity, f"link {link}: {message}", cure, link=link)
 
 
 def sort_by_plausibility(links: list[LinkMass], findings: list[Finding]) -> tuple[LinkMass, ...]:

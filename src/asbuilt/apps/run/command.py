@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from asbuilt.apps.run.loop import Loop, Outcome
 
 FOLDER = Path("asbuilt-run")
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, of shells."""
 
 
 def run(
@@ -119,11 +118,11 @@ def run(
         )
         loop.files.keep_settings(settings)
         _say(as_json, f"{model.name}: {driver.describe()}; motions and logs in {folder}\n")
-        interrupted = _do_rounds(loop, as_json)
+        _do_rounds(loop, as_json)
         outcome, files = _write(loop)
-    _answer(outcome, loop, files, as_json)
-    if interrupted or (outcome.ending == "interrupted" and stopped()):
-        raise typer.Exit(INTERRUPTED)
+    _answer(outcome, loop, files, robot, as_json)
+    if outcome.ending != "proven":
+        raise typer.Exit(1)
 
 
 def _read_settings(
@@ -188,19 +187,16 @@ def _make_confirm(driver: Driver, *, asks: bool) -> Callable[[Path, int], bool]:
     return confirm
 
 
-def _do_rounds(loop: Loop, as_json: bool) -> bool:
-    """Print each round when it is done; return whether it was interrupted within a round."""
+def _do_rounds(loop: Loop, as_json: bool) -> None:
+    """Print each round when it is done; an interrupt within one gives that one up."""
     from asbuilt.apps.run.text import HEAD, format_json_line, format_round, round_document
 
-    try:
+    with suppress(KeyboardInterrupt):
         for made in loop:
             if as_json:
                 print(format_json_line(round_document(made)), flush=True)
             else:
                 _say(False, f"{HEAD}\n" if made.number == 1 else "", format_round(made), "\n")
-    except KeyboardInterrupt:
-        return True
-    return False
 
 
 def _write(loop: Loop) -> tuple[Outcome, dict[str, Path]]:
@@ -215,7 +211,9 @@ def _write(loop: Loop) -> tuple[Outcome, dict[str, Path]]:
     return outcome, files
 
 
-def _answer(outcome: Outcome, loop: Loop, files: dict[str, Path], as_json: bool) -> None:
+def _answer(
+    outcome: Outcome, loop: Loop, files: dict[str, Path], robot: str, as_json: bool
+) -> None:
     from asbuilt.apps.run.text import draw_promises, format_json_line, outcome_document
     from asbuilt.tables import wrap_text
 
@@ -224,7 +222,7 @@ def _answer(outcome: Outcome, loop: Loop, files: dict[str, Path], as_json: bool)
         print(format_json_line(document), flush=True)
         return
     study, text = outcome.study, outcome.text
-    following = f"asbuilt run ROBOT --resume {loop.folder}, which goes on"
+    following = f"asbuilt run {robot} --resume {loop.folder}, which goes on"
     if outcome.ending == "proven":
         following = f"asbuilt export {files['result']} --mjcf robot.xml (or --urdf, --c)"
     elif outcome.ending in ("with care", "unreachable"):

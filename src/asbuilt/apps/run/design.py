@@ -12,17 +12,32 @@ from asbuilt.apps.run.options import RunOptions
 from asbuilt.apps.run.purpose import States, weigh_parameters
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation import Motion, check_motion
+from asbuilt.excitation import Motion, check_motion, measure_clearance
 from asbuilt.identification import known_information
 
 STARTS = 6
 """Random starts of a design; the best of six has 95 % of the information of the best of 96."""
 TIME_LIMIT = 20.0
 """Time of a design [s]; the starts end before it, so that the motion is the same everywhere."""
+FIRST_TEST = 3
+"""First round that moves as the user will; two designed ones have taught the model before."""
+FREQUENCY = 0.25
+"""Highest frequency of random motions [Hz], as of `random_fourier` by default."""
+ATTEMPTS = 20
+"""Random motions that are tried until no bodies touch."""
 SLOWER = 1.1
 """Factor by which a motion is slowed while it exceeds the torque limits of the robot as built."""
 MOST_SLOWED = 20
 """How often that is tried: by then it is 7 times slower, and only gravity is left."""
+
+
+def is_test_of_goal(number: int) -> bool:
+    """Return whether a round moves as the user will: from the third on every other one.
+
+    Designed motions are fast; what no model explains, such as friction at reversal, is larger in
+    slower motion, which they would never test.
+    """
+    return number >= FIRST_TEST and (number - FIRST_TEST) % 2 == 0
 
 
 def design_round(
@@ -32,12 +47,14 @@ def design_round(
     number: int,
     states: States,
     weights: Array | None,
+    goal: Motion | None = None,
 ) -> Motion:
     """Return the motion of a round, within every limit.
 
-    The first is small and slow and determines all parameters alike. Each further one has the least
-    `tr(A C)` with what is known, A the cost of parameter errors for the purpose, in which joints
-    count by `weights` (n,).
+    The first is small and slow and determines all parameters alike. From the third on every other
+    one is `goal`, the user's motion, or a random one over the whole range. Each further one has
+    the least `tr(A C)` with what is known, A the cost of parameter errors for the purpose, in
+    which joints count by `weights` (n,).
 
     Raises
     ------
@@ -54,6 +71,10 @@ def design_round(
     )
     if study is None:
         return _design(model, wanted)
+    if is_test_of_goal(number):
+        usual = _choose_goal_motion(model, options, number, goal)
+        if usual is not None:
+            return _slow_down(study, usual)
     result = study.result
     share = np.ones(model.n_joints) if weights is None else weights
     purpose = weigh_parameters(result, states, options.purpose, share**2)
@@ -73,6 +94,37 @@ def design_round(
         # Terms of coupled motors have no design, and of some models no motion determines all.
         motion = _design(model, wanted)
     return _slow_down(study, motion)
+
+
+def _choose_goal_motion(
+    model: RobotModel, options: RunOptions, number: int, goal: Motion | None
+) -> Motion | None:
+    """Return the user's motion or a random one; None if bodies touch or a limit is violated."""
+    if goal is not None:
+        return goal if _is_allowed(model, goal, options.collision) else None
+    for attempt in range(ATTEMPTS):
+        motion = asbuilt.random_fourier(
+            model,
+            np.random.default_rng([options.seed, number, attempt]),
+            duration=options.seconds,
+            n_harmonics=max(2, round(FREQUENCY * options.seconds)),
+            fraction=options.fraction,
+        )
+        if _is_allowed(model, motion, options.collision):
+            return motion
+    return None
+
+
+def _is_allowed(model: RobotModel, motion: Motion, collision: str | None) -> bool:
+    if not check_motion(model, motion).is_respected:
+        return False
+    if collision is None:
+        return True
+    try:
+        measure_clearance(model, motion, collision)
+    except MotionError:
+        return False
+    return True
 
 
 def _design(model: RobotModel, wanted: DesignOptions) -> Motion:

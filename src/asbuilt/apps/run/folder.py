@@ -10,6 +10,7 @@ from typing import Any
 
 from asbuilt import Recording, UsageError, writers
 from asbuilt.errors import ResultError
+from asbuilt.findings import Cure
 from asbuilt.writing import atomic_write
 
 SETTINGS = "run.json"
@@ -67,8 +68,8 @@ class RunFolder:
         """
         if not (self.path / SETTINGS).is_file():
             raise UsageError(
-                f"{self.path} holds no loop to resume: it has no {SETTINGS}; name the folder"
-                " of the loop",
+                f"{self.path} holds no loop to resume: it has no {SETTINGS}",
+                cure=Cure("name the folder into which the loop wrote its rounds"),
                 file=str(self.path),
             )
         return self._read()

@@ -160,7 +160,9 @@ class Loop:
         self.progress(f"design round {number}", 0.0)
         last = self.rounds[-1] if self.rounds else None
         study, weights = (None, None) if last is None else (last.study, last.goal.widening)
-        motion = design_round(self.model, study, self.options, number, self._states, weights)
+        motion = design_round(
+            self.model, study, self.options, number, self._states, weights, self.motion
+        )
         path.parent.mkdir(parents=True, exist_ok=True)
         asbuilt.write_motion(path, motion, self.model.joint_names)
 

@@ -57,15 +57,17 @@ def promise_error(
     """Return the error that a result promises on states.
 
     `E e_k^2 = sigma_k^2 + mean_s Y_sk C Y_sk^T`: residual and parameters are independent, for the
-    residual is that of other samples.
+    residual is that of other samples. The residual is at least the RMS of training, which rare
+    large errors, such as stick and slip, raise above a robust standard deviation.
     """
     columns = evaluate_columns(result, states)
     covariance = np.array(result.covariance)
     variance = np.einsum("skp,pr,skr->k", columns, covariance, columns) / len(columns)
     torque = np.sqrt(np.mean((columns @ result.estimates) ** 2, axis=0))
     sigma = np.where(np.isfinite(result.sigma), result.sigma, 0.0)
+    noise = np.fmax(sigma, np.nan_to_num(result.train.rms))
     usual = np.ones(len(sigma)) if widening is None else widening
-    return Promise(sigma, np.sqrt(np.maximum(variance, 0.0)), torque, usual)
+    return Promise(noise, np.sqrt(np.maximum(variance, 0.0)), torque, usual)
 
 
 def widen_promises(tests: Sequence[tuple[Promise, Array]]) -> Array | None:

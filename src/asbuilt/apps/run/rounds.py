@@ -10,6 +10,7 @@ import numpy as np
 
 import asbuilt
 from asbuilt import Recording, RobotModel, Study, StudyOptions
+from asbuilt.apps.run.design import is_test_of_goal
 from asbuilt.apps.run.options import RunOptions
 from asbuilt.apps.run.prediction import (
     HORIZON,
@@ -118,17 +119,23 @@ def learn_round(
     `files` are those of the motion and the log; `states` matter to the user.
     """
     last = earlier[-1] if earlier else None
-    tests = [(each.promise, each.tested.joints) for each in earlier if each.promise and each.tested]
+    tests = {
+        each.number: (each.promise, each.tested.joints)
+        for each in earlier
+        if each.promise and each.tested
+    }
     promise = tested = promised = None
     if last is not None:
-        promise = promise_error(last.study.result, States.of([motion]), widen_promises(tests))
+        widening = widen_promises([*tests.values()])
+        promise = promise_error(last.study.result, States.of([motion]), widening)
         promised = promise.error * last.exchange
         tested = predict_round(last.study, recordings[-1], options.purpose)
-        tests.append((promise, tested.joints))
+        tests[len(recordings)] = promise, tested.joints
     study = asbuilt.identify(
         model, recordings, options=StudyOptions(holdout=None, drive=options.drive)
     )
-    goal = promise_error(study.result, states, widen_promises(tests))
+    like_goal = [test for number, test in tests.items() if is_test_of_goal(number)]
+    goal = promise_error(study.result, states, widen_promises(like_goal or [*tests.values()]))
     exchange = _find_exchange(study, recordings[-1], options)
     taught = [
         *_list_learned(last, study),
@@ -195,7 +202,8 @@ def _list_surprises(study: Study, promise: Promise | None, tested: Tested | None
 
 def _list_promises(last: Round | None, error: float) -> Iterator[str]:
     """Yield the promise on the motion that matters, if it is new or lower."""
+    now = format_share(error)
     if last is None:
-        yield f"promises {format_share(error)}"
-    elif error < BETTER * last.goal_error:
-        yield f"promises {format_share(error)}, before {format_share(last.goal_error)}"
+        yield f"promises {now}"
+    elif error < BETTER * last.goal_error and now != format_share(last.goal_error):
+        yield f"promises {now}, before {format_share(last.goal_error)}"

@@ -9,19 +9,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.dh import DHRow, build_dh_joint, dh_lengths, place_joint_on_origin
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat, format_of
-from asbuilt.description.formats.toml_tables import (
-    DHTable,
-    LinkTable,
-    PlacementTable,
-    RobotFile,
-    check_robot_file,
-)
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import evaluate_lengths, parse_length, rotate_symbols
@@ -49,6 +43,14 @@ from asbuilt.description.structure.motors import couple_joints
 from asbuilt.description.structure.springs import Spring, with_springs
 from asbuilt.errors import AsbuiltError, DescriptionError
 from asbuilt.untrusted import describe_problem, parse_toml, read_bytes, read_text
+
+if TYPE_CHECKING:
+    from asbuilt.description.formats.toml_tables import (
+        DHTable,
+        LinkTable,
+        PlacementTable,
+        RobotFile,
+    )
 
 LONGEST_CHAIN = 8
 """Most robot files of which each extends the next."""
@@ -84,6 +86,11 @@ def robot_from_toml(
         raise DescriptionError(
             f"{source}: this is not valid TOML: {describe_problem(error)}"
         ) from None
+    # Other formats do without: pydantic takes as long to build the tables as to read a robot.
+    from asbuilt.description.formats.toml_tables import (  # noqa: PLC0415 - light start
+        check_robot_file,
+    )
+
     file = check_robot_file(content, source)
     try:
         model = (
@@ -175,6 +182,10 @@ class _Reading:
         return joint
 
     def placed_joint(self, link: LinkTable, index: int, parent: int) -> Joint:
+        from asbuilt.description.formats.toml_tables import (  # noqa: PLC0415 - light start
+            PlacementTable,
+        )
+
         before, before_symbols = self.placed(
             link.origin or PlacementTable(), f"origin of link {link.name!r}", index
         )

@@ -120,6 +120,7 @@ class Closure:
         """
         n, still = self.n_joints, np.zeros_like(q)
         units = np.broadcast_to(np.eye(n)[:, None], (n, *q.shape))
+        # Polarisation: f(e_j + e_k) - f(e_j) - f(e_k) is twice the mixed derivative.
         alone = [self.motion(q, unit, still).qdd for unit in units]
         second = np.empty((*alone[0].shape, n, n))
         for j in range(n):
@@ -129,6 +130,7 @@ class Closure:
                 second[..., j, k] = second[..., k, j] = 0.5 * (both - alone[j] - alone[k])
         position = np.empty((*alone[0].shape, n))
         for j, step in enumerate(DIFFERENCE * self.scale[:n]):
+            # Third derivatives have no closed form here; half width is the cube root of rounding.
             ahead, behind = (self.motion(q + by * units[j], qd, qdd).qdd for by in (step, -step))
             position[..., j] = (ahead - behind) / (2.0 * step)
         return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
@@ -144,8 +146,10 @@ class Closure:
         gap, distance = quality[:, 0].copy(), np.zeros(len(q))
         n = self.n_joints
         for k in np.flatnonzero(closed):
+            # The smallest singular value, in units in which angles and lengths compare.
             equations = self.equations(self._find_coordinates(q[k], motion.q[k]))
             gap[k] = max(self.gaps(equations))
+            # The last columns are phi and the bias; the first n are of motors.
             sizes = np.linalg.svd(equations[:, n:-2] * self.scale[n:], compute_uv=False)
             distance[k] = sizes[-1] / sizes[0]
         return Postures(gap, closed, distance)
@@ -158,13 +162,13 @@ class Closure:
 
     def gaps(self, equations: Array) -> list[float]:
         """Return the gap of each loop [m, rad for joints]."""
-        found, row = [], 0
+        gaps, row = [], 0
         for kind, given in zip(self.numbers.kinds.tolist(), self.numbers.numbers, strict=True):
             count = ROWS[kind]
             size = 1.0 if kind == JOINT else float(given[SIZE])
-            found.append(size * float(np.abs(equations[row : row + count, -2]).max()))
+            gaps.append(size * float(np.abs(equations[row : row + count, -2]).max()))
             row += count
-        return found
+        return gaps
 
     def moves_loops(self, motor: int) -> bool:
         """Return whether a motor moves a joint that loops place."""
@@ -173,6 +177,7 @@ class Closure:
 
     def _find_coordinates(self, q: Array, at: Array) -> Array:
         """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
+        # Exactly the motors' positions, which least squares would round.
         known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
         known[: q.size] = q
         return np.asarray(known, dtype=np.float64)
@@ -187,8 +192,8 @@ class Closure:
 
     def _make_error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
-        own = [k for k in range(self.n_joints) if self.moves_loops(k)]
-        at = join_names([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
+        moving = [k for k in range(self.n_joints) if self.moves_loops(k)]
+        at = join_names([f"{self.names[k]} = {q[sample, k]:.6g}" for k in moving], len(moving))
         what = (
             "is singular: motors do not place all passive joints"
             if pivot <= SINGULAR
@@ -202,7 +207,7 @@ class Closure:
                 " of the loops and the posture of the description"
             ),
             sample=sample,
-            joint=self.names[own[0]],
+            joint=self.names[moving[0]],
         )
 
 
@@ -241,12 +246,14 @@ def derive_closure(
     motor.
     """
     found = _open(robot, every, n, loops, posture, places)
+    # The first posture is a guess: Newton may go far, and nothing is within a tolerance yet.
     motion, quality = _run(
         found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
         *np.zeros((2, 1, n)),
     )  # fmt: skip
     at = found._find_coordinates(found.home[:n], motion.q[0])
     _check_closed(found, at, quality[0])
+    # Numbers of a description are rounded: their own gap, and some more, is closed.
     found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * float(quality[0, 0])))
     return _derive_typical_shares(found)
 
@@ -280,9 +287,11 @@ def _open(
             for joint in coordinates
         ]
     )
+    # Lengths count in sizes of the largest loop.
     sizes = np.where(numbers.kinds == JOINT, 0.0, numbers.numbers[:, SIZE])
     size = float(sizes.max(initial=0.0)) or 1.0
     scale = np.array([1.0 if joint.is_revolute else size for joint in coordinates])
+    # Sparse rows of A: where each joint's coordinates begin.
     first = np.concatenate([[0], np.cumsum(np.count_nonzero(linear, axis=1))]).astype(np.int64)
     at, column = np.nonzero(linear)
     sources = np.column_stack([column.astype(np.float64), linear[at, column]])
@@ -302,6 +311,7 @@ def _open(
         first,
         offset,
     )  # fmt: skip
+    # Kernels share these arrays between threads.
     for array in (*arrays, order, linear, scale):
         array.setflags(write=False)
     return Closure(
@@ -325,6 +335,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
     n, robot = found.n_joints, found.robot
     equations = found.equations(u)
     gaps = found.gaps(equations)
+    # Gaps that are not finite come from a walk that left the loop.
     if np.abs(equations[:, -2]).max() > CLOSED or not np.isfinite(gaps).all():
         worst = int(np.argmax(gaps))
         kind = found.numbers.kinds[worst]
@@ -338,6 +349,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
         )
     if quality[2] > 0.0:
         return
+    # Away from the first posture, which may be singular by accident.
     away = u + np.random.default_rng(SEED).uniform(-NEAR, NEAR, u.size) * found.scale
     sizes, free = _find_free_directions(found.equations(away)[:, n:-2] * found.scale[n:])
     if sizes:
@@ -357,6 +369,7 @@ def _check_closed(found: Closure, u: Array, quality: Array) -> None:
 def _find_free_directions(J: Array) -> tuple[int, list[int]]:
     """Return the number of directions that J does not see, and the columns that take part."""
     _, sizes, rows = np.linalg.svd(J)
+    # Rows beyond the rank span what J does not see.
     null = rows[int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0))) :]
     return len(null), np.flatnonzero(np.abs(null).max(axis=0, initial=0.0) > SEEN).tolist()
 
@@ -377,12 +390,14 @@ def _derive_typical_shares(found: Closure) -> Closure:
     motion, quality = found._follow(q, None, None)
     good = quality[:, 2] > 0.0
     if np.count_nonzero(good) < 2:
+        # A mechanism with little room closes only next to the first posture.
         small = 1e-3 * around
         motion, quality = found._follow(found.home[:n] + small, None, None)
         good = quality[:, 2] > 0.0
     _check_motors(found)
     examples = motion.shares[good]
     shares = np.sqrt(np.mean(examples**2, axis=0))
+    # Constant shares are kept to the last digit, so that linear couplings stay exact.
     shares = np.where(np.ptp(examples, axis=0) < UNMOVED, examples[0], shares)
     shares[np.abs(shares) < UNMOVED] = 0.0
     return replace(found, of_links=read_only(shares[np.argsort(found.order)]))
@@ -392,6 +407,7 @@ def _check_motors(found: Closure) -> None:
     """Raise `DescriptionError` where the loops do not let motors move one by one."""
     n = found.n_joints
     J = found.equations(found.home)[:, :-2] * found.scale
+    # Passive joints follow by least squares; what is left is torn.
     moves = -np.linalg.lstsq(J[:, n:], J[:, :n], rcond=None)[0]
     torn = np.linalg.norm(J[:, :n] + J[:, n:] @ moves, axis=0)
     at = np.flatnonzero(torn > SEEN * float(np.linalg.norm(J, axis=0).max()))
@@ -418,16 +434,20 @@ def find_passive_joints(
     """
     found, joints = _open(robot, every, n, loops, posture, places), every[:n]
     u = found.home.copy()
+    # No joint is known to be passive yet, so that all may move.
     for _ in range(SEARCH):  # Newton with the least motion of all joints
         equations = found.equations(u)
         step = np.linalg.lstsq(equations[:, :-2] * found.scale, equations[:, -2], rcond=1e-8)[0]
+        # Short steps keep the assembly mode of the description.
         u -= found.scale * step * min(1.0, FARTHEST / max(float(np.abs(step).max()), ROUNDING))
     J = found.equations(u)[:, :-2] * found.scale
     rank = int(np.linalg.matrix_rank(J, tol=SEEN * np.linalg.norm(J)))
     depth = {int(link): k for k, link in enumerate(found.order)}
     chosen: list[int] = []
+    # Undriven ones first, then those far from the root.
     for k in sorted(range(len(joints)), key=lambda k: (_is_driven(joints[k]), -depth[k])):
         taken = J[:, [*chosen, k]]
+        # Only a joint that adds to the rank is determined with those before.
         if len(chosen) < rank and np.linalg.matrix_rank(taken, tol=SEEN) == len(chosen) + 1:
             chosen.append(k)
     return [joints[k].name for k in sorted(chosen)]

@@ -54,6 +54,7 @@ def _reduce(work, rows, first, count, order):
     if rows < count:
         return 0.0
     for k in range(count):
+        # The column with the most left comes next: the last pivot then measures the rank.
         best, most = k, -1.0
         for j in range(k, count):
             total = 0.0
@@ -70,14 +71,17 @@ def _reduce(work, rows, first, count, order):
                 )
         norm = math.sqrt(most)
         largest = max(largest, norm)
+        # Below, some passive joint could move without opening a loop.
         smallest = norm
         if norm <= SINGULAR * largest or norm == 0.0:
             return 0.0
+        # Away from the head, so that their difference loses no digits.
         head = work[k, first + k]
         pivot = -norm if head > 0.0 else norm
         work[k, first + k] = head - pivot
         scale = 1.0 / (pivot * (pivot - head))
         for j in range(width):
+            # Columns that are finished, and the reflection itself, stay.
             if first <= j <= first + k:
                 continue
             total = 0.0
@@ -95,6 +99,7 @@ def _reduce(work, rows, first, count, order):
 @part
 def _solve(work, first, count, order, column, out):
     """Write the solution of the reduced equations for a right-hand side."""
+    # Back substitution, in the order of the pivots.
     for k in range(count - 1, -1, -1):
         total = work[k, column]
         for j in range(k + 1, count):
@@ -135,11 +140,13 @@ def _close_loops(mechanism, u, still, n, scale, tolerance, search, work, room, h
         most = 0.0
         for k in range(passive):
             most = max(most, abs(step[k]) / scale[n + k])
+        # Far jumps may land in another assembly mode; a search has none to keep.
         if not math.isfinite(most) or (most > FARTHEST and not search):
             return False, gap, pivot
         share = FARTHEST / most if most > FARTHEST else 1.0
         for k in range(passive):
             u[n + k] -= share * step[k]
+        # Newton squares its error: this correction was the last, and the gap is measured once more.
         if most <= CONVERGED:
             gap, pivot = _factor_jacobian(mechanism, u, still, n, work, room, here, order)
             return pivot > SINGULAR and gap <= tolerance, gap, pivot
@@ -171,6 +178,7 @@ def _measure_farthest_motor(u, target, scale):
 @part
 def _solve_moves(work, n, order, moves, step):
     """Write how motors move passive joints, by the factors of J."""
+    # dp/dq = -J_p^+ J_q, column by column.
     for j in range(n):
         _solve(work, n, order.size, order, j, step)
         for k in range(order.size):
@@ -184,6 +192,7 @@ def _carry_rates(u, moves, motor, bias):
     for k in range(n):
         u[k] = motor[k]
     for k in range(passive):
+        # pdd = -J_p^+ (J_q qdd + dJ/dt ud)
         u[n + k] = -bias[k]
         for j in range(n):
             u[n + k] += moves[k, j] * motor[j]
@@ -251,11 +260,14 @@ def close_loops(
     moves, moved = np.zeros((passive, n)), np.zeros((passive, n))
     for sample in range(q.shape[0]):
         target = q[sample]
+        # In a search the first posture is not closed, so that no step from it means anything.
         if search:
             u[:n] = target
+        # Long ways in strides, so that the tangent stays near the branch.
         share = STRIDE / max(_measure_farthest_motor(u, target, scale), STRIDE)
         closed = False
         while not closed:
+            # The tangent predicts, Newton corrects.
             _predict_posture(u, moves, target, share, tried)
             closed, gap, pivot = _close_loops(
                 mechanism,
@@ -276,9 +288,11 @@ def close_loops(
                 u[:] = tried
                 closed = share >= 1.0
                 share = STRIDE / max(_measure_farthest_motor(u, target, scale), STRIDE)
+            # The mechanism ends here, or is singular: shorter steps do not help.
             elif search or share * _measure_farthest_motor(u, target, scale) < SHORTEST:
                 break
             else:
+                # A quarter, as the error of the tangent falls with the square.
                 share *= 0.25
         quality[sample, 0], quality[sample, 1] = gap, pivot
         quality[sample, 2] = 1.0 if closed else 0.0
@@ -288,12 +302,14 @@ def close_loops(
             else:
                 at[sample] = np.nan
                 rates[sample], accelerations[sample], shares[sample] = np.nan, np.nan, np.nan
+            # The next sample starts from the last one that closed.
             u[:], moves[:] = known, moved
             continue
         known[:], moved[:] = u, moves
         expand_into_tree(mechanism, u, 1.0, at[sample])
         _carry_rates(rate, moves, qd[sample], none)
         expand_into_tree(mechanism, rate, 0.0, rates[sample])
+        # With rates: the factors at hand are of J alone, and the bias is needed now.
         assemble(mechanism, at[sample], rates[sample], work, room)
         _reduce(work, rows, n, passive, order)
         _solve(work, n, passive, order, work.shape[1] - 1, step)

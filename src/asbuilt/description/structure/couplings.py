@@ -45,6 +45,7 @@ class TreeMotion:
 
     def torques(self, tau: Array) -> Array:
         """Return `G^T tau` (N, n_joints) for torques (N, n_links) at the joints of the tree."""
+        # Virtual work: tau_q = G^T tau_tree.
         if self.shares.ndim == 2:
             return np.ascontiguousarray(tau @ self.shares)
         return np.ascontiguousarray(np.einsum("si,sik->sk", tau, self.shares))
@@ -105,6 +106,7 @@ def separate_followers(
     a follower of several loses its own. Raises `DescriptionError` for a joint that follows
     none of the robot, or itself.
     """
+    # A wrong order is said in its own words before anything is moved.
     order_tree(robot, joints, len(joints))
     driven = [k for k, joint in enumerate(joints) if joint.has_motor]
     moved = [k for k, joint in enumerate(joints) if not joint.has_motor]
@@ -115,6 +117,7 @@ def separate_followers(
     active = {joint.name: joint for joint in ordered[: len(driven)]}
     behind = ordered[len(driven) :]
     notes: list[str] = []
+    # Followers without a motor among the joints come first behind them.
     for k, joint in enumerate(behind[: len(moved)]):
         if joint.is_passive:
             notes += _note_passive(joint)
@@ -126,6 +129,7 @@ def separate_followers(
             " needs"
             " no column in a log"
         )
+        # One master takes drive and limits over; of several none could say how much.
         if len(factors) == 1 and next(iter(factors)) in active:
             master, multiplier = next(iter(factors.items()))
             active[master], further = _take_over_drive(active[master], joint, multiplier, offset)
@@ -175,6 +179,7 @@ def resolve_coupling(
     if joint.mimic is None or joint.is_passive:
         return {joint.name: 1.0}, 0.0
     if joint.name_in_tree in seen:
+        # Following a chain of followers back to itself would not end.
         ring = " -> ".join(repr(name) for name in (*seen, joint.name_in_tree))
         raise DescriptionError(
             f"{robot}: joint {seen[0]!r} mimics itself{f' ({ring})' if len(seen) > 1 else ''}; name"
@@ -195,8 +200,10 @@ def resolve_coupling(
                 value=name,
                 available=[*others],
             )
+        # Offsets of sources pass on with their factor.
         offset += factor * more
         for source, share in part.items():
+            # A coordinate may come in by several ways.
             found[source] = found.get(source, 0.0) + factor * share
     return found, offset
 
@@ -216,7 +223,9 @@ def order_tree(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
     for link in range(len(joints)):
         waiting: list[int] = []
         at = link
+        # Up to a link that is placed already, or the root.
         while at != ROOT and at not in order:
+            # Driven joints keep their order, which is the order of a log's columns.
             if at in waiting or (at < n_driven and link < at):
                 raise DescriptionError(
                     f"{robot}: joint {joints[link].name!r} (number {link + 1}) precedes its parent"
@@ -269,13 +278,14 @@ def _take_over_drive(
     """Return the driven joint with what its follower has of drive and limits."""
     notes, values = [], {}
     for name, share in (
+        # Reflected: inertia and damping by the square of the factor, dry friction by its size.
         ("armature", multiplier**2),
         ("viscous", multiplier**2),
         ("coulomb", abs(multiplier)),
         ("offset", multiplier),
     ):
-        if own := getattr(follower.drive, name):
-            values[name] = (getattr(joint.drive, name) or 0.0) + share * own
+        if value := getattr(follower.drive, name):
+            values[name] = (getattr(joint.drive, name) or 0.0) + share * value
     if values:
         notes.append(f"{', '.join(values)} of joint {follower.name!r} count to {joint.name!r}")
     if follower.drive.terms or follower.drive.kp is not None:
@@ -288,19 +298,21 @@ def _narrow_limits(
     joint: Joint, follower: Joint, multiplier: float, offset: float
 ) -> tuple[JointLimits, list[str]]:
     """Return the limits of a joint within its follower's, unless no motion would be left."""
-    own, other = joint.limits, follower.limits
+    limits, other = joint.limits, follower.limits
     if not multiplier:
-        return own, []
+        return limits, []
+    # A negative factor turns the ends around.
     lower, upper = sorted((end - offset) / multiplier for end in (other.lower, other.upper))
+    # Zero is no limit but an unknown one.
     rates = {
-        name: min(getattr(own, name), getattr(other, name) / abs(multiplier))
+        name: min(getattr(limits, name), getattr(other, name) / abs(multiplier))
         for name in ("velocity", "acceleration", "jerk")
         if getattr(other, name) > 0.0
     }
-    lower, upper = max(own.lower, lower), min(own.upper, upper)
+    lower, upper = max(limits.lower, lower), min(limits.upper, upper)
     if not lower < upper:
-        return replace(own, **rates), [
+        return replace(limits, **rates), [
             f"the position limits of joint {follower.name!r} leave {joint.name!r} no motion; they"
             " are left out"
         ]
-    return replace(own, lower=lower, upper=upper, **rates), []
+    return replace(limits, lower=lower, upper=upper, **rates), []

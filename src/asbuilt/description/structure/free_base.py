@@ -43,6 +43,7 @@ def classify_base(n_floating: int) -> BaseKind:
 
 def count_base_joints(joints: Sequence[Joint], links: Sequence[Link]) -> int:
     """Return how many of the first joints belong to a free base: 6, 3, or 0 on a fixed root."""
+    # Six first: a planar base has the names of three of them.
     for names in (JOINTS_OF["free"], JOINTS_OF["planar"]):
         between = links[: len(names) - 1]
         if tuple(joint.name for joint in joints[: len(names)]) == names and all(
@@ -78,14 +79,15 @@ def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
 
     Raises `DescriptionError` where the root link has no mass, as one that stands still needs none.
     """
-    links = {each.get("name", ""): each for each in root.findall("link")}
+    links = {link.get("name", ""): link for link in root.findall("link")}
     for joint in root.findall("joint[@type='floating']"):
         root.remove(joint)
         parent = joint.find("parent")
         world = "" if parent is None else parent.get("link", "")
+        # A world link of its own, without mass, is replaced by the base's.
         if world in links and links[world].find("inertial") is None:
             root.remove(links.pop(world))
-    tops = links.keys() - {each.get("link", "") for each in root.findall("joint/child")}
+    tops = links.keys() - {child.get("link", "") for child in root.findall("joint/child")}
     if len(tops) != 1:
         return  # the reader says what is wrong
     (top,) = tops
@@ -95,6 +97,7 @@ def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
             " body that floats"
         )
     above = WORLD
+    # A name that no link has yet.
     while above in links:
         above = f"{above}_"
     SubElement(root, "link", name=above)
@@ -107,6 +110,7 @@ def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
         SubElement(joint, "child", link=below)
         SubElement(joint, "axis", xyz=axis)
         if sort == "prismatic":
+            # No effort: nothing drives a base.
             SubElement(joint, "limit", effort="0", velocity="0")
         above = below
 
@@ -130,9 +134,11 @@ def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
     body, joint = free[0]
     place = list(body).index(joint)
     body.remove(joint)
+    # The pose comes from the joints alone: a constant one would be added twice.
     for name in ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis"):
         body.attrib.pop(name, None)
     body.set("pos", "0 0 0")
+    # Defaults of a class would give these joints springs or friction.
     plain = {
         "stiffness": "0",
         "damping": "0",
@@ -145,7 +151,7 @@ def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
         sort = "slide" if sort == "prismatic" else "hinge"
         own = {"name": name, "type": sort, "axis": axis, "pos": "0 0 0", "ref": "0"}
         body.insert(place + k, Element("joint", own | plain))
-    taken = {each.get("name") for each in root.iter("site")}
+    taken = {site.get("name") for site in root.iter("site")}
     for holder in list(root.iter("body")):
         for geom in holder.findall("geom[@name]"):
             if geom.get("mesh") is None and geom.get("name") not in taken:
@@ -155,11 +161,12 @@ def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
 
 def _carries_mass(root: Element, top: str) -> bool:
     """Return whether a link, or one that is fixed to it, has an inertia."""
-    inertial = {each.get("name") for each in root.findall("link[inertial]")}
+    inertial = {link.get("name") for link in root.findall("link[inertial]")}
     held, fixed = {top}, root.findall("joint[@type='fixed']")
+    # At most as many rounds as fixed joints: a chain of them passes the mass up.
     for _ in fixed:
-        for each in fixed:
-            parent, child = each.find("parent"), each.find("child")
+        for joint in fixed:
+            parent, child = joint.find("parent"), joint.find("child")
             if parent is not None and child is not None and parent.get("link") in held:
                 held.add(child.get("link", ""))
     return bool(held & inertial)

@@ -28,6 +28,7 @@ def choose_usual_position(limits: JointLimits) -> float:
     """
     if limits.lower <= 0.0 <= limits.upper:
         return 0.0
+    # Limits without 0 have at least one finite end.
     ends = [end for end in (limits.lower, limits.upper) if math.isfinite(end)]
     return sum(ends) / len(ends)
 
@@ -47,6 +48,7 @@ def locks_from_text(text: str) -> dict[str, float | None]:
             number = float(value) if given else None
         except ValueError:
             number = math.nan
+        # NaN compares as false, and is refused with the rest.
         known = number is None or abs(number) <= LARGEST  # not of NaN
         if not name.strip() or not known or name.strip() in found:
             raise UsageError(
@@ -78,6 +80,7 @@ def merge_locked_links(
         if joint.name not in values:
             free = replace(joint, parent=on)
             if not np.array_equal(at, np.eye(4)):
+                # Symbols of a placement hold for the place itself, not for one that was moved.
                 free = replace(
                     free, before=compose_placements(at, joint.before), before_symbols=None
                 )
@@ -91,6 +94,7 @@ def merge_locked_links(
         pose.append(at)
         named.append(Frame(link.name, on, at))
         if on != ROOT:
+            # Bodies on the root carry nothing that moves, and vanish.
             carriers[on] = _join_parts(carriers[on], link, at)
     for frame in frames:
         if frame.link == ROOT:
@@ -110,11 +114,11 @@ def find_held_followers(
     """
     moving = {joint.name for joint in present} - values.keys()
     found = dict(before) | {
-        joint.name: next((of for of in joint.mimic.factors if of in moving), "")
+        joint.name: next((source for source in joint.mimic.factors if source in moving), "")
         for joint in present
         if joint.name in values and joint.mimic is not None and not joint.has_motor
     }
-    return {name: of for name, of in found.items() if of in moving}
+    return {name: source for name, source in found.items() if source in moving}
 
 
 def find_assumed_carriers(
@@ -132,6 +136,7 @@ def find_assumed_carriers(
     """
     given = joints if isinstance(joints, Mapping) else {}
     carry: set[str] = set()
+    # All that lies between a moving joint and the root turns its weight.
     for i, joint in enumerate(present):
         above = ROOT if joint.name in places else i
         while above != ROOT:
@@ -158,7 +163,7 @@ def report_locks(
     """
     if not locked:
         return ()
-    coupled = [f"{name} follows {of}" for name, of in (followers or {}).items()]
+    coupled = [f"{name} follows {source}" for name, source in (followers or {}).items()]
     held_still = (
         Finding(
             "follower_held",
@@ -231,11 +236,13 @@ def derive_locked_positions(
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")
         there = locked.get(name)
         if name not in by_name and value is not None and there is not None and value != there:
+            # Locking again at the same place is allowed, so that calls can repeat.
             raise DescriptionError(f"joint {name!r} is locked at {there:g} already, not at {value}")
     lock = _Lock(by_name, locked, asked)
     values = {name: lock.value(name) for name in by_name if name in lock.held}
     after = tuple(lock.joint(joint) for joint in present)
     places = {joint.name: lock.place(joint) for joint in after if lock.is_held(joint)}
+    # A robot without a free motor has nothing to identify.
     if all(joint.name in values or not joint.has_motor for joint in present):
         raise DescriptionError(f"{robot}: all joints are locked; leave at least one free")
     return values, after, places
@@ -253,6 +260,7 @@ class _Lock:
         self._by_name = {joint.name_in_tree: joint for joint in by_name.values()} | dict(by_name)
         self._locked, self._asked = locked, asked
         self.held = {name for name in asked if name in by_name}
+        # Holding one joint may hold others, until none is added.
         while (
             more := {
                 joint.name
@@ -301,12 +309,14 @@ class _Lock:
         if joint.mimic is None or self.is_held(joint):
             return joint
         still = [name for name in joint.mimic.factors if self._is_still(name)]
+        # A joint that was given a place of its own stands there, whatever it follows.
         if not still:
             return joint
         factors = {name: f for name, f in joint.mimic.factors.items() if name not in still}
         offset = joint.mimic.offset + sum(
             joint.mimic.factors[name] * self.value(name) for name in still
         )
+        # With its own motor locked it is no coordinate any more, and has its name in the tree.
         name = joint.name if joint.name in factors else joint.name_in_tree
         return replace(joint, name=name, mimic=replace(joint.mimic, factors=factors, offset=offset))
 
@@ -314,9 +324,12 @@ class _Lock:
 def _join_parts(carrier: Link, link: Link, pose: Array) -> Link:
     """Return a link to which another is fixed, both with the names of their parts."""
     if not link.inertia_known:
+        # A link without known inertia adds nothing that could be told apart later.
         return carrier
-    own = carrier.parts or (((carrier.name, carrier.inertia),) if carrier.inertia_known else ())
+    known_parts = carrier.parts or (
+        ((carrier.name, carrier.inertia),) if carrier.inertia_known else ()
+    )
     more = link.parts or ((link.name, link.inertia),)
-    parts = (*own, *((name, inertia.moved(pose)) for name, inertia in more))
+    parts = (*known_parts, *((name, inertia.moved(pose)) for name, inertia in more))
     total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
     return replace(carrier, inertia=total, inertia_known=True, parts=parts)

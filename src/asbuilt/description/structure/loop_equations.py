@@ -43,6 +43,7 @@ def _move_point(R, x, t, w, dw, a):
     tx = R[0, 0] * t[0] + R[0, 1] * t[1] + R[0, 2] * t[2]
     ty = R[1, 0] * t[0] + R[1, 1] * t[1] + R[1, 2] * t[2]
     tz = R[2, 0] * t[0] + R[2, 1] * t[1] + R[2, 2] * t[2]
+    # a += dw x t + w x (w x t)
     _carry_acceleration(w, dw, a, tx, ty, tz)
     x[0] += tx
     x[1] += ty
@@ -73,13 +74,16 @@ def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes
         if joint < 0:
             break
         p = placements[joint]
+        # In front of the joint: its axis and origin are known here.
         _move_point(R, x, p[9:12], w, dw, a)
         _turn_axes(R, p, 0)
         zx, zy, zz = R[0, 2], R[1, 2], R[2, 2]
         axes[joint, 0], axes[joint, 1], axes[joint, 2] = zx, zy, zz
         origins[joint, 0], origins[joint, 1], origins[joint, 2] = x[0], x[1], x[2]
         v = rate[joint]
+        # w x v z turns the axis on the way.
         cx, cy, cz = _cross(w[0], w[1], w[2], v * zx, v * zy, v * zz)
+        # dw += w x v z, w += v z
         if revolute[joint]:
             c, s = math.cos(at[joint]), math.sin(at[joint])
             for i in range(3):
@@ -92,6 +96,7 @@ def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes
             w[0] += v * zx
             w[1] += v * zy
             w[2] += v * zz
+        # Coriolis: a += 2 w x v z, once the sliding part has moved on.
         else:
             q = at[joint]
             _carry_acceleration(w, dw, a, q * zx, q * zy, q * zz)
@@ -101,6 +106,7 @@ def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes
             a[0] += 2.0 * cx
             a[1] += 2.0 * cy
             a[2] += 2.0 * cz
+        # Behind the joint, the link's own frame.
         _move_point(R, x, p[21:24], w, dw, a)
         _turn_axes(R, p, 12)
     _move_point(R, x, point, w, dw, a)
@@ -126,8 +132,10 @@ def _add_side(work, row, path, sign, turns, size, revolute, x, axes, origins, so
         scale = sign / size
         if revolute[joint]:
             o = origins[joint]
+            # dx/du = z x (x - o)
             cx, cy, cz = _cross(zx, zy, zz, x[0] - o[0], x[1] - o[1], x[2] - o[2])
             _add_columns(work, row, joint, scale * cx, scale * cy, scale * cz, sources, first)
+            # Welds turn by the axis itself, in rad and without a size.
             if turns:
                 _add_columns(work, row + 3, joint, sign * zx, sign * zy, sign * zz, sources, first)
         else:
@@ -139,8 +147,10 @@ def _add_curve(path, given, sources, first, at, rate, work, row):
     """Write the row of a joint that is at a polynomial of another, `y = c_0 + c_1 x + ...`."""
     one, other = path[0, 0], path[1, 0]
     phi, bias = work.shape[1] - 2, work.shape[1] - 1
+    # A joint held at a constant has no second one.
     x, xd = (at[other], rate[other]) if other >= 0 else (0.0, 0.0)
     value, slope, bend = 0.0, 0.0, 0.0
+    # Horner's scheme for value, slope and second derivative together.
     for power in range(4, -1, -1):
         bend = bend * x + 2.0 * slope
         slope = slope * x + value
@@ -149,6 +159,7 @@ def _add_curve(path, given, sources, first, at, rate, work, row):
         work[row, int(sources[k, 0])] += sources[k, 1]
     if other >= 0:
         for k in range(first[other], first[other + 1]):
+            # phi = y - p(x), dJ/dt ud = -p''(x) xd^2
             work[row, int(sources[k, 0])] -= slope * sources[k, 1]
     work[row, phi] = at[one] - value
     work[row, bias] = -bend * xd * xd
@@ -183,10 +194,12 @@ def assemble(mechanism, at, rate, work, room):
             path = paths[loop, side]
             point = given[POINT + 3 * side : POINT + 3 * side + 3]
             _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, origins)
+            # Side b counts against side a.
             sign, welds = 1.0 - 2.0 * side, kind == WELD
             _add_side(
                 work, row, path, sign, welds, size, revolute, x, axes, origins, sources, first
             )
+        # phi and its bias in sizes of the loop, as its columns.
         for i in range(3):
             work[row + i, phi] = (ends[9 + i] - ends[33 + i]) / size
             work[row + i, bias] = (ends[18 + i] - ends[42 + i]) / size
@@ -196,6 +209,7 @@ def assemble(mechanism, at, rate, work, room):
             # the rotation from the axes of b to where a wants them, as a vector of length sin
             for i in range(3):
                 j, k = (i + 1) % 3, (i + 2) % 3
+                # Half the sum of cross products of the axes: the sine of the angle, along its axis.
                 turn = 0.0
                 for c in range(3):
                     turn += 0.5 * (one[k, c] * other[j, c] - one[j, c] * other[k, c])

@@ -52,6 +52,7 @@ class Loop:
                 f"{self}: kind {self.kind!r} is not known; kinds are {', '.join(CODES)}"
             )
         for name, shape in (("point_a", (3,)), ("point_b", (3,)), ("rotation", (3, 3))):
+            # Frozen, as kernels read these arrays in any thread.
             array = read_only(getattr(self, name))
             if array.shape != shape or not np.isfinite(array).all():
                 raise DescriptionError(
@@ -59,7 +60,9 @@ class Loop:
                 )
             object.__setattr__(self, name, array)
         object.__setattr__(self, "joints", tuple(self.joints))
-        object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
+        object.__setattr__(
+            self, "polynomial", tuple(float(coefficient) for coefficient in self.polynomial)
+        )
         fault, of_joints = find_rotation_fault(self.rotation.tolist()), self.kind == "joint"
         numbers = 1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
         if fault:
@@ -125,6 +128,7 @@ def number_loops(
     numbers = np.zeros((len(loops), WIDTH))
     paths: list[tuple[list[int], list[int]]] = []
     for loop, row in zip(loops, numbers, strict=True):
+        # Loops of joints have no length.
         row[SIZE] = 1.0
         if loop.kind == "joint":
             for name in loop.joints:
@@ -141,7 +145,9 @@ def number_loops(
             row[POINT + 3 * side : POINT + 3 * side + 3] = pose[:3, :3] @ point + pose[:3, 3]
             sides.append(ancestors(tree, at))
             turns.append(pose[:3, :3])
+        # Axes of b in a's link, through the poses of both names.
         row[TURN : TURN + 9] = (turns[0] @ loop.rotation @ turns[1].T).ravel()
+        # Joints above both sides move the loop as a whole, and open nothing.
         shared = sum(1 for a, b in zip(*sides, strict=False) if a == b)
         ways = (sides[0][shared:], sides[1][shared:])
         if not any(ways):
@@ -151,14 +157,15 @@ def number_loops(
             )
         row[SIZE] = _measure_size(tree, ways, row) or 1.0
         paths.append(ways)
+    # One rectangular array for all paths.
     most = max(len(way) for ways in paths for way in ways)
     array = np.full((len(loops), 2, most), -1, dtype=np.int64)
     for loop_paths, ways in zip(array, paths, strict=True):
         for side, way in enumerate(ways):
             loop_paths[side, : len(way)] = way
     kinds = np.array([CODES[loop.kind] for loop in loops], dtype=np.int64)
-    for each in (kinds, array, numbers):
-        each.setflags(write=False)
+    for array_of in (kinds, array, numbers):
+        array_of.setflags(write=False)
     return LoopNumbers(kinds, array, numbers)
 
 

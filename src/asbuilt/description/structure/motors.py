@@ -68,6 +68,7 @@ def couple_joints(
             continue
         motor = at[joint.name]
         limits, drive = motors[motor]
+        # The joint keeps its name in the tree where the motor has another.
         mimic = replace(mimic, joint=joint.name if motor != joint.name else "")
         found.append(replace(joint, name=motor, mimic=mimic, limits=limits, drive=drive))
     return tuple(found)
@@ -79,9 +80,11 @@ def _match_motors(motors: Mapping[str, object], moved: Mapping[str, Mimic]) -> d
 
     def place(motor: str, tried: set[str]) -> bool:
         for joint, mimic in moved.items():
+            # A factor of 0 moves nothing.
             if joint in tried or not mimic.factors.get(motor):
                 continue
             tried.add(joint)
+            # A joint that is taken is free again if its motor finds another one.
             if joint not in at or place(at[joint], tried):
                 at[joint] = motor
                 return True
@@ -109,6 +112,7 @@ def with_rotors(
     """
     moved = [k for k, joint in enumerate(joints) if joint.mimic is not None]
     new = {k: len(links) + i for i, k in enumerate(moved)}
+    # Bodies move behind all others; rotors take their places.
     place = {link: new.get(link, link) for link in range(len(links))} | {ROOT: ROOT}
     taken = {joint.name_in_tree for joint in (*joints, *followers)}
     behind = []
@@ -116,6 +120,7 @@ def with_rotors(
         mimic, name = joints[k].mimic, joints[k].name_in_tree
         assert mimic is not None
         name = f"{name} joint" if name == joints[k].name else name
+        # A name that nothing else in the tree has.
         while name in taken - {joints[k].name_in_tree}:
             name += "_"
         behind.append(

@@ -48,6 +48,7 @@ class JointLimits:
     torque: float = np.inf
 
     def __post_init__(self) -> None:
+        # NaN fails every comparison, and is refused as well.
         if not self.lower <= self.upper or self.lower == np.inf or self.upper == -np.inf:
             raise DescriptionError(
                 f"position limits from {self.lower} to {self.upper} leave no position; give the"
@@ -165,6 +166,7 @@ class Joint:
     @property
     def has_motor(self) -> bool:
         """Whether a motor of its own, which has its name, moves it, alone or with others."""
+        # A motor's own factor is by the joint's name.
         return self.mimic is None or self.name in self.mimic.factors
 
     @property
@@ -194,6 +196,7 @@ def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
     chain: list[int] = []
     while link != ROOT:
         chain.append(link)
+        # By parents from the link up, then turned round.
         link = joints[link].parent
     return chain[::-1]
 
@@ -226,6 +229,7 @@ class Link:
         total = LinkInertia(
             np.sum([inertia.parameters for _, inertia in parts] or [np.zeros(10)], 0)
         )
+        # A body of the link's name is the link itself.
         merged = [part for part, _ in parts] not in ([], [name])
         return cls(name, total, inertia_known=known, parts=tuple(parts) if merged else ())
 
@@ -272,19 +276,21 @@ class Contact:
 
         Raises `UsageError` for one that makes no sense or is given twice.
         """
-        found = [cls._parse_one(each) for each in text.split(",")]
-        names = [each.frame for each in found if each is not None]
+        found = [cls._parse_one(part) for part in text.split(",")]
+        names = [contact.frame for contact in found if contact is not None]
+        # A name that is empty or comes twice makes the set smaller.
         if None in found or len({*names, ""}) <= len(names):
             raise UsageError(
                 "contacts are names of links or frames, each once, as in FL_FOOT,FR_FOOT; :flat"
                 f" after a sole, or the radius [m] of a ball, as in toe:0.02; got {text!r}",
                 value=text,
             )
-        return tuple(each for each in found if each is not None)
+        return tuple(contact for contact in found if contact is not None)
 
     @classmethod
     def _parse_one(cls, text: str) -> Contact | None:
         name, given, kind = (part.strip() for part in text.partition(":"))
+        # No kind, or a sole.
         if not given or kind == "flat":
             return cls(name, flat=bool(given))
         try:

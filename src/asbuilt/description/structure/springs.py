@@ -84,6 +84,7 @@ def with_springs(model: RobotModel, springs: Sequence[Spring]) -> RobotModel:
             model, spring
         )
         key, values = TERM_OF_KIND[spring.kind], {**numbers, **spring.known}
+        # Without free length the force is linear in the length: a balancer's torque.
         if key == "extension_spring" and not spring.free_length:
             key, values = "balancer", _convert_to_balancer(values)
         there = terms[k].get(key)
@@ -91,8 +92,8 @@ def with_springs(model: RobotModel, springs: Sequence[Spring]) -> RobotModel:
             values if there is None else _combine_springs(spring, model, k, there, values)
         )
     joints = tuple(
-        replace(joint, drive=replace(joint.drive, terms=own))
-        for joint, own in zip(model.joints, terms, strict=True)
+        replace(joint, drive=replace(joint.drive, terms=joint_terms))
+        for joint, joint_terms in zip(model.joints, terms, strict=True)
     )
     return replace(model, joints=joints)
 
@@ -120,6 +121,7 @@ def _place_linear_spring(model: RobotModel, spring: Spring) -> tuple[int, dict[s
             f"both ends of {spring} are on {_name_link(model, one)}, {spring.point_a.tolist()} and"
             f" {spring.point_b.tolist()}, so that no joint moves one against the other"
         )
+    # The parent first, so that the joint between is the second one's.
     if one != ROOT and model.parents[one] == other:
         one, at_one, other, at_other = other, at_other, one, at_one
     if other == ROOT or model.parents[other] != one:
@@ -130,6 +132,7 @@ def _place_linear_spring(model: RobotModel, spring: Spring) -> tuple[int, dict[s
             " described"
         )
     joint = model.moving_joints[other]
+    # A joint that follows has no drive to carry the term.
     if other >= model.n_joints or joint.mimic is not None:
         raise DescriptionError(
             f"{spring} is at joint {joint.name_in_tree!r}, which has no motor of its own; describe"
@@ -162,19 +165,23 @@ def _measure_about_axis(
     `below` (3,) is in the axes of the parent link, `above` (3,) in the axes of the joint's link.
     """
     R, p = joint.before[:3, :3], joint.before[:3, 3]
+    # In the axes at the joint, which turns about their z.
     at_rest = R.T @ (below - p)
     turning = joint.after[:3, :3] @ above + joint.after[:3, 3]
     inner, outer = (float(math.hypot(*end[:2])) for end in (at_rest, turning))
     axial = float(abs(turning[2] - at_rest[2]))
     angle = math.atan2(turning[1], turning[0]) - math.atan2(at_rest[1], at_rest[0])
+    # The position at which both ends lie in one direction from the axis.
     meets = math.remainder(-angle, 2.0 * math.pi)
     low, high = joint.limits.lower, joint.limits.upper
+    # Within the limits it may be met a turn earlier or later.
     reached = [meets + turn for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi)]
     if min(inner, outer) < ON_AXIS:
         raise DescriptionError(
             f"an end of {spring} is on the axis of joint {joint.name!r}, {min(inner, outer):.3g} m"
             " from it, where it has no torque; check point_a and point_b"
         )
+    # Equal distances and heights: there the ends meet, and the force has no direction.
     if math.hypot(inner - outer, axial) < ON_AXIS and any(low <= q <= high for q in reached):
         raise DescriptionError(
             f"the ends of {spring} coincide at position {meets:.3f} of joint {joint.name!r}, within"
@@ -192,8 +199,10 @@ def _measure_about_axis(
 
 def _convert_to_balancer(numbers: Mapping[str, float]) -> dict[str, float]:
     """Return `Ke inner outer sin(q + angle)`, the torque without free length, as a balancer's."""
+    # Ke inner outer sin(q + angle) = Bs sin q + Bc cos q
     size = numbers.get("Ke", math.nan) * numbers["inner"] * numbers["outer"]
     parts = {"Bs": size * math.cos(numbers["angle"]), "Bc": size * math.sin(numbers["angle"])}
+    # An unknown stiffness leaves the balancer to be identified.
     return parts if "Ke" in numbers else {}
 
 
@@ -205,6 +214,7 @@ def _combine_springs(
     values: Mapping[str, float],
 ) -> dict[str, float]:
     """Return the numbers of two springs of one geometry together."""
+    # Forces add up; lengths must agree.
     known = {*spring.known, "Bs", "Bc"}
     alike = set(there) == set(values) and all(
         math.isclose(there[name], values[name], rel_tol=1e-9, abs_tol=1e-9)
@@ -225,6 +235,7 @@ def spring_ends(joint: Joint, numbers: Mapping[str, float]) -> tuple[Array, Arra
     About the axis they may be elsewhere than the described ones; the torque is the same.
     """
     at_rest = numbers["inner"] * np.array(
+        # Any angle about the axis that keeps the difference gives the same torque.
         [math.cos(numbers["angle"]), -math.sin(numbers["angle"]), 0.0]
     )
     turning = np.array([numbers["outer"], 0.0, numbers.get("axial", 0.0)])

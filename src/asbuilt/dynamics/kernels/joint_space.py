@@ -33,9 +33,11 @@ from asbuilt.dynamics.kernels.recursion import (
 def _multiply_inertia(chi, zx, zy, zz, mx, my, mz):
     """Return moment I z + h x m and force mass m - h x z of a screw."""
     hx, hy, hz, mass = chi[6], chi[7], chi[8], chi[9]
+    # n = I z + h x m
     nx = zx * chi[0] + zy * chi[1] + zz * chi[2] + mz * hy - my * hz
     ny = zx * chi[1] + zy * chi[3] + zz * chi[4] + mx * hz - mz * hx
     nz = zx * chi[2] + zy * chi[4] + zz * chi[5] + my * hx - mx * hy
+    # f = mass m + z x h
     return (
         nx,
         ny,
@@ -61,6 +63,7 @@ def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, f
 
 @part
 def _add_mass(depth, rows, screws, chi, joints, matrix):
+    # (n, f) = I_i s_j, the momentum of the link per rate of joint j.
     """Add a link's share s_k^T I s_j, upper triangle."""
     for at in range(0, BLOCK, LANES):
         for j in range(depth + 1):
@@ -79,20 +82,26 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
     the parts above seen from the link.
     """
     for at in range(0, BLOCK, LANES):
+        # Twist (w, v) of the link: the sum of its screws times their rates.
         wx = wy = wz = vx = vy = vz = splat(0.0)
         for j in range(depth + 1):
             zx, zy, zz, mx, my, mz = read_six(rows, screws + 6 * j * BLOCK + at)
             rate = load(rows, rates + joints[j] * BLOCK + at)
             wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
             vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
+        # Its momentum (l, p) = I (w, v).
         lx, ly, lz, px, py, pz = _multiply_inertia(chi, wx, wy, wz, vx, vy, vz)
+        # From the link up: (w, v) is now u, what the joints below j add.
         wx = wy = wz = vx = vy = vz = splat(0.0)
         for j in range(depth, -1, -1):
             zx, zy, zz, mx, my, mz = read_six(rows, screws + 6 * j * BLOCK + at)
+            # ds_j/dt = s_j x u = (z x w, m x w + z x v)
             ax, ay, az = cross(zx, zy, zz, wx, wy, wz)
             bx, by, bz = cross(mx, my, mz, wx, wy, wz)
             cx, cy, cz = cross(zx, zy, zz, vx, vy, vz)
+            # I ds_j/dt
             nx, ny, nz, fx, fy, fz = _multiply_inertia(chi, ax, ay, az, bx + cx, by + cy, bz + cz)
+            # + s_j x* (l, p) = (z x l + m x p, z x p), which is B s_j
             ax, ay, az = cross(zx, zy, zz, lx, ly, lz)
             bx, by, bz = cross(mx, my, mz, px, py, pz)
             cx, cy, cz = cross(zx, zy, zz, px, py, pz)
@@ -107,6 +116,7 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
             _add_to_column(
                 rows, screws + at, joints, depth, joints[j], matrix + at, nx, ny, nz, fx, fy, fz
             )
+            # Joint j is below all that follow.
             rate = load(rows, rates + joints[j] * BLOCK + at)
             wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
             vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
@@ -130,6 +140,7 @@ def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis
         count = min(BLOCK, stop - block)
         gather(q, block, count, n, rows, angles // BLOCK)
         gather(qd, block, count, n, rows, rates // BLOCK)
+        # Links add their shares, so that the sums start at zero.
         for at in range(matrix, matrix + n * n * BLOCK, LANES):
             store(rows, at, splat(0.0))
         for i in range(n):
@@ -147,6 +158,7 @@ def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis
         for sample in range(count):
             for k in range(n):
                 for j in range(n):
+                    # The mass matrix is symmetric, and only its upper triangle was summed.
                     place = k * n + j if coriolis or k <= j else j * n + k
                     out[((block + sample) * n + k) * n + j] = rows[matrix + place * BLOCK + sample]
 
@@ -163,6 +175,8 @@ def orthonormalise_rows(J, tolerance):
             before = 0.0
             for j in range(n):
                 before += J[i, j, s] ** 2
+            # Twice is enough: the first pass loses orthogonality where rows nearly depend on each
+            # other.
             for _ in range(2):
                 for k in range(i):
                     along = 0.0
@@ -174,6 +188,7 @@ def orthonormalise_rows(J, tolerance):
             for j in range(n):
                 left += J[i, j, s] ** 2
             scale = 0.0
+            # Next to nothing is left of a row that depends on those before.
             if left > tolerance**2 * before:
                 scale = 1.0 / left**0.5
             for j in range(n):
@@ -189,6 +204,7 @@ def project(basis, rows, count):
     m, n, _ = basis.shape
     per = rows.shape[0] // n
     along = np.zeros(BLOCK)
+    # By blocks, so that `along` and the rows stay in the cache.
     for start in range(0, count, BLOCK):
         width = min(BLOCK, count - start)
         for i in range(m):

@@ -105,6 +105,7 @@ lower_builtin(operator.neg, lanes)(_lower_negative)
 
 def _locate_element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
+    # Eight doubles wherever they start: no alignment beyond that of a number is promised.
     return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
 
 
@@ -167,6 +168,7 @@ def _select_by_quadrant(_typing: Any, quadrant: Any, even: Any, odd: Any, ahead:
         bits = builder.bitcast(args[0], _INTEGERS)
         is_odd = builder.icmp_signed("!=", builder.and_(bits, constant(1)), constant(0))
         chosen = builder.bitcast(builder.select(is_odd, args[2], args[1]), _INTEGERS)
+        # 2 << 62 is the sign bit: the quadrant negates without a branch.
         half = builder.and_(builder.add(bits, _broadcast(builder, args[3])), constant(2))
         return builder.bitcast(builder.xor(chosen, builder.shl(half, constant(62))), _VECTOR)
 
@@ -208,8 +210,10 @@ def sine_cosine(x):
     Cody and Waite (1980) reduction by pi/2 in three parts, then Taylor-minimax polynomials on
     [-pi/4, pi/4] (coefficients of fdlibm).
     """
+    # The last bits of the sum are the nearest integer, the quadrant.
     shifted = x * _TWO_OVER_PI + _SHIFT
     n = shifted - _SHIFT
+    # Three parts of pi/2: the products are exact, so that no digit is lost for large angles.
     r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
     u = r * r
     s = u * 1.58969099521155010221e-10 + splat(-2.50507602534068634195e-08)
@@ -224,6 +228,7 @@ def sine_cosine(x):
     c = c * u + -1.38888888888741095749e-03
     c = c * u + 4.16666666666666019037e-02
     half = u * 0.5
+    # 1 - u/2 drops its last bits, which are added back before the rest of the series.
     top = 1.0 - half
     c = top + (((1.0 - top) - half) + (u * u) * c)
     return by_quadrant(shifted, s, c, 0), by_quadrant(shifted, c, s, 1)

@@ -71,6 +71,7 @@ class Layout:
         """Lay out the arrays of a robot."""
         n = geometry.parent.size
         codes, chain = np.zeros((n, 7), dtype=np.int64), np.full((n, n), ROOT, dtype=np.int64)
+        # The last child of each parent overwrites those before it in the dictionary.
         last_child = {int(parent): i for i, parent in enumerate(geometry.parent) if parent != ROOT}
         n_slots = 1
         for i, parent in enumerate(geometry.parent.tolist()):
@@ -79,6 +80,7 @@ class Layout:
                 if parent == ROOT
                 else (int(codes[parent, WRITE]), int(codes[parent, DEPTH]) + 1)
             )
+            # The parent's state is not needed after its last child, which takes the slot.
             if last_child.get(parent) == i:
                 write = read
             else:
@@ -96,6 +98,7 @@ class Layout:
                 *(_classify_placement(*side) for side in sides),
             )
             if parent != ROOT:
+                # Depth counts joints, so that chains of parent and link agree up to the link.
                 chain[i, :depth] = chain[parent, :depth]
             chain[i, depth] = i
         parts = (
@@ -124,6 +127,7 @@ def build_layout(model: RobotModel) -> Layout:
 
 
 def _classify_placement(rotation: Array, translation: Array) -> int:
+    # A turn about x leaves first row and column exactly those of the identity.
     if rotation[0, 0] != 1.0 or np.any(rotation[0, 1:]) or np.any(rotation[1:, 0]):
         return GENERAL
     return ABOUT_X if np.any(translation) or np.any(rotation != np.eye(3)) else NOTHING
@@ -133,6 +137,7 @@ def _classify_placement(rotation: Array, translation: Array) -> int:
 def allocate_scratch(blocks):
     """Return uninitialised rows of one block each, aligned to a cache line."""
     memory = np.empty(blocks * BLOCK + LANES)
+    # As many doubles further as the next multiple of a vector's size.
     first = (-(memory.ctypes.data // 8)) % LANES
     return memory[first : first + blocks * BLOCK]
 
@@ -172,6 +177,7 @@ def trigonometry(rows, angle, cosine, sine):
         s, c = sine_cosine(x)
         store(rows, sine + at, s)
         store(rows, cosine + at, c)
+        # Rare: angles of thousands of turns are reduced one by one by the library.
         if exceeds(x, LARGEST_ANGLE):
             for sample in range(at, at + LANES):
                 if abs(rows[angle + sample]) > LARGEST_ANGLE:
@@ -248,6 +254,7 @@ def carry_motion(kind, p, o, x):
     if kind == NOTHING:
         return x
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    # a + dw x t + w x (w x t), at the frame's origin.
     ax, ay, az = accelerate_point(
         wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 9], p[o + 10], p[o + 11]
     )
@@ -266,9 +273,11 @@ def turn_motion(c, s, v, dv, x):
     slides where they read rows: a product in another branch than its sum is rounded before it.
     """
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    # Rz^T of each vector.
     wx, wy = wx * c + wy * s, wy * c - wx * s
     dx, dy = dx * c + dy * s, dy * c - dx * s
     ax, ay = ax * c + ay * s, ay * c - ax * s
+    # w x v z = v (wy, -wx, 0)
     return wx, wy, wz + v, dx + wy * v, dy - wx * v, dz + dv, ax, ay, az
 
 
@@ -279,7 +288,9 @@ def slide_motion(q, v, dv, x):
     `a' = a + dw x q z + w x (w x q z) + 2 w x v z + dv z`.
     """
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    # a + dw x q z + w x (w x q z)
     ax, ay, az = accelerate_point(wx, wy, wz, dx, dy, dz, ax, ay, az, 0.0, 0.0, q)
+    # 2 w x v z = 2 v (wy, -wx, 0)
     v2 = v + v
     return wx, wy, wz, dx, dy, dz, ax + wy * v2, ay - wx * v2, az + dv
 
@@ -292,12 +303,17 @@ def find_wrench(p, o, x):
     """
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
     hx, hy, hz, m = p[o + 6], p[o + 7], p[o + 8], p[o + 9]
+    # f = m a + dw x h + w x (w x h): a point at h whose origin accelerates by m a.
     f = accelerate_point(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+    # l = I w
     lx = wx * p[o] + wy * p[o + 1] + wz * p[o + 2]
     ly = wx * p[o + 1] + wy * p[o + 3] + wz * p[o + 4]
     lz = wx * p[o + 2] + wy * p[o + 4] + wz * p[o + 5]
+    # w x I w
     gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+    # h x a
     ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+    # n = I dw + w x I w + h x a
     return (
         *f,
         dx * p[o] + dy * p[o + 1] + dz * p[o + 2] + gx + ex,
@@ -311,6 +327,7 @@ def carry_wrench(kind, p, o, f):
     """Return a wrench at the frame at p[o:o+12] at its parent: `f' = R f`, `n' = R n + t x f'`."""
     if kind == NOTHING:
         return f
+    # f' = R f, n' = R n + t x f'
     fx, fy, fz = rotate_out_of(kind, p, o, f[0], f[1], f[2])
     nx, ny, nz = rotate_out_of(kind, p, o, f[3], f[4], f[5])
     cx, cy, cz = cross(p[o + 9], p[o + 10], p[o + 11], fx, fy, fz)
@@ -327,6 +344,7 @@ def turn_wrench(c, s, f):
 @part
 def slide_wrench(q, f):
     """Return a wrench behind a joint that has slid as in front of it."""
+    # n' = n + q z x f
     fx, fy, fz, nx, ny, nz = f
     return fx, fy, fz, nx - fy * q, ny + fx * q, nz
 
@@ -336,6 +354,7 @@ def carry_screw(kind, p, o, screw):
     """Return a screw (z, m) at the frame at p[o:o+12], in its axes: `R^T z`, `R^T (m + z x t)`."""
     if kind == NOTHING:
         return screw
+    # R^T (m + z x t)
     zx, zy, zz, mx, my, mz = screw
     cx, cy, cz = cross(zx, zy, zz, p[o + 9], p[o + 10], p[o + 11])
     # m before z: the order decides which product the compiler joins with which sum
@@ -350,6 +369,7 @@ def rest(rows, gravity):
     for at in range(0, BLOCK, LANES):
         for j in range(6):
             store(rows, j * BLOCK + at, splat(0.0))
+        # Free fall is an acceleration: its negative at the root stands for gravity everywhere.
         for j in range(3):
             store(rows, (6 + j) * BLOCK + at, splat(-gravity[j]))
 
@@ -394,8 +414,10 @@ def carry_screw_rows(code, p, rows, read, angle, cosine, sine):
     zx, zy, zz, mx, my, mz = carry_screw(code[BEFORE], p, 0, read_six(rows, read))
     if code[REVOLUTE]:
         c, s = load(rows, cosine), load(rows, sine)
+        # Rz^T z, Rz^T m
         return zx * c + zy * s, zy * c - zx * s, zz, mx * c + my * s, my * c - mx * s, mz
     q = load(rows, angle)
+    # m + z x q e_z
     return zx, zy, zz, mx + zy * q, my - zx * q, mz
 
 
@@ -410,6 +432,7 @@ def move_screws(code, p, rows, read, write, angle, cosine, sine):
                 screw = carry_screw_rows(
                     code, p, rows, read + o + at, angle + at, cosine + at, sine + at
                 )
+            # A unit rate turns about z, or moves along it.
             elif code[REVOLUTE]:
                 screw = none, none, one, none, none, none
             else:

@@ -89,6 +89,7 @@ def regressor_adjoint(
     if plan.tree is not None:
         tree, coupling = plan.tree, plan.tree.coupling
         moved, chi = coupling.motion(*states), coupling.parameters(chi).reshape(-1)
+        # Couplings: tau = G^T tau_tree, so that weights go to the tree through G.
         motion, G = (moved.q, moved.qd, moved.qdd), moved.by_sample
         parts = regressor_adjoint(
             tree.plan,
@@ -103,7 +104,9 @@ def regressor_adjoint(
             if loads is not None:
                 tau = inverse_dynamics(tree.plan.model, *motion, parameters=chi)
                 by_share += tau[:, :, None] * lam[:, None]
+            # Second derivatives of the coupling act by the torque of the tree itself.
             position += np.einsum("sik,sikj->sj", by_share, change.second)
+            # qd_tree = G qd: its change with q is G' qd, here `turning`.
             position += np.einsum("si,sij->sj", parts[1], change.turning)
             position += np.einsum("si,sij->sj", parts[2], change.position)
             rate += 2.0 * np.einsum("si,sij->sj", parts[2], change.turning)
@@ -149,6 +152,7 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         s = screw + at
         zx, zy, zz, mx, my, mz = read_six(rows, s)
 
+        # l = I w
         lx, ly, lz = (
             wx * ixx + wy * ixy + wz * ixz,
             wx * ixy + wy * iyy + wz * iyz,
@@ -160,7 +164,9 @@ def _add_own_terms(rows, state, screw, state_bar, screw_bar, parameters):
             mx * hx + my * hy + mz * hz,
             mx * wx + my * wy + mz * wz,
         )
+        # w x I w
         gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+        # h x a
         ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
         # by z: I dw + w x I w + h x a
         b = screw_bar + at
@@ -226,6 +232,7 @@ def _carry_state_back(code, p, rows, state, above, state_bar, above_bar, angle, 
         wx, wy, wz, dx, dy, dz, ax, ay, az = read_nine(rows, r)
         b = state_bar + at
         ox, oy, oz, ex, ey, ez, fx, fy, fz = read_nine(rows, b)
+        # The state in front of the placement: the steps forward, undone.
         if after != NOTHING:
             tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
             wx, wy, wz = rotate_out_of(after, p, 12, wx, wy, wz)
@@ -234,10 +241,13 @@ def _carry_state_back(code, p, rows, state, above, state_bar, above_bar, angle, 
             gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
             cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
             cx, cy, cz = cross(wx, wy, wz, cx, cy, cz)
+            # a = R a' - dw x t - w x (w x t)
             ax, ay, az = ax - gx - cx, ay - gy - cy, az - gz - cz
+            # The adjoint goes back by the transpose, which of R^T is R.
             ox, oy, oz = rotate_out_of(after, p, 12, ox, oy, oz)
             ex, ey, ez = rotate_out_of(after, p, 12, ex, ey, ez)
             fx, fy, fz = rotate_out_of(after, p, 12, fx, fy, fz)
+            # dw x t in a: its transpose adds t x f to the adjoint of dw.
             cx, cy, cz = cross(tx, ty, tz, fx, fy, fz)
             ex, ey, ez = ex + cx, ey + cy, ez + cz
             cx, cy, cz = _differentiate_spin(fx, fy, fz, wx, wy, wz, tx, ty, tz)
@@ -245,25 +255,37 @@ def _carry_state_back(code, p, rows, state, above, state_bar, above_bar, angle, 
         v = load(rows, angle + bars[3] + at)
         if code[REVOLUTE]:
             c, s = load(rows, cosine + at), load(rows, sine + at)
+            # By v: w + v z gives oz, dw + w x v z gives e . (w x z).
             store(rows, bars[1] + at, oz + ex * wy - ey * wx)
+            # By dv: dw + dv z.
             store(rows, bars[2] + at, ez)
+            # dw in turned axes before the joint's rate entered it.
             px, py = dx - wy * v, dy + wx * v
+            # w x v z: its transpose on e.
             ox, oy = ox - v * ey, oy + v * ex
+            # By q: Rz^T x changes by (y, -x, 0), for all three vectors.
             store(rows, bars[0] + at, ox * wy - oy * wx + ex * py - ey * px + fx * ay - fy * ax)
+            # Back by Rz.
             ox, oy = ox * c - oy * s, oy * c + ox * s
             ex, ey = ex * c - ey * s, ey * c + ex * s
             fx, fy = fx * c - fy * s, fy * c + fx * s
         else:
             q = load(rows, angle + at)
+            # By dv: a + dv z.
             store(rows, bars[2] + at, fz)
+            # By v: f . (2 w x z).
             turn = fx * wy - fy * wx
             store(rows, bars[1] + at, turn + turn)
+            # By q: f . (dw x z + w x (w x z)).
             fw, ww = fx * wx + fy * wy + fz * wz, wx * wx + wy * wy + wz * wz
             store(rows, bars[0] + at, fx * dy - fy * dx + fw * wz - fz * ww)
+            # dw x q z: its transpose q z x f.
             ex, ey = ex - q * fy, ey + q * fx
             v2 = v + v
+            # w x (w x q z) and 2 w x v z, by w.
             cx, cy, cz = _differentiate_spin(fx, fy, fz, wx, wy, wz, splat(0.0), splat(0.0), q)
             ox, oy, oz = ox - v2 * fy + cx, oy + v2 * fx + cy, oz + cz
+        # The root does not move: nobody asks for its adjoint.
         if code[PARENT] >= 0:
             if before != NOTHING:
                 tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
@@ -298,17 +320,23 @@ def _carry_screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine
                 tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
                 zx, zy, zz = rotate_out_of(after, p, 12, zx, zy, zz)
                 mx, my, mz = rotate_out_of(after, p, 12, mx, my, mz)
+                # m in front of the placement: m - z x t.
                 cx, cy, cz = cross(zx, zy, zz, tx, ty, tz)
                 mx, my, mz = mx - cx, my - cy, mz - cz
+                # Adjoints of a screw go back as a wrench does: that of m a force, that of z a
+                # moment.
                 nx, ny, nz, ux, uy, uz = carry_wrench(after, p, 12, (nx, ny, nz, ux, uy, uz))
             if code[REVOLUTE]:
                 c, s = load(rows, cosine + at), load(rows, sine + at)
+                # By q: Rz^T x changes by (y, -x, 0), for both vectors.
                 store(rows, bar + at, load(rows, bar + at) + ux * zy - uy * zx + nx * my - ny * mx)
                 ux, uy = ux * c - uy * s, uy * c + ux * s
                 nx, ny = nx * c - ny * s, ny * c + nx * s
             else:
                 q = load(rows, angle + at)
+                # By q: m + z x q e_z.
                 store(rows, bar + at, load(rows, bar + at) + nx * zy - ny * zx)
+                # z x q e_z: its transpose on the adjoint of m.
                 ux, uy = ux - q * ny, uy + q * nx
             if before != NOTHING:
                 nx, ny, nz, ux, uy, uz = carry_wrench(before, p, 0, (nx, ny, nz, ux, uy, uz))
@@ -346,6 +374,7 @@ def _adjoint(
     found = lam + n * BLOCK
     rows = allocate_scratch(found // BLOCK + 3 * n)
     rest(rows, gravity)
+    # Loads weigh the torque Y chi, so that the weights of entries grow by lam chi.
     loaded = loads.size > 0
     for block in range(0, n_samples, BLOCK):
         count = min(BLOCK, n_samples - block)
@@ -353,6 +382,7 @@ def _adjoint(
         if loaded:
             gather(loads, block, count, n, rows, lam // BLOCK)
         for i in range(n):
+            # Slot 0 is the root's, so that link i has slot i + 1.
             read, write, angle, turn = (
                 (codes[i, PARENT] + 1) * slot,
                 (i + 1) * slot,
@@ -374,7 +404,9 @@ def _adjoint(
                 turn + BLOCK,
             )
             move_screws(codes[i], placements[i], rows, read, write, angle, turn, turn + BLOCK)
+        # Children add to the adjoint of their parent.
         _clear(rows, bars, (n + 1) * (STATE + 6 * n))
+        # Leaves first: a link's adjoint is whole before it goes to the parent.
         for i in range(n - 1, -1, -1):
             state, state_bar, angle, turn = (
                 (i + 1) * slot,
@@ -396,6 +428,7 @@ def _adjoint(
                         else:
                             store(rows, given + c * BLOCK + at, splat(0.0))
                     if row >= 0:
+                        # Samples that fill the block up have no weight.
                         for sample in range(count):
                             rows[given + c * BLOCK + sample] += weights[
                                 row * stride + block + sample

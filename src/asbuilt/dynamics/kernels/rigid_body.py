@@ -81,6 +81,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
     force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment
     (Atkeson, An and Hollerbach, 1986).
     """
+    # A row of -1 stays negative, and the entry is not written.
     o0, o1, o2 = (
         _locate_row(places[0], stride, start),
         _locate_row(places[1], stride, start),
@@ -100,11 +101,13 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
     for at in range(0, BLOCK, LANES):
         r, t = screw + at, terms + at
         zx, zy, zz, mx, my, mz = read_six(rows, r)
+        # Ixx: z . (dx, wx wz, -wx wy)
         if o0 >= 0:
             xx = (
                 zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
             )
             store(out, o0 + at, xx)
+        # Ixy: z . (dy - wx wz, dx + wy wz, wx^2 - wy^2)
         if o1 >= 0:
             xy = (
                 zx * load(rows, t + 9 * BLOCK)
@@ -112,6 +115,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 + zz * load(rows, t + 14 * BLOCK)
             )
             store(out, o1 + at, xy)
+        # Ixz: z . (dz + wx wy, wz^2 - wx^2, dx - wy wz)
         if o2 >= 0:
             xz = (
                 zx * load(rows, t + 10 * BLOCK)
@@ -119,6 +123,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 + zz * load(rows, t + 7 * BLOCK)
             )
             store(out, o2 + at, xz)
+        # Iyy: z . (-wy wz, dy, wx wy)
         if o3 >= 0:
             yy = (
                 zy * load(rows, t + BLOCK)
@@ -126,6 +131,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 - zx * load(rows, t + 3 * BLOCK)
             )
             store(out, o3 + at, yy)
+        # Iyz: z . (wy^2 - wz^2, dz - wx wy, dy + wx wz)
         if o4 >= 0:
             yz = (
                 zx * load(rows, t + 12 * BLOCK)
@@ -133,6 +139,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 + zz * load(rows, t + 8 * BLOCK)
             )
             store(out, o4 + at, yz)
+        # Izz: z . (wy wz, -wx wz, dz)
         if o5 >= 0:
             izz = (
                 zx * load(rows, t + 3 * BLOCK)
@@ -141,6 +148,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
             )
             store(out, o5 + at, izz)
         ax, ay, az = vector(rows, t + 18 * BLOCK)
+        # hx: m . (-(wy^2 + wz^2), wx wy + dz, wx wz - dy) + z . (0, -az, ay)
         if o6 >= 0:
             hx = (
                 my * load(rows, t + 10 * BLOCK)
@@ -148,6 +156,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 - mz * load(rows, t + 9 * BLOCK)
             )
             store(out, o6 + at, hx + zz * ay - zy * az)
+        # hy: m . (wx wy - dz, -(wx^2 + wz^2), wy wz + dx) + z . (az, 0, -ax)
         if o7 >= 0:
             hy = (
                 mz * load(rows, t + 6 * BLOCK)
@@ -155,6 +164,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 - mx * load(rows, t + 11 * BLOCK)
             )
             store(out, o7 + at, hy + zx * az - zz * ax)
+        # hz: m . (wx wz + dy, wy wz - dx, -(wx^2 + wy^2)) + z . (-ay, ax, 0)
         if o8 >= 0:
             hz = (
                 mx * load(rows, t + 8 * BLOCK)
@@ -162,6 +172,7 @@ def _write_link_columns(rows, screw, terms, places, out, stride, start):
                 - mz * load(rows, t + 17 * BLOCK)
             )
             store(out, o8 + at, hz + zy * ax - zx * ay)
+        # mass: m . a
         if o9 >= 0:
             store(out, o9 + at, mx * ax + my * ay + mz * az)
 
@@ -183,6 +194,7 @@ def _write_samples(tile, bounds, columns, block, count, out, width):
     """Write the rows of a block sample-major, neighbouring columns by the vector."""
     n = bounds.shape[0]
     for k in range(n):
+        # Columns increase, so that eight are neighbours if the last is seven further.
         row = bounds[k, 0]
         while row < bounds[k, 1]:
             neighbours = (
@@ -221,11 +233,13 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
             continue
         o = (STATE + SCREW * k) * BLOCK
         for at in range(0, BLOCK, LANES):
+            # Coordinates that do not move the parent start with this joint.
             zx = zy = zz = mx = my = mz = splat(0.0)
             if above[k]:
                 zx, zy, zz, mx, my, mz = carry_screw_rows(
                     code, p, rows, read + o + at, angle + at, cosine + at, sine + at
                 )
+            # A coordinate moves this joint by its share of G.
             share = load(rows, (shares + k) * BLOCK + at)
             if code[REVOLUTE]:
                 zz = zz + share
@@ -309,6 +323,7 @@ def regressor(
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
         gather_states(q, qd, qdd, block, count, n, rows, angles)
+        # Shares common to all samples are laid out once.
         if block == start or shares.size > n * m:
             _gather_shares(shares, block, count, n * m, rows, known)
         at_once = count == BLOCK and not by_sample
@@ -330,6 +345,7 @@ def _write_wrench(rows, state, force, chi):
 def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
     """Write the joint torque of a link's wrench and add the wrench to the parent link's wrench."""
     for at in range(0, BLOCK, LANES):
+        # In front of the placement z is the axis: z . n turns, z . f slides.
         f = carry_wrench(code[AFTER], p, 12, read_six(rows, force + at))
         store(rows, torque + at, f[5] if code[REVOLUTE] else f[2])
         if code[PARENT] >= 0:
@@ -378,6 +394,7 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
                 cosine + BLOCK,
             )
             _write_wrench(rows, write, forces + i * FORCE * BLOCK, chi[i])
+        # Leaves first: a wrench is whole before it goes to the parent.
         for i in range(n - 1, -1, -1):
             angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
             force, parent_force = (

@@ -60,6 +60,7 @@ def _is_finite(n, q, qd, qdd):
         return False
     total = 0.0
     for k in range(n):
+        # 0 times infinity or NaN is NaN, so that one comparison checks all.
         total += 0.0 * (q[k] + qd[k] + qdd[k])
     return total == 0.0
 
@@ -85,6 +86,7 @@ def torque(codes, numbers, q, qd, qdd, out):
     wrenches = states[STATE * n :]
     _write_cosines_and_sines(n, q, cosines, sines)
     g = PER_LINK * n
+    # Gravity as an acceleration of the root against free fall.
     root = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -numbers[g], -numbers[g + 1], -numbers[g + 2])
     for i in range(n):
         o, x = PER_LINK * i, root
@@ -112,6 +114,7 @@ def torque(codes, numbers, q, qd, qdd, out):
         f = find_wrench(numbers, o + CHI, x)
         for k in range(WRENCH):
             wrenches[WRENCH * i + k] = f[k]
+    # Leaves first: a wrench is whole before it goes to the parent.
     for i in range(n - 1, -1, -1):
         o, r = PER_LINK * i, WRENCH * i
         f = (
@@ -135,6 +138,7 @@ def torque(codes, numbers, q, qd, qdd, out):
                 wrenches[r + k] += f[k]
     if codes.size > CODES * n:
         loads, stack = wrenches[WRENCH * n :], wrenches[(WRENCH + 1) * n :]
+        # Friction by load has the rigid torque, before drives add theirs.
         for k in range(n):
             loads[k] = out[k]
         run(codes, CODES * n, numbers, g + 3, q, qd, qdd, loads, stack, out)
@@ -145,6 +149,7 @@ def torque(codes, numbers, q, qd, qdd, out):
 def _turn_parameters(p, o, b, at):
     """Return parameters b[at:at+10] in axes turned by R = p[o:o+9]: `R I R^T`, `R h`, m."""
     general = np.int64(GENERAL)
+    # Rows of R I, then of R I R^T, whose upper triangle is enough.
     ax, ay, az = rotate_out_of(general, p, o, b[at], b[at + 1], b[at + 2])
     bx, by, bz = rotate_out_of(general, p, o, b[at + 1], b[at + 3], b[at + 4])
     cx, cy, cz = rotate_out_of(general, p, o, b[at + 2], b[at + 4], b[at + 5])
@@ -161,6 +166,7 @@ def _shift_parameters(x, y, z, b):
 
     `I + 2 (h . t) 1 - h t^T - t h^T + m (|t|^2 1 - t t^T)` and `h + m t`.
     """
+    # u = h + m t / 2 joins the terms of h and of m.
     m, ux, uy, uz = b[9], b[6] + 0.5 * b[9] * x, b[7] + 0.5 * b[9] * y, b[8] + 0.5 * b[9] * z
     return (
         b[0] + 2.0 * (uy * y + uz * z),
@@ -185,6 +191,7 @@ def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
         if code[i + BEFORE] != NOTHING:
             at += x * p[o + 9] + y * p[o + 10] + z * p[o + 11]
             x, y, z = rotate_into(code[i + BEFORE], p, o, x, y, z)
+        # The axis in the root frame, and where the joint lies.
         screw[k], screw[3 + k] = z, at
         if code[i + REVOLUTE]:
             x, y = x * c + y * s, y * c - x * s
@@ -197,6 +204,7 @@ def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
         frames[f + 9 + k] = at
     zx, zy, zz = screw[0], screw[1], screw[2]
     if code[i + REVOLUTE]:
+        # A unit turn about z moves the root's origin by p x z.
         screw[3], screw[4], screw[5] = cross(screw[3], screw[4], screw[5], zx, zy, zz)
     else:
         screw[0] = screw[1] = screw[2] = 0.0
@@ -217,6 +225,7 @@ def mass_matrix(codes, numbers, q, out):
     bodies, screws = frames[12 * n + 12 :], frames[22 * n + 12 :]
     _write_cosines_and_sines(n, q, cosines, sines)
     for k in range(12):
+        # Rotation 1 and translation 0 of the root.
         frames[k] = 1.0 if k % 4 == 0 and k < 9 else 0.0
     for i in range(n):
         o, f = PER_LINK * i, 12 * i + 12
@@ -226,8 +235,10 @@ def mass_matrix(codes, numbers, q, out):
         b = _shift_parameters(frames[f + 9], frames[f + 10], frames[f + 11], b)
         for k in range(10):
             bodies[10 * i + k] = b[k]
+    # Leaves first: a body holds all that its joint moves when its turn comes.
     for i in range(n - 1, -1, -1):
         b, z = bodies[10 * i :], screws[6 * i :]
+        # (n, f) = I s: f = mass m + z x h, n = I z + h x m
         fx, fy, fz = cross(z[0], z[1], z[2], b[6], b[7], b[8])
         nx, ny, nz = cross(b[6], b[7], b[8], z[3], z[4], z[5])
         fx, fy, fz = fx + b[9] * z[3], fy + b[9] * z[4], fz + b[9] * z[5]
@@ -235,6 +246,7 @@ def mass_matrix(codes, numbers, q, out):
         ny += b[1] * z[0] + b[3] * z[1] + b[4] * z[2]
         nz += b[2] * z[0] + b[4] * z[1] + b[5] * z[2]
         j = i
+        # Joints further up see the same momentum: the inertia is about the root's origin.
         while j >= 0:
             z = screws[6 * j :]
             moment = z[0] * nx + z[1] * ny + z[2] * nz

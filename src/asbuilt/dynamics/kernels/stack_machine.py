@@ -76,11 +76,13 @@ def _apply_binary(operation, a, b):
     if operation == DIVIDE:
         return a / b
     if operation == POWER:
+        # Squares are usual, and `pow` is slow.
         return a * a if b == 2.0 else a**b
     if operation == MINIMUM:
         return min(a, b)
     if operation == MAXIMUM:
         return max(a, b)
+    # No operation has this number: the torque shows it.
     return np.nan
 
 

@@ -81,6 +81,7 @@ def torque_derivatives(
         in_tree = coupling.parameters(sets.reshape(len(sets), -1, 10)).reshape(len(sets), -1)
         of_tree = torque_derivatives(model.tree, *state, in_tree)
         G = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
+        # d tau = G^T (d tau_tree) G, and the change of G below.
         found = np.einsum("aik,abijo,ajl->abklo", G, of_tree, G, optimize=True)
         if (change := coupling.derivatives(qs, qds, qdds)) is not None:
             by_rate, by_acceleration = of_tree[..., 1], of_tree[..., 2]
@@ -88,9 +89,11 @@ def torque_derivatives(
             moved_on = np.einsum("abij,ajl->abil", by_rate, change.turning)
             moved_on += np.einsum("abij,ajl->abil", by_acceleration, change.position)
             found[..., 0] += np.einsum("aik,abil->abkl", G, moved_on)
+            # qdd_tree = G qdd + (G' qd) qd: by qd it counts twice.
             found[..., 1] += 2.0 * np.einsum("aik,abil->abkl", G, turned)
             for b, chi in enumerate(in_tree):
                 tau = inverse_dynamics(model.tree, *state, parameters=chi)
+                # tau = G^T tau_tree: by q also through G.
                 found[:, b, ..., 0] += np.einsum("ai,aikl->akl", tau, change.second)
         return np.asarray(found)
     layout = build_layout(model)
@@ -118,6 +121,7 @@ def _dot(ax, ay, az, bx, by, bz):
 @part
 def _turn_rotation(rows, at, p, o, to):
     """Write R P for the rotation R in nine rows and the rotation P at p[o:o+9]."""
+    # Rows of R P.
     for row in range(3):
         x, y, z = vector(rows, at + 3 * row * BLOCK)
         for column in range(3):
@@ -158,13 +162,16 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
     """Write the motion of a link from its parent's motion."""
     for at in range(0, BLOCK, LANES):
         u, r = above + at, own + at
+        # Where the joint lies: p + R t.
         x, y, z = _rotate_vector(rows, u + POSE * BLOCK, splat(p[9]), splat(p[10]), splat(p[11]))
         px, py, pz = vector(rows, u + PLACE * BLOCK)
         px, py, pz = px + x, py + y, pz + z
         _turn_rotation(rows, u + POSE * BLOCK, p, np.int64(0), r + POSE * BLOCK)
+        # Its axis is the third column of the rotation.
         zx, zy, zz = load(rows, r + 2 * BLOCK), load(rows, r + 5 * BLOCK), load(rows, r + 8 * BLOCK)
         if code[REVOLUTE]:
             sx, sy, sz = zx, zy, zz
+            # S = (z, p x z): a unit turn moves the root's origin by p x z.
             tx, ty, tz = cross(px, py, pz, zx, zy, zz)
             c, s = load(rows, cosine + at), load(rows, sine + at)
             for row in range(3):
@@ -174,9 +181,11 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
                 store(rows, o + BLOCK, y * c - x * s)
         else:
             sx, sy, sz = splat(0.0), splat(0.0), splat(0.0)
+            # S = (0, z)
             tx, ty, tz = zx, zy, zz
             d = load(rows, angle + at)
             px, py, pz = px + zx * d, py + zy * d, pz + zz * d
+        # Behind the joint, the link's own frame.
         x, y, z = _rotate_vector(rows, r + POSE * BLOCK, splat(p[21]), splat(p[22]), splat(p[23]))
         put(rows, r + PLACE * BLOCK, px + x, py + y, pz + z)
         _turn_rotation(rows, r + POSE * BLOCK, p, np.int64(12), r + POSE * BLOCK)
@@ -184,14 +193,17 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
 
         wx, wy, wz, vx, vy, vz = read_six(rows, u + SPEED * BLOCK)
         dx, dy, dz, ax, ay, az = read_six(rows, u + CHANGE * BLOCK)
+        # v x S = (w x s, w x t + v x s)
         ex, ey, ez = cross(wx, wy, wz, sx, sy, sz)
         fx, fy, fz = cross(wx, wy, wz, tx, ty, tz)
         gx, gy, gz = cross(vx, vy, vz, sx, sy, sz)
         fx, fy, fz = fx + gx, fy + gy, fz + gz
         put_six(rows, r + TURN * BLOCK, (ex, ey, ez, fx, fy, fz))
+        # a x S + v x (v x S), moment part dw x s + w x e
         gx, gy, gz = cross(dx, dy, dz, sx, sy, sz)
         hx, hy, hz = cross(wx, wy, wz, ex, ey, ez)
         put(rows, r + TURN_2 * BLOCK, gx + hx, gy + hy, gz + hz)
+        # its force part dw x t + a x s + w x f + v x e
         gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
         hx, hy, hz = cross(ax, ay, az, sx, sy, sz)
         gx, gy, gz = gx + hx, gy + hy, gz + hz
@@ -199,6 +211,7 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
         gx, gy, gz = gx + hx, gy + hy, gz + hz
         hx, hy, hz = cross(vx, vy, vz, ex, ey, ez)
         put(rows, r + (TURN_2 + 3) * BLOCK, gx + hx, gy + hy, gz + hz)
+        # v' = v + S qd, a' = a + S qdd + (v x S) qd
         v, a = load(rows, rate + at), load(rows, change + at)
         put(rows, r + SPEED * BLOCK, wx + sx * v, wy + sy * v, wz + sz * v)
         put(rows, r + (SPEED + 3) * BLOCK, vx + tx * v, vy + ty * v, vz + tz * v)
@@ -225,10 +238,12 @@ def _embody(rows, motion, body, chi):
         r, b = motion + at, body + at
         m = chi[9]
         px, py, pz = vector(rows, r + PLACE * BLOCK)
+        # R h; then g = R h + m p about the root's origin.
         cx, cy, cz = _rotate_vector(
             rows, r + POSE * BLOCK, splat(chi[6]), splat(chi[7]), splat(chi[8])
         )
         xx, xy, xz, yx, yy, yz, zx, zy, zz = read_nine(rows, r + POSE * BLOCK)
+        # R I
         ix, iy, iz = (
             xx * chi[0] + xy * chi[1] + xz * chi[2],
             xx * chi[1] + xy * chi[3] + xz * chi[4],
@@ -245,6 +260,7 @@ def _embody(rows, motion, body, chi):
             zx * chi[2] + zy * chi[4] + zz * chi[5],
         )
         gx, gy, gz = cx + px * m, cy + py * m, cz + pz * m
+        # R I R^T + (p . c + p . g) 1 - p c^T - g p^T, c = R h
         same = _dot(px, py, pz, cx, cy, cz) + _dot(px, py, pz, gx, gy, gz)
         i_xx = _dot(ix, iy, iz, xx, xy, xz) + same - px * cx - gx * px
         i_xy = _dot(ix, iy, iz, yx, yy, yz) - px * cy - gx * py
@@ -258,11 +274,14 @@ def _embody(rows, motion, body, chi):
 
         wx, wy, wz, vx, vy, vz = read_six(rows, r + SPEED * BLOCK)
         dx, dy, dz, ax, ay, az = read_six(rows, r + CHANGE * BLOCK)
+        # Momentum l = m v + w x g
         lx, ly, lz = cross(wx, wy, wz, gx, gy, gz)
         lx, ly, lz = lx + vx * m, ly + vy * m, lz + vz * m
         put(rows, b + MOMENTUM * BLOCK, lx, ly, lz)
+        # Second moment S = tr(I) / 2 1 - I
         half = (i_xx + i_yy + i_zz) * 0.5
         s_xx, s_yy, s_zz = half - i_xx, half - i_yy, half - i_zz
+        # D = v g^T + [w] S, by columns of S
         ex, ey, ez = cross(wx, wy, wz, s_xx, -i_xy, -i_xz)
         fx, fy, fz = cross(wx, wy, wz, -i_xy, s_yy, -i_yz)
         hx, hy, hz = cross(wx, wy, wz, -i_xz, -i_yz, s_zz)
@@ -270,10 +289,12 @@ def _embody(rows, motion, body, chi):
         put(rows, b + (FLOW + 3) * BLOCK, vy * gx + ey, vy * gy + fy, vy * gz + hy)
         put(rows, b + (FLOW + 6) * BLOCK, vz * gx + ez, vz * gy + fz, vz * gz + hz)
 
+        # Angular momentum k = I w + g x v
         ex, ey, ez = cross(gx, gy, gz, vx, vy, vz)
         ex = ex + wx * i_xx + wy * i_xy + wz * i_xz
         ey = ey + wx * i_xy + wy * i_yy + wz * i_yz
         ez = ez + wx * i_xz + wy * i_yz + wz * i_zz
+        # n = I dw + g x a + w x k + v x l
         ex, ey, ez = cross(wx, wy, wz, ex, ey, ez)
         fx, fy, fz = cross(vx, vy, vz, lx, ly, lz)
         hx, hy, hz = cross(gx, gy, gz, ax, ay, az)
@@ -281,6 +302,7 @@ def _embody(rows, motion, body, chi):
         ny = ey + fy + hy + dx * i_xy + dy * i_yy + dz * i_yz
         nz = ez + fz + hz + dx * i_xz + dy * i_yz + dz * i_zz
         put(rows, b + WRENCH * BLOCK, nx, ny, nz)
+        # f = m a + dw x g + w x l
         ex, ey, ez = cross(wx, wy, wz, lx, ly, lz)
         fx, fy, fz = cross(dx, dy, dz, gx, gy, gz)
         put(rows, b + (WRENCH + 3) * BLOCK, ex + fx + ax * m, ey + fy + ay * m, ez + fz + az * m)
@@ -308,8 +330,10 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         lx, ly, lz = vector(rows, b + MOMENTUM * BLOCK)
         xx, xy, xz, yx, yy, yz, zx, zy, zz = read_nine(rows, b + FLOW * BLOCK)
         trace = xx + yy + zz
+        # Velocities come in pairs: l stands for 2 l from here on.
         lx, ly, lz = lx + lx, ly + ly, lz + lz
 
+        # a = I S = (I s + h x t, m t + s x h)
         sx, sy, sz, tx, ty, tz = read_six(rows, r + SCREW * BLOCK)
         gx, gy, gz = cross(hx, hy, hz, tx, ty, tz)
         fx, fy, fz = cross(sx, sy, sz, hx, hy, hz)
@@ -318,6 +342,7 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         a2 = gz + sx * i_xz + sy * i_yz + sz * i_zz
         a3, a4, a5 = fx + m * tx, fy + m * ty, fz + m * tz
 
+        # b = 2 (l x t + tr(D) s - D^T s)
         gx, gy, gz = cross(lx, ly, lz, tx, ty, tz)
         ex, ey, ez = (
             sx * trace - _dot(sx, sy, sz, xx, yx, zx),
@@ -326,6 +351,7 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         )
         b0, b1, b2 = gx + ex + ex, gy + ey + ey, gz + ez + ez
 
+        # c = 2 (I (v x S) + tr(D) s - D s), its force 2 (m v + u x h + s x l)
         ux, uy, uz, vx, vy, vz = read_six(rows, r + TURN * BLOCK)
         gx, gy, gz = cross(hx, hy, hz, vx, vy, vz)
         fx, fy, fz = cross(ux, uy, uz, hx, hy, hz)
@@ -337,6 +363,7 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         gx, gy, gz = cross(sx, sy, sz, lx, ly, lz)
         c3, c4, c5 = gx + fx + fx, gy + fy + fy, gz + fz + fz
 
+        # d = 2 (u x l, tr(D) u - D u) + S x* wrench + I (a x S + v x (v x S)), u = w x s
         dx, dy, dz = cross(ux, uy, uz, lx, ly, lz)
         ex = ux * trace - _dot(ux, uy, uz, xx, xy, xz)
         ey = uy * trace - _dot(ux, uy, uz, yx, yy, yz)
@@ -355,6 +382,7 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
         d2 = d2 + gz + ez + ux * i_xz + uy * i_yz + uz * i_zz
         d3, d4, d5 = d3 + fx + m * vx, d4 + fy + m * vy, d5 + fz + m * vz
 
+        # Joints above see the same sums: their own screw and its rates close each derivative.
         for depth in range(code[DEPTH] + 1):
             j = chain[depth]
             o = motions + j * MOTION * BLOCK + at
@@ -369,6 +397,7 @@ def _differentiate_pairs(code, chain, rows, motions, body, i, n, tile):
                 by_position = (
                     by_position + _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
                 )
+                # tau of the lower joint by the upper one's motion; below, the reverse.
                 put(rows, down, by_position, _dot(sx, sy, sz, b0, b1, b2) + twice + twice, inertia)
             by_position = _dot(sx, sy, sz, d0, d1, d2) + _dot(tx, ty, tz, d3, d4, d5)
             by_velocity = _dot(sx, sy, sz, c0, c1, c2) + _dot(tx, ty, tz, c3, c4, c5)
@@ -409,9 +438,11 @@ def _derivatives(codes, chain, placements, gravity, chi, q, qd, qdd, n_samples, 
                 turns,
                 turns + BLOCK,
             )
+        # The motion is the same for all sets of parameters.
         for one in range(n_sets):
             for i in range(n):
                 _embody(rows, motions + i * MOTION * BLOCK, bodies + i * BODY * BLOCK, chi[one, i])
+            # Leaves first: a body is the sum of all that its joint carries.
             for i in range(n - 1, -1, -1):
                 body = bodies + i * BODY * BLOCK
                 _differentiate_pairs(codes[i], chain[i], rows, motions, body, i, n, tile)

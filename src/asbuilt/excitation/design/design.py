@@ -89,26 +89,32 @@ def design_fixed(
         information,
         _select_criterion(base, options, purpose, scale),
         scale,
+        # Information is per independent sample: noise refers to so many a second.
         options.seconds * options.information_rate,
         _check_matrix(prior, base, "prior information"),
     )
+    # Compilation would take the time of the search.
     _compile(information)
     whole, reserve = Deadline(options.time_limit), BUDGET.refinement * options.time_limit
     deadline = Deadline(options.time_limit - reserve)
     search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
+    # Starting processes takes longer than few searches.
     others = (cores or count_cores()) - 1 if options.starts >= BUDGET.pool_from else 0
     bound = family_bound = None
     with use_one_blas_thread(), open_pool(search.search, others, scheduler) as pool:
         if with_bound:
             bound, family_bound = design_bounds(model, information, options, family, progress)
+        # The bounds have taken their share: what is left is the search's.
         candidates = search.run(pool, progress)
         if not candidates:
             raise search.failure()
         left = max(options.time_limit - whole.elapsed, reserve)
+        # After an interrupt the best is still made to hold its limits, quickly.
         final = Deadline(BUDGET.after_interrupt if deadline.interrupted else left)
         report = (
             None if progress is None else partial(_report_refinement, progress, candidates[0].value)
         )
+        # Local optima of nearly equal value: refined, another one may be best.
         tasks = [Task(found.number, found, final) for found in candidates[: BUDGET.refined]]
         refined = search_all(tasks, search.search, final, pool=pool, progress=report)
     if not refined:
@@ -142,6 +148,7 @@ def choose_size(
     kind = PARAMETRISATIONS.find(options.parametrisation)
     size, periods = options.size, options.periods
     if size is None:
+        # Options that name a size keep it, and its periods.
         size, periods = kind.usual_size(options.seconds, periods, bounds)
     return replace(options, size=size, periods=periods), kind(options.seconds, size, periods or 1)
 
@@ -160,12 +167,14 @@ def design_bounds(
     """
     bounds = MotionBounds.assumed(model, options.fraction)
     torque = options.torque_fraction * MotionBounds.of(model).torque
+    # Band-limited families have a second bound, of states that they can reach.
     count = 1 + family.band_limited
     begun = Deadline(BUDGET.bounds * options.time_limit)
 
     def bound_within(limits: MotionBounds, number: int) -> InformationBound:
         if progress is not None:
             progress(SearchProgress(begun.elapsed, begun.seconds, number, count, -np.inf, "bound"))
+        # What time is left is shared by the bounds that remain.
         own = Deadline((begun.seconds - begun.elapsed) / (count - number))
         return information_bound(
             model, information, limits, torque=torque, seed=options.seed, cancelled=own
@@ -175,15 +184,18 @@ def design_bounds(
     if not family.band_limited:
         return whole, None
     highest = 2 * np.pi / family.shortest_wave
+    # Bernstein: |qd| <= w r, |qdd| <= w max |qd|.
     velocity = np.minimum(bounds.velocity, highest * (bounds.upper - bounds.lower) / 2)
     acceleration = np.minimum(bounds.acceleration, highest * velocity)
     own = bound_within(replace(bounds, velocity=velocity, acceleration=acceleration), 1)
+    # A bound that ran out of time may be looser than the one over all states.
     return whole, own if own.upper < whole.upper else whole
 
 
 def _compile(information: Information) -> None:
     """Compile the kernels of a search before its time starts."""
     model = information.model
+    # One state is enough: kernels do not depend on the number.
     rest = np.zeros((1, model.n_joints))
     rows = information.rows(rest, rest, rest)
     information.state_gradient(rest, rest, rest, rows, np.eye(information.n_parameters))
@@ -195,6 +207,7 @@ def _report_other_duration(
     family: Parametrisation, options: DesignOptions, motion: Motion
 ) -> tuple[str, ...]:
     """Report a duration other than the wanted one, which only poses have."""
+    # Poses take the time that their moves need.
     more, ratio = family.size_name, motion.duration / options.seconds
     if abs(ratio - 1.0) < BUDGET.other_duration:
         return ()
@@ -218,6 +231,7 @@ def _select_criterion(
         return select_criterion(options.criterion, focus)
     if focus is not None:
         raise UsageError("a purpose weighs all parameters; leave the focus out")
+    # tr(A C) in the units in which the criterion sees the parameters.
     return AOptimality(weight * np.outer(scale, scale))
 
 
@@ -287,6 +301,7 @@ def design_for_precision(
             time_limit=min(SEARCH.time_limit, options.time_limit),
         )
         report = None if progress is None else partial(_report_trial, progress, duration)
+        # A trial shows precision; efficiency is asked of the last design alone.
         design = design_fixed(model, base, quick, progress=report, **{**given, "with_bound": False})
         reached = design.precision
         trials.append(DurationTrial(duration, design.size, design.options.periods or 1, reached))
@@ -294,10 +309,14 @@ def design_for_precision(
             return replace(design, trials=tuple(trials))
         if reached <= wanted_precision:
             final = design_fixed(model, base, wanted, progress=progress, **given)
+            # The longer search of the final design starts elsewhere, and may end below the quick
+            # one.
             best = final if final.precision <= wanted_precision else design
             return replace(best, trials=tuple(trials))
+        # Errors fall with the square root of the duration.
         needed = duration * (reached / wanted_precision) ** 2
         step = SEARCH.step
+        # At least a step more, at most four times: the rule holds near the present duration.
         duration = max(duration + step, step * math.ceil(min(needed, 4 * duration) / step))
         if duration > SEARCH.longest:
             break
@@ -334,6 +353,7 @@ def _report_trial(
 
 def _set_duration(options: DesignOptions, duration: float) -> DesignOptions:
     longest = SEARCH.longest_period
+    # A long series would have many harmonics for no more information: it repeats.
     repeats = options.parametrisation == "fourier" and duration > longest
     periods = math.ceil(duration / longest) if repeats else None
     return replace(options, duration=duration, periods=periods)

@@ -57,6 +57,7 @@ class Objective:
     def value_and_gradient(self, mean: Array) -> tuple[float, Array]:
         """Return the criterion and its derivative with respect to the mean information."""
         value, gradient = self.criterion.value_and_gradient(self.scaled(mean))
+        # Chain rule through scaling: d f / d mean.
         return value, self.n_samples * gradient * np.outer(self.scale, self.scale)
 
 
@@ -80,10 +81,13 @@ class DesignProgram(MotionProgram):
         self.family = family
         self.constraints = constraints
         self.margin = margin
+        # Midpoints: no node counts the end of a period twice.
         t = (np.arange(n_nodes) + 0.5) * family.span / n_nodes
+        # Without limits of jerk its basis is not needed.
         orders = range(4 if np.any(np.isfinite(bounds.jerk)) else 3)
         self.bases = tuple(family.basis(t, order) for order in orders)
         symmetric = np.stack([bounds.velocity, bounds.acceleration, bounds.jerk])[
+            # Derivatives have symmetric limits, positions a range about its centre.
             : len(self.bases) - 1
         ]
         self.half = (1 - tightening) * np.vstack([(bounds.upper - bounds.lower) / 2, symmetric])
@@ -94,6 +98,7 @@ class DesignProgram(MotionProgram):
         information = self.objective.information
         rows = information.rows(q, qd, qdd)
         value, sensitivity = self.objective.value_and_gradient(
+            # The mean per sample: information does not grow with the nodes.
             information.matrix(rows, len(q)) / len(q)
         )
         return Evaluation(
@@ -190,6 +195,7 @@ class Design:
     @property
     def condition_number(self) -> float:
         """Condition number of the weighted observation matrix."""
+        # The information is the square of the matrix: so is its condition.
         return float(np.sqrt(np.linalg.cond(self.mean_information)))
 
     @property
@@ -216,6 +222,7 @@ class Design:
         # Rate at which the torque of a motion is evaluated for `torque_effects` [Hz].
         state = self.motion.at(self.motion.sample_times(100.0))
         torque = TorqueModel(self.model, *described_drive(self.model))(*state) / self.noise
+        # All joints together, each in units of its noise.
         size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
         effects: Array = self.std_errors * np.sqrt(np.diag(self.mean_information))
         return effects / size if size > 0 else np.full_like(effects, np.nan)
@@ -258,12 +265,15 @@ def describe_design(
     """Return the design of this motion, evaluated at 1 kHz with exact drive columns."""
     limited, assumed = complete_limits(model)
     count = max(1, int(motion.duration * CHECK_RATE))
+    # A finer grid than the search's, so that nothing between its nodes is missed.
     states = motion.at((np.arange(count) + 0.5) * motion.duration / count)
     mean = mean_information(objective.information, *states)
     checked = [*constraints]
     if options.power:
         checked.insert(
-            0, PowerLimit(model, check_limit_array(options.power, model.n_joints, "power"))
+            # Limits in front: their notes come first.
+            0,
+            PowerLimit(model, check_limit_array(options.power, model.n_joints, "power")),
         )
     return Design(
         model=model,
@@ -284,7 +294,7 @@ def describe_design(
         candidates=candidates,
         solve_seconds=seconds,
         interrupted=interrupted,
-        notes=(*notes, *(note for each in checked for note in each.notes(*states))),
+        notes=(*notes, *(note for constraint in checked for note in constraint.notes(*states))),
     )
 
 

@@ -76,15 +76,15 @@ class MotionProgram(ABC):
 
     def margins(self, coefficients: Array) -> list[Array]:
         """Return the slacks: for each order above and below, then of the state constraints."""
-        found = []
+        slacks = []
         for basis, centre, half in zip(self.bases, self.centre, self.half, strict=True):
             v = (basis @ coefficients - centre) / half
-            found += [1.0 - v, 1.0 + v]
+            slacks += [1.0 - v, 1.0 + v]
         state = self.states(coefficients)
         for constraint in self.constraints:
             v, most = constraint.values(*state), 1.0 - self.margin
-            found += [most - v, most + v] if constraint.two_sided else [most - v]
-        return found
+            slacks += [most - v, most + v] if constraint.two_sided else [most - v]
+        return slacks
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +127,16 @@ def solve(
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
     slacks, evaluation = program.margins(x), program.evaluate(*program.states(x))
+    # Only strictly inside has the barrier a value.
     if min(float(s.min()) for s in slacks) <= 0 or not np.isfinite(evaluation.value):
         return None
     point = _make_point(program, x, slacks, evaluation)
     metric = _build_metric(program)
+    # Length of the gradient in the metric: tolerances are relative to it.
     scale = max(1.0, float(np.sqrt(point.gradient @ np.linalg.solve(metric, point.gradient))))
     curvature = scale * metric
     fresh = True
+    # On the central path: multiplier times slack is mu.
     duals = [mu / s for s in point.slacks]
     since = 0
     last_value = -np.inf
@@ -145,10 +148,13 @@ def solve(
         pull = [z_up - z_low for z_up, z_low in _pair_sides(program, duals)]
         residual = -point.gradient + _sum_all_slopes(program, point, pull)
         mismatch = max(
-            float(np.abs(z * s - mu).max()) for z, s in zip(duals, point.slacks, strict=True)
+            # How far multipliers are from the central path.
+            float(np.abs(z * s - mu).max())
+            for z, s in zip(duals, point.slacks, strict=True)
         )
         error = max(float(np.abs(residual).max()) / scale, mismatch)
         since += 1
+        # Solved well enough for this barrier, or it does not get better: on to the next.
         if error < 10 * mu or since > CONSTANTS.steps:
             if mu <= mu_end * 1.0001:
                 converged = error < 10 * mu or point.value - last_value < tolerance
@@ -159,9 +165,12 @@ def solve(
                 since = 0
                 last_value = point.value
         steep = [
-            mu / s_up - mu / s_low for s_up, s_low in _pair_sides(program, point.slacks, np.inf)
+            # Gradient of the barrier function itself, by which the line search goes.
+            mu / s_up - mu / s_low
+            for s_up, s_low in _pair_sides(program, point.slacks, np.inf)
         ]
         slope = -point.gradient + _sum_all_slopes(program, point, steep)
+        # Primal-dual: multipliers over slacks in place of mu over slack squared.
         stiffness = [
             z_up / s_up + z_low / s_low
             for (z_up, z_low), (s_up, s_low) in zip(
@@ -172,9 +181,11 @@ def solve(
         try:
             step = -cho_solve(cho_factor(hessian), slope)
         except np.linalg.LinAlgError:
+            # Rounding has made the curvature indefinite: the metric is a fresh start.
             curvature, fresh = scale * metric, True
             continue
         moved, length = _search_line(program, point, step, slope, mu)
+        # No step helps: with a fresh curvature the barrier is at fault, else the curvature.
         if moved is None:
             if fresh:
                 if mu <= mu_end * 1.0001:
@@ -185,6 +196,7 @@ def solve(
             continue
         shift = length * step
         duals = _step_duals(program, point, moved, duals, step, mu)
+        # Only what is curved in the coefficients: box limits are linear.
         curved_pull = [z_up - z_low for z_up, z_low in _pair_sides(program, duals)][
             len(program.bases) :
         ]
@@ -192,6 +204,7 @@ def solve(
             program, point, curved_pull
         )
         if fresh:
+            # A first guess of the size of the curvature, from the first step.
             sharp = float(shift @ change)
             if sharp > 0:
                 curvature = metric * max(1e-3 * scale, sharp / float(shift @ metric @ shift))
@@ -217,6 +230,7 @@ def _build_metric(program: MotionProgram) -> Array:
         for j in range(n):
             block = slice(j * n_basis, (j + 1) * n_basis)
             whole[block, block] += gram / (half[j] ** 2 if np.isfinite(half[j]) else 1.0)
+    # Directions that move nothing stay solvable.
     whole[np.diag_indices_from(whole)] *= 1 + 1e-9
     return whole
 
@@ -226,7 +240,9 @@ def _make_point(
 ) -> _Point:
     state = program.states(coefficients)
     gradient = sum(
-        basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False)
+        # Joint by joint, as coefficients are flattened.
+        basis.T @ g
+        for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False)
     )
     curved = [constraint.slopes(*state) for constraint in program.constraints]
     return _Point(coefficients, evaluation.value, _flatten(np.asarray(gradient)), curved, slacks)
@@ -250,6 +266,7 @@ def _build_curved_stiffness(program: MotionProgram, slopes: Array, weights: Arra
     """Return `sum weights dv/dx (dv/dx)^T`, by way of the states of each sample."""
     samples, m, n, orders = slopes.shape
     rows = slopes.reshape(samples, m, -1)
+    # First in the space of states, which is small, then through the bases.
     by_state = (rows * weights[:, :, None]).transpose(0, 2, 1) @ rows
     bases = np.stack(program.bases[:orders], axis=1)
     n_basis = bases.shape[2]
@@ -262,18 +279,19 @@ def _pair_sides(
     program: MotionProgram, each: list[Array], absent: float = 0.0
 ) -> list[tuple[Array, Array]]:
     """Return the upper and lower side of each group of constraints, `absent` if one-sided."""
-    found, at = [], 0
+    sides, at = [], 0
     for _ in program.bases:
-        found.append((each[at], each[at + 1]))
+        sides.append((each[at], each[at + 1]))
         at += 2
     for constraint in program.constraints:
         if constraint.two_sided:
-            found.append((each[at], each[at + 1]))
+            sides.append((each[at], each[at + 1]))
             at += 2
         else:
-            found.append((each[at], np.full_like(each[at], absent)))
+            # A side that is absent has no multiplier, and an infinite slack.
+            sides.append((each[at], np.full_like(each[at], absent)))
             at += 1
-    return found
+    return sides
 
 
 def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array]) -> Array:
@@ -291,6 +309,7 @@ def _build_stiffness(program: MotionProgram, point: _Point, stiffness: list[Arra
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half, w in zip(program.bases, program.half, stiffness, strict=False):
+        # Joints without a limit add nothing.
         for j in np.flatnonzero(np.isfinite(half)):
             block = slice(j * n_basis, (j + 1) * n_basis)
             whole[block, block] += (basis.T * (w[:, j] / half[j] ** 2)) @ basis
@@ -314,6 +333,7 @@ def _search_line(
         for s, ds in ((point.slacks[2 * k], -speed), (point.slacks[2 * k + 1], speed)):
             falling = ds < 0
             if np.any(falling):
+                # As far as the linear constraints allow; curved ones are asked at each trial.
                 length = min(
                     length, CONSTANTS.to_boundary * float((-s[falling] / ds[falling]).min())
                 )
@@ -323,10 +343,12 @@ def _search_line(
         trial = point.coefficients + length * direction
         slacks = program.margins(trial)
         worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
+        # No slack falls by more than the step may take it.
         if worst > 1 - CONSTANTS.to_boundary:
             evaluation = program.evaluate(*program.states(trial))
             if -evaluation.value - mu * _evaluate_barrier(
                 slacks
+                # Rounding of the value is no rise.
             ) <= reference + CONSTANTS.armijo * length * fall + 1e-12 * abs(reference):
                 return _make_point(program, trial, slacks, evaluation), length
         length *= 0.5
@@ -346,6 +368,7 @@ def _step_duals(
     for constraint, slopes in zip(program.constraints, old.curved, strict=True):
         speed = _differentiate_along(program, slopes, direction)
         rates += [-speed, speed] if constraint.two_sided else [-speed]
+    # s z = mu, linearised.
     moves = [mu / s - z - z / s * ds for z, s, ds in zip(duals, old.slacks, rates, strict=True)]
     length = 1.0
     for z, dz in zip(duals, moves, strict=True):
@@ -354,6 +377,7 @@ def _step_duals(
             length = min(length, CONSTANTS.to_boundary * float((-z[falling] / dz[falling]).min()))
     spread = CONSTANTS.spread
     return [
+        # Far from the path a multiplier would stiffen or slacken its constraint for good.
         np.clip(z + length * dz, mu / s / spread, mu / s * spread)
         for z, dz, s in zip(duals, moves, new.slacks, strict=True)
     ]
@@ -374,6 +398,7 @@ def _update_curvature(curvature: Array, shift: Array, change: Array) -> Array:
     if along <= 0:
         return curvature
     if sharp < CONSTANTS.damping * along:
+        # Powell: a mixture with the old curvature, so that the update stays positive.
         theta = (1 - CONSTANTS.damping) * along / (along - sharp)
         change = theta * change + (1 - theta) * forward
         sharp = float(shift @ change)

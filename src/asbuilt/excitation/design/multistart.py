@@ -37,6 +37,7 @@ def open_pool(
     """
     # Most processes in addition to this one; each needs about 250 MB.
     with open_workers(min(size, 7), scheduler) as workers:
+        # Without a scheduler and a second core everything runs here.
         count = 0 if scheduler is None and size < 1 else workers.count
         with closing(SearchPool(work, workers, count)) as pool:
             yield pool
@@ -52,12 +53,15 @@ class SearchPool(Generic[Task, Result]):
     def __init__(self, work: Callable[[Task], Result], workers: Workers, size: int) -> None:
         self._work, self._workers, self._busy, self._lost = work, workers, 0, False
         # What each process imports with the work takes longer than many a search.
+        # Idle processes load while others search: the first task then starts at once.
         self._ready = [workers.submit(_load, work) for _ in range(size)]
 
     @property
     def is_free(self) -> bool:
         """Whether a process is ready and idle."""
-        ready = sum(each.done() and each.exception() is None for each in self._ready)
+        ready = sum(
+            ready_future.done() and ready_future.exception() is None for ready_future in self._ready
+        )
         return not self._lost and self._busy < ready
 
     def submit(self, task: Task) -> Future[Result]:
@@ -73,6 +77,7 @@ class SearchPool(Generic[Task, Result]):
         self._workers.close()
 
     def _count_done(self, future: Future[Result]) -> None:
+        # A process that was lost takes the pool with it: its tasks are searched here.
         self._busy -= 1
         self._lost = self._lost or future.cancelled() or future.exception() is not None
 
@@ -82,6 +87,7 @@ def _load(work: object) -> None:
 
 
 def _run(work: Callable[[object], object], task: object) -> object:
+    # Processes share the cores already.
     with use_one_blas_thread():
         return work(task)
 
@@ -141,12 +147,14 @@ class Deadline:
 
     def __reduce__(self) -> tuple[Callable[[float, float], Deadline], tuple[float, float]]:
         """Pickle the start by the clock of the day, which machines share, but no later `stop`."""
+        # Monotonic clocks differ between machines; the time of day does not.
         return Deadline.begun_at, (time.time() - self.elapsed, self.seconds)
 
     @classmethod
     def begun_at(cls, begin: float, seconds: float) -> Deadline:
         """Return the deadline that started at the time `begin` since 1970 [s]."""
         deadline = cls(seconds)
+        # Clocks that differ by seconds must not lengthen the deadline.
         deadline._begin -= max(time.time() - begin, 0.0)
         return deadline
 
@@ -177,8 +185,11 @@ def search_all(
     with use_one_blas_thread(), ThreadPoolExecutor(max_workers=1) as here:
         try:
             while True:
+                # The first search starts even after the deadline: there must be something to
+                # return.
                 while waiting and not (deadline() and (found or pending)):
                     busy = own is not None
+                    # Here one search runs at a time; others wait for a free process.
                     if busy and (pool is None or not pool.is_free):
                         break
                     task = waiting.popleft()
@@ -192,6 +203,7 @@ def search_all(
                 # Interval at which progress is reported and the deadline checked [s].
                 for future in wait(pending, timeout=0.2, return_when=FIRST_COMPLETED).done:
                     task = pending.pop(future)
+                    # What failed elsewhere goes to the front, and is searched here.
                     if future is not own and future.exception() is not None:
                         waiting.appendleft(task)
                         continue
@@ -204,6 +216,7 @@ def search_all(
                             deadline.elapsed, deadline.seconds, len(found), planned, best
                         )
                     )
+        # An interrupt ends searches by their deadline, so that their results are kept.
         except KeyboardInterrupt:
             deadline.stop()
             deadline.interrupted = True
@@ -218,5 +231,6 @@ def rank_candidates(candidates: Iterable[Candidate]) -> list[Candidate]:
     """Return the successful candidates, best first, equal ones by number."""
     return sorted(
         (candidate for candidate in candidates if np.isfinite(candidate.value)),
+        # By number where equal, so that the order does not depend on timing.
         key=lambda c: (-c.value, c.number),
     )

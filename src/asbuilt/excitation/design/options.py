@@ -36,6 +36,7 @@ def _parse_numbers(text: str) -> tuple[float, ...]:
 
 def _parse_noise(text: str) -> float | tuple[float, ...]:
     values = _parse_numbers(text)
+    # One number holds for all joints.
     return values[0] if len(values) == 1 else values
 
 

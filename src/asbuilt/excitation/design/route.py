@@ -44,13 +44,17 @@ class Roadmap:
     ) -> Roadmap:
         """Return the largest connected component of the poses."""
         nodes = poses[:NODES]
+        # The nearest node of each is itself.
         near = np.argsort(_measure_distances(nodes, nodes, bounds), axis=1)[:, 1 : NEIGHBOURS + 1]
+        # Each pair once, whichever of the two has the other as a neighbour.
         pairs = sorted({(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row})
         edges = _select_free_segments(nodes, pairs, obstacles)
         parts = connected_components(
             _build_graph(edges, np.ones(len(edges)), len(nodes)), directed=False
         )[1]
+        # Poses in smaller components could not be reached.
         kept = parts == np.argmax(np.bincount(parts))
+        # New numbers of the nodes that are kept.
         number = np.cumsum(kept) - 1
         return cls(nodes[kept], number[edges[kept[edges].all(axis=1)]])
 
@@ -81,7 +85,9 @@ def plan_route(
         blocked = np.zeros(apart.shape, dtype=bool)
         blocked[tuple(np.transpose(pairs))] = ~segments_free(poses, pairs, obstacles)
         blocked |= blocked.T
+        # Blocked segments are expensive, not forbidden: a tour without them may not exist.
         route = find_short_tour(np.where(blocked, apart + 1e3 * (1 + apart.max()), apart))
+        # A tour around the obstacles may need no turning pose at all.
         if any(blocked[i, j] for i, j in pairwise(route)):
             nodes = np.vstack([poses, roadmap.nodes])
             lengths, before = _find_shortest_routes(
@@ -94,7 +100,9 @@ def plan_route(
                     f" to {np.round(poses[j], 2).tolist()}; use fewer poses, another seed, or a"
                     " smaller clearance"
                 )
+            # The tour is chosen again: routes around obstacles are longer than lines.
             route = _insert_turns(find_short_tour(lengths), before)
+    # Poses are visited once for a reading; passing through again is no stop.
     first = [node < len(poses) and node not in route[:place] for place, node in enumerate(route)]
     motion = pace_moves(
         nodes[route], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
@@ -120,6 +128,7 @@ def find_short_tour(apart: Array) -> list[int]:
             order.append(nearest)
             left.remove(nearest)
         tours.append(_untangle(order, apart))
+    # From every start: nearest neighbour depends on it most.
     return min(tours, key=lambda order: float(apart[order[:-1], order[1:]].sum()))
 
 
@@ -129,12 +138,14 @@ def _untangle(order: list[int], apart: Array) -> list[int]:
         improved = False
         for i in range(len(order) - 1):
             for j in range(i + 1, len(order)):
+                # The tour is open: its ends have no neighbour.
                 before = (apart[order[i - 1], order[i]] if i else 0.0) + (
                     apart[order[j], order[j + 1]] if j + 1 < len(order) else 0.0
                 )
                 after = (apart[order[i - 1], order[j]] if i else 0.0) + (
                     apart[order[i], order[j + 1]] if j + 1 < len(order) else 0.0
                 )
+                # Rounding would reverse a segment back and forth.
                 if after < before - 1e-12:
                     order[i : j + 1] = reversed(order[i : j + 1])
                     improved = True
@@ -151,6 +162,7 @@ def segments_free(
 ) -> NDArray[np.bool_]:
     """Return whether the straight segment between each pair of nodes is free of collisions."""
     # Largest move of a joint between poses that are checked along a segment [rad or m].
+    # At least both ends.
     counts = [2 + int(np.abs(nodes[i] - nodes[j]).max() / 0.01) for i, j in pairs]
     places = np.vstack(
         [
@@ -161,6 +173,7 @@ def segments_free(
     over = [
         find_violations(obstacles, places[start : start + AT_ONCE])
         for start in range(0, len(places), AT_ONCE)
+        # Segments are joined into few calls, and cut apart again by their counts.
     ]
     return ~np.logical_or.reduceat(np.concatenate(over), np.cumsum([0, *counts[:-1]]))
 
@@ -184,6 +197,7 @@ def _find_shortest_routes(
     count = len(poses)
     near = (
         np.argsort(_measure_distances(poses, roadmap.nodes, bounds), axis=1)[:, :NEIGHBOURS] + count
+        # Nodes of the roadmap follow the poses.
     )
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]
     direct = [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
@@ -200,6 +214,7 @@ def _find_shortest_routes(
         directed=False,
         indices=np.arange(count),
         return_predecessors=True,
+        # Predecessors are kept from each pose, so that the turns on the way are known.
     )
     return np.asarray(lengths[:, :count]), np.asarray(before)
 
@@ -213,6 +228,7 @@ def _insert_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
     route = [tour[0]]
     for start, stop in pairwise(tour):
         between = [stop]
+        # Back along the predecessors, then turned round.
         while before[start, between[-1]] != start:
             between.append(int(before[start, between[-1]]))
         route += between[::-1]

@@ -115,13 +115,18 @@ class DesignSearch:
         self._bounds = MotionBounds.assumed(model, options.fraction)
         torque = options.torque_fraction * MotionBounds.of(model).torque
         models = perturb_models(
-            model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20])
+            # Its own stream, so that the number of starts does not change the other robots.
+            model,
+            options.perturbed,
+            options.spread,
+            np.random.default_rng([options.seed, 1 << 20]),
         )
         limits: tuple[StateConstraint, ...] = (
             (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
         )
         if limits and isinstance(self.family, PointToPoint):
             weight = WeightLimit(models, STANDING * torque)
+            # A fixed seed: whether a robot is too heavy does not depend on the options.
             poses = draw_states(self._bounds, SETTINGS.poses, np.random.default_rng(0))[0]
             limits += (weight,) if weight.binds(poses) else ()
         if options.power:
@@ -129,6 +134,7 @@ class DesignSearch:
                 PowerLimit(model, check_limit_array(options.power, model.n_joints, "power")),
             )
         self._constraints = limits + constraints
+        # Fewer nodes than the shortest wave needs would hide motion between them.
         waves = SETTINGS.nodes_per_wave * family.span / family.shortest_wave
         self._n_nodes = max(SETTINGS.least_nodes, round(waves))
         self._coarse = self._build_program(self._n_nodes, SETTINGS.margin_coarse)
@@ -148,6 +154,7 @@ class DesignSearch:
     ) -> list[Candidate]:
         """Return the candidates, best first, of all rounds for which there is time."""
         starts, batch = self._options.starts, SETTINGS.batch
+        # Rounds end by themselves, so that a long search tries other regions.
         sizes = [min(SETTINGS.round, starts - k) for k in range(0, starts, SETTINGS.round)]
         lengths = [
             size + batch * math.ceil(SETTINGS.restarts_per_start * size / batch) for size in sizes
@@ -155,6 +162,7 @@ class DesignSearch:
         found: list[Candidate] = []
         first = 0
         for size, length in zip(sizes, lengths, strict=True):
+            # Something must be found before the time may end the search.
             if found and self._deadline():
                 break
             best = found[0].value if found else -np.inf
@@ -183,10 +191,12 @@ class DesignSearch:
         while found and done < length and idle < SETTINGS.idle_batches and not self._deadline():
             best = found[0].value
             parents = found[: SETTINGS.parents]
+            # The best parents in turn, whatever the number of cores: results do not depend on it.
             tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
             progress = partial(report, first + done, best)
             more = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
             found = rank_candidates([*found, *more])
+            # One gain starts the patience anew.
             idle = idle + 1 if found[0].value < best + SETTINGS.least_gain else 0
             done += batch
         return found
@@ -209,6 +219,7 @@ class DesignSearch:
         if task.refined_until is not None:
             assert task.origin is not None
             return self._refine(task.origin, task.refined_until)
+        # By seed and number: a task gives the same anywhere.
         rng = np.random.default_rng([self._options.seed, task.number])
         if task.origin is not None:
             return self._restart(task.number, rng, task.origin)
@@ -232,6 +243,7 @@ class DesignSearch:
             if other is None:
                 break
             part = rng.uniform(*SETTINGS.disturbance)
+            # Between two motions limits may be broken: shrunk until they hold.
             start = self._shrink_inside(
                 self._coarse, (1 - part) * parent.coefficients + part * other
             )
@@ -242,11 +254,13 @@ class DesignSearch:
 
     def _refine(self, candidate: Candidate, deadline: Deadline) -> Candidate:
         coefficients, family, value = candidate.coefficients, self.family, candidate.value
+        # Poses change their times with the refinement, which then starts again.
         for _ in range(2 if isinstance(family, PointToPoint) else 1):
             family = self._retime(family, coefficients)
             dense = self._build_program(2 * self._n_nodes, SETTINGS.margin_fine, family)
             start = self._shrink_inside(dense, coefficients)
             optimum = self._solve(dense, start, SETTINGS.barrier_refined, deadline)
+            # An optimum that is worse on the dense grid was one of the coarse grid alone.
             if optimum is not None and (
                 optimum.value > value - 1.0 or isinstance(family, PointToPoint)
             ):
@@ -255,6 +269,7 @@ class DesignSearch:
         if kept is None:
             return Candidate.of(candidate.number, None)
         if isinstance(family, PointToPoint):
+            # A controller's motion through the poses decides, not the search's nodes.
             moved = self._pace(kept)
             assert moved is not None
             return Candidate(
@@ -289,6 +304,8 @@ class DesignSearch:
             return family
         way = np.abs(np.diff(poses, axis=0))
         steps = np.max(
+            # Quintics reach 1.5 of the mean velocity and some 4.5 of the mean acceleration over the
+            # time.
             [1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)],
             axis=(0, 2),
         )
@@ -314,7 +331,10 @@ class DesignSearch:
         constant = self.family.constant
         for _ in range(40):
             shape = self.family.random(rng, n)
+            # Without its constant part, which the pose is for.
             shape -= np.outer(constant, constant @ shape / (constant @ constant))
+            # The joint's largest use of any limit, so that the start may be scaled to a share of
+            # it.
             size = np.max(
                 [
                     np.abs(basis @ shape / half).max(axis=0)
@@ -324,12 +344,14 @@ class DesignSearch:
             )
             shape *= rng.uniform(0.3, 0.8, size=n) / size
             path = program.bases[0] @ shape
+            # Poses at which the whole path keeps its range.
             low, high = self._bounds.lower - path.min(axis=0), self._bounds.upper - path.max(axis=0)
             pose = low + rng.uniform(0.1, 0.9, size=n) * (high - low)
             for _ in range(6):
                 coefficients = shape + np.outer(constant, pose)
                 if min(float(slack.min()) for slack in program.margins(coefficients)) > 1e-6:
                     return coefficients
+                # State constraints are broken by size more often than by place.
                 shape = 0.6 * shape
         return None
 
@@ -338,10 +360,11 @@ class DesignSearch:
 
         They shrink just enough to be strictly feasible.
         """
-        own = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
+        mean_pose = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
         middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
+        # As little as needed: shrinking gives information away.
         for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
-            for pose in (middle, own):
+            for pose in (middle, mean_pose):
                 inner: Array = coefficients + part * (pose - coefficients)
                 if min(float(slack.min()) for slack in program.margins(inner)) > 1e-6:
                     return inner
@@ -354,8 +377,8 @@ class DesignSearch:
         )
         least, most = SETTINGS.shrinkage
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
-        own = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
-        for pose in (middle, own):
+        mean_pose = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
+        for pose in (middle, mean_pose):
             part = 0.0
             for _ in range(SETTINGS.repairs):
                 trial: Array = coefficients + part * (pose - coefficients)
@@ -363,8 +386,10 @@ class DesignSearch:
                     worst = -least if self._pace(trial) is None else 0.0
                 else:
                     worst = min(float(slack.min()) for slack in grid.margins(trial))
+                # Strictly nothing: refined motions hold the limits at 1 kHz.
                 if worst >= 0:
                     return trial
+                # At least as far as the worst constraint asks, and twice as far as before.
                 part = max(2 * part, -1.05 * worst, 1e-6)
                 if part > most:
                     break

@@ -159,6 +159,7 @@ def design_static_poses(
     )
     weight = [WeightLimit((model,), STANDING * torque)] if loads else []
     everywhere = rng.uniform(bounds.lower, bounds.upper, size=(SEARCH.candidates, model.n_joints))
+    # Where the drives cannot hold the robot no pose is safe to rest at.
     barriers = [*constraints, *(limit for limit in weight if limit.binds(everywhere))]
     pool = everywhere[~find_violations(barriers, everywhere)]
     if len(pool) < 2:
@@ -167,6 +168,7 @@ def design_static_poses(
             " free of collisions"
         )
     pool = _unwind_turns(model, bounds, pool)
+    # Only poses that can be reached from each other are candidates.
     roadmap = Roadmap.of(pool, bounds, barriers) if barriers else None
     pool = pool if roadmap is None else roadmap.nodes
     kept = _find_determined(information, pool)
@@ -176,6 +178,7 @@ def design_static_poses(
             f"gravity moves no joint of {model.name} as it is mounted, so poses at rest determine"
             " no parameter"
         )
+    # Each pose reads n torques.
     least = -(-p // model.n_joints)
     if count > MOST_POSES:
         raise UsageError(f"at most {MOST_POSES} static poses are designed, got {count}")
@@ -199,18 +202,20 @@ def design_static_poses(
         log_det=DOptimality().value(total),
         condition_number=float(np.sqrt(np.linalg.cond(total))),
         scaled_condition_number=float(np.sqrt(np.linalg.cond(total * np.outer(size, size)))),
+        # Ends are rests of the whole motion, not of the route.
         route_time=motion.duration - dwell * (count - 2),
         limits=check_motion(limited, motion),
         turns=turns,
         collision_distance=smallest_distance(constraints, states[0]),
         solve_seconds=time.monotonic() - begin,
-        notes=tuple(note for each in constraints for note in each.notes(*states)),
+        notes=tuple(note for constraint in constraints for note in constraint.notes(*states)),
     )
 
 
 def _weight_pose_rows(information: Information, poses: Array, kept: Array) -> Array:
     """Return the weighted rows of each pose in the coordinates `kept`, (N, n, p)."""
     rest = np.zeros_like(poses)
+    # Exact columns: at rest a smooth friction would be zero anyway.
     rows = information.rows(poses, rest, rest, smooth=False)
     whole = np.zeros((len(poses), information.model.n_joints, information.n_parameters))
     plan = information.plan
@@ -226,6 +231,7 @@ def _find_determined(information: Information, poses: Array) -> Array:
     rows = _weight_pose_rows(information, poses, np.eye(information.n_parameters))
     eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
     largest = max(float(eigenvalues[-1]), np.finfo(float).tiny)
+    # Combinations below that share move no torque.
     return np.asarray(vectors[:, eigenvalues > SEARCH.smallest_eigenvalue * largest])
 
 
@@ -237,9 +243,11 @@ def _sum_information(information: Information, kept: Array, poses: Array) -> Arr
 def _select_optimal_subset(rows: Array, count: int) -> list[int]:
     """Return the indices of a D-optimal subset: greedy, then improved one by one."""
     p = rows.shape[2]
+    # Regular from the first pose on, when the information has less than full rank.
     small = 1e-6 * float(np.einsum("ski,ski->", rows, rows)) / len(rows) / p * np.eye(p)
 
     def gains(matrix: Array) -> Array:
+        # det(A + Y^T Y) = det(A) det(1 + Y A^-1 Y^T): small determinants for all candidates.
         added = np.eye(rows.shape[1]) + rows @ np.linalg.solve(
             matrix, np.swapaxes(rows, 1, 2).reshape(len(rows), p, -1)
         )
@@ -254,6 +262,7 @@ def _select_optimal_subset(rows: Array, count: int) -> list[int]:
     for _ in range(SEARCH.exchanges):
         changed = False
         for place in range(count):
+            # Each pose in turn against the rest: what adds most takes its place.
             without = matrix - rows[chosen[place]].T @ rows[chosen[place]]
             best = int(np.argmax(gains(without)))
             if best != chosen[place]:
@@ -275,18 +284,20 @@ def _refine_poses(
     """Climb all poses together; poses that violate a constraint or become unreachable go back."""
     middle, half = (bounds.upper + bounds.lower) / 2, (bounds.upper - bounds.lower) / 2
 
+    # In units of half the range, in which all joints compare.
     def negative(x: Array) -> tuple[float, Array]:
         q = middle + half * x.reshape(poses.shape)
         rest = np.zeros_like(q)
         value, gradient = DOptimality().value_and_gradient(_sum_information(information, kept, q))
         if not np.isfinite(value):
+            # An undetermined combination of poses must lose against any other.
             return 1e12, np.zeros_like(x)
         rows = information.rows(q, rest, rest)
         slope = information.state_gradient(q, rest, rest, rows, kept @ gradient @ kept.T)[0]
         return -value, -(slope * half).reshape(-1)
 
     start = ((poses - middle) / half).reshape(-1)
-    found = minimize(
+    climbed = minimize(
         negative,
         start,
         jac=True,
@@ -294,8 +305,9 @@ def _refine_poses(
         bounds=[(-1, 1)] * start.size,
         options={"maxiter": SEARCH.refinement_steps},
     )
-    moved = middle + half * found.x.reshape(poses.shape)
+    moved = middle + half * climbed.x.reshape(poses.shape)
     for k in range(len(moved)):
+        # A pose that moved must still be reachable from where it was.
         straight = (
             bool(segments_free(np.stack([poses[k], moved[k]]), [(0, 1)], obstacles)[0])
             if obstacles
@@ -303,6 +315,7 @@ def _refine_poses(
         )
         if not straight or find_violations(constraints, moved[k : k + 1])[0]:
             moved[k] = poses[k]
+    # Poses that went back can leave the rest worse than the start.
     better = DOptimality().value(_sum_information(information, kept, moved)) >= DOptimality().value(
         _sum_information(information, kept, poses)
     )
@@ -314,6 +327,7 @@ def _unwind_turns(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array
 
     The middle is opposite to angles at which there is no pose, else the centre of the range.
     """
+    # Gaps between the angles that occur, the one across zero included.
     angles = np.sort(np.mod(pool, 2 * np.pi), axis=0)
     gaps = np.diff(np.vstack([angles, angles[:1] + 2 * np.pi]), axis=0)
     widest = np.argmax(gaps, axis=0)
@@ -323,6 +337,7 @@ def _unwind_turns(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array
     opposite -= 2 * np.pi * np.round((opposite - centre) / (2 * np.pi))
     middle = np.where(gaps[widest, joints] > SEARCH.gap, opposite, centre)
     near = pool - 2 * np.pi * np.round((pool - middle) / (2 * np.pi))
+    # Whole turns into the range, where there are any.
     near += 2 * np.pi * ((near < bounds.lower).astype(float) - (near > bounds.upper))
     fits = (
         (near > bounds.lower)

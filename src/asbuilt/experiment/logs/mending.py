@@ -184,7 +184,7 @@ def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
     apart = [
         name
         for name in needed
-        if np.any(present[name]) and np.mean(present[name][rows]) < SELDOM and np.any(rows)
+        if np.any(rows) and np.any(present[name]) and np.mean(present[name][rows]) < SELDOM
     ]
     merged = empty >= OF_TOPICS * table.n_samples or (apart and layout.time is not None)
     if not merged or layout.time is None:
@@ -260,7 +260,7 @@ def _read_clock(table: LogTable, layout: Layout) -> Array:
     t = table.columns[str(layout.time)]
     t = (t - t[0]) * layout.scales.get(str(layout.time), 1.0)
     if layout.nanoseconds is None:
-        return t
+        return np.asarray(t, dtype=np.float64)
     return np.asarray(t + 1e-9 * table.columns[layout.nanoseconds])
 
 
@@ -274,7 +274,8 @@ def _is_regular(t: Array) -> bool:
 
 def _measure_way(q: Array, order: Indices) -> float:
     """Return how far positions go in another order of their rows, relative to the one logged."""
-    logged, ordered = (float(np.nansum(np.abs(np.diff(x, axis=0)))) for x in (q, q[order]))
+    with np.errstate(invalid="ignore", over="ignore"):  # values may be infinite or absurd
+        logged, ordered = (float(np.nansum(np.abs(np.diff(x, axis=0)))) for x in (q, q[order]))
     return ordered / logged if logged > 0.0 else 1.0
 
 
@@ -292,7 +293,8 @@ def _find_grid(t: Array, stamps: Array) -> tuple[Array, str] | None:
     # The first and the last stamp may stand for fewer rows than the others.
     rows = int(changed[-1] - changed[0])
     step = float(t[changed[-1]] - t[changed[0]]) / rows
-    single = bool(np.array_equal(stamps, stamps.astype(np.float32)))
+    with np.errstate(over="ignore"):
+        single = bool(np.array_equal(stamps, stamps.astype(np.float32)))
     if single:
         rounded = float(np.spacing(np.float32(np.max(np.abs(stamps))))) * float(
             (t[-1] - t[0]) / (stamps[-1] - stamps[0])
@@ -300,7 +302,7 @@ def _find_grid(t: Array, stamps: Array) -> tuple[Array, str] | None:
     repeated = t.size - 1 - changed.size
     if repeated <= OF_TOPICS * t.size and not (single and rounded > OF_TOPICS * step):
         return None
-    grid = step * np.arange(t.size)
+    grid = step * np.arange(t.size, dtype=np.float64)
     away = t - grid
     middle = 0.5 * float(np.max(away) + np.min(away))
     if float(np.max(np.abs(away - middle))) > GRID * rounded:

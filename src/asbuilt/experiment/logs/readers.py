@@ -232,7 +232,7 @@ def find_table_layout(
                     sheet=name_fields(content),
                 )
         raise
-    if not (sheet.joint_units or table.open_units):
+    if not (sheet.joint_units or table.open_units or table.ranges):
         return layout
     held = options.lock if isinstance(options.lock, Mapping) else {}
     return with_joint_units(table, layout, sheet, sheet.lock | dict(held))

@@ -9,6 +9,7 @@ from pathlib import PurePath
 import numpy as np
 
 from asbuilt.description.model import RobotModel
+from asbuilt.description.plausibility import check_plausibility
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.base_checks import check_free_base, drop_base_joints
@@ -124,10 +125,11 @@ class RecordingCheck:
     def verdict(self) -> str:
         """Number of errors and warnings, such as `"1 ERROR, 2 warnings"`."""
         counts = [
-            f"{len(found)} {name}{'s' if len(found) > 1 else ''}"
-            for name, found in (("ERROR", self.errors), ("warning", self.warnings))
-            if found
+            f"{len(listed)} {name}{'s' if len(listed) > 1 else ''}"
+            for name, listed in (("ERROR", self.errors), ("warning", self.warnings))
+            if listed
         ]
+        # The plural s stays small next to capitals, for reading.
         return ", ".join(counts).replace("ERRORs", "ERRORS") or "No errors, no warnings"
 
     @property
@@ -135,6 +137,7 @@ class RecordingCheck:
         """What a user decides by: whether the recording can be identified from, and why not."""
         name = PurePath(self.source).name or self.source
         size = f"{self.duration:.4g} s of {self.n_joints} joints at {self.rate:.4g} Hz"
+        # Of kind "info" alone nothing asks for care.
         if not (self.errors or self.warnings):
             return f"READY: {name} has no errors and no warnings in {size}."
         first = (*self.errors, *self.warnings)[0].brief(160).rstrip(".")
@@ -156,8 +159,8 @@ class RecordingCheck:
             wrap_text(self.headline),
             wrap_text(f"{self.source} on {self.robot}, {self.n_samples} samples"),
         ]
-        found = list_findings(self.findings, cure_text, full=full)
-        return "\n".join([*head, *([""] if found else []), *found])
+        paragraphs = list_findings(self.findings, cure_text, full=full)
+        return "\n".join([*head, *([""] if paragraphs else []), *paragraphs])
 
     def __repr__(self) -> str:
         return (
@@ -182,6 +185,7 @@ class RecordingCheck:
         errors = [finding for finding in self.errors if finding.code not in but]
         if errors:
             first = errors[0]
+            # Each code once, however many joints it is found at.
             also = join_names(list(dict.fromkeys(finding.code for finding in errors[1:])) or [""])
             raise RecordingError(
                 f"{self.source}: {first.message}" + (f" (also found: {also})" if also else ""),
@@ -227,12 +231,14 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     >>> check_recording(model, recording.flipped()).errors[0].code
     'torque_flipped'
     """
+    # A stream of a robot with a free base is checked as one with a held base.
     if model.n_floating and not isinstance(recording, RecordingStream):
         return _check_of_free_base(model, recording)
     chunks = recording if isinstance(recording, RecordingStream) else (recording,)
     known = run_first_pass(model, chunks)
     findings = list(check_clock(known))
     noise = None
+    # Rates and derivatives mean nothing without a clock.
     if not _has_clock_error(findings):
         beginning = order_as_modelled(
             model, blank_incredible(take_first_samples(recording, MEASURED))
@@ -240,6 +246,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         beginning = beginning.with_torque_of(known.first.has_torque)
         of_loops = list(check_closure(model, beginning))
         of_commands = list(check_commands(model, beginning))
+        # Loops that stay open contradict positions and torques at once: one cause, one finding.
         findings += [*of_loops, *of_commands]
         follows = not any(f.severity == "error" for f in of_loops)
         if follows:
@@ -247,12 +254,14 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
                 *_check_in_time(model, chunks, known),
                 *check_signs(model, known.torque_range, beginning),
             ]
+            # What wrong commands explain is not said of torques that are computed from them.
             findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += check_positions(model, noise)
         findings += check_encoders(model, beginning)
         findings += check_couplings(model, beginning) if follows else ()
     findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
+    findings += _report_description(model)
     findings += map(_report_note, known.first.notes)
     return RecordingCheck(
         robot=model.name,
@@ -273,6 +282,7 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
     Checks that compare torques with the model's are left out, since contacts push the robot.
     """
     held = check_recording(model.standing, drop_base_joints(model, recording))
+    # Cures name a motion designed for a held base, which one on legs cannot use.
     kept = (
         replace(f, cure=f.cure and undesigned(f.cure))
         for f in held.findings
@@ -292,6 +302,18 @@ def _has_clock_error(findings: Iterable[Finding]) -> bool:
     return any(f.severity == "error" and f.code.startswith("clock_") for f in findings)
 
 
+def _report_description(model: RobotModel) -> list[Finding]:
+    """Return what is absurd about the described masses; the torques do not depend on them.
+
+    A wrong unit spoils every comparison with CAD, one link its own.
+    """
+    return [
+        replace(each, severity="warning" if each.code == "description_units" else "info")
+        for each in check_plausibility(model)
+        if each.severity == "error"
+    ]
+
+
 def _report_note(note: str) -> Finding:
     """Return what reading the recording did; flips that cancel are seldom meant."""
     if note == FLIPPED_TWICE:
@@ -308,10 +330,12 @@ def _check_in_time(
     model: RobotModel, chunks: Iterable[Recording], known: FirstPass
 ) -> Iterator[Finding]:
     """Find problems of motion, torque and excitation, which need a correct clock."""
+    # Segments are read in a second pass, as the first one finds where they lie.
     closer = run_second_pass(model, chunks, known)
     motion = closer.motion
     counts = find_counts(model, known, motion)
     if counts is not None:
+        # Positions in counts make every later comparison wrong.
         yield counts.finding()
         return
     excess = find_impossible_motion(model, known, motion)
@@ -324,6 +348,7 @@ def _check_in_time(
     # Positions of one joint with velocities of another have no torque to compare with.
     swapped = any(finding.code == "velocity_swapped" for finding in of_motion)
     if motion is not None and not swapped and (excess is None or excess.unit == "deg"):
+        # Degrees are converted here, so that torques can still be compared.
         scale = [DEGREE if excess and joint.is_revolute else 1.0 for joint in model.joints]
         yield from check_torques(model, known, motion, np.array(scale))
     if excess is None:

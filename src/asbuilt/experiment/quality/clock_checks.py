@@ -34,6 +34,7 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
         k = int(repeated[0])
         yield Finding(
             "clock_repeated",
+            # One duplicate in a hundred is dropped when the log is resampled.
             "error" if repeated.size > 0.01 * t.size else "warning",
             f"{repeated.size} of {t.size} samples have the time stamp of the sample before, first"
             f" {t[k]:.6g} s at sample {k + 2}",
@@ -45,6 +46,7 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
         return
     step = float(np.median(forward))
     yield from _find_wrong_unit(step)
+    # A gap splits the log, so that no filter runs across it.
     gaps = np.flatnonzero(steps > GAP_STEPS * step)
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
@@ -58,6 +60,7 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
         )
     usual = forward[forward <= GAP_STEPS * step]
     # Standard deviation of the steps, in steps, from which a clock is uneven.
+    # Percentiles, as single late samples say nothing of the clock.
     if float(np.std(usual / step)) > 0.05:
         low, high = np.percentile(usual, [0.5, 99.5])
         yield Finding(
@@ -82,6 +85,7 @@ def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
             Cure("repair or remove these rows"),
         )
     together: dict[bytes, list[Missing]] = {}
+    # Columns that miss the same rows have one cause, and one finding.
     for column in recording.missing:
         together.setdefault(column.rows.tobytes(), []).append(column)
     names = recording.first.joint_names
@@ -121,6 +125,7 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
             " stamps is not the one that their name or the sheet gives",
             Cure('write the unit in a recording sheet: units = { time = "s" }'),
         )
+    # Even as nanoseconds no controller is this slow.
     if rate < min(_CLOCK_UNITS.values()):
         yield Finding(
             "clock_unit",
@@ -129,6 +134,7 @@ def _find_wrong_unit(step: float) -> Iterator[Finding]:
             " known unit",
             Cure("write true times, or a column of them, and their unit in a recording sheet"),
         )
+    # A unit under which the rate is a usual one.
     unit = next((u for u, factor in _CLOCK_UNITS.items() if 20.0 <= rate / factor <= 20e3), None)
     if rate < 5.0 and unit is not None:
         yield Finding(
@@ -147,11 +153,13 @@ def _find_stale(recording: FirstPass) -> Iterator[Finding]:
     changed = np.flatnonzero(recording.not_repeated)
     if changed.size < 3:
         return
+    # Length of each run of equal samples.
     lengths = np.diff(np.append(changed, recording.n_samples))
     # A sample repeated more often is a robot at rest, for which the log is not to blame.
     brief = lengths[lengths <= 20]
     if not brief.size or brief.sum() < 20:
         return
+    # A value changes once in so many samples.
     times = brief.sum() / brief.size
     repeats, rate = 1.0 - brief.size / brief.sum(), recording.rate / times
     if repeats > 0.2:

@@ -91,6 +91,7 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     """Return what is compared; None where too little moves or is known."""
     assert recording.command is not None
     t, q, u = recording.t, recording.q, recording.command
+    # Rows without a value of any joint would shift correlations of the others.
     rows = find_advancing_rows(t, np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1))
     t, q, u = t[rows], q[rows], u[rows]
     if t.size < 4:
@@ -98,22 +99,26 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     # Signals are compared at 50 Hz, or at the rate of the log.
     step = max(1 / 50.0, float(np.median(np.diff(t))))
     at = np.arange(t[0], t[-1], step)
+    # A command holds until the next one; positions are interpolated.
     last = np.searchsorted(t, at, side="right") - 1
     # Steps without a sample beyond which the log has a gap, which is left out.
     logged = at - t[last] <= 5.0 * step
     at, last = at[logged], last[logged]
+    # Four times the lags that are searched, so that they share enough samples.
     if at.size * step < 4 * SEARCHED:
         return None
     q, u = np.column_stack([np.interp(at, t, x) for x in q.T]), u[last]
     # Range of positions [rad, m] from which a joint is tested.
     smallest = np.array([0.05 if joint.is_revolute else 0.005 for joint in model.joints])
     extent = np.ptp(q, axis=0)
+    # A command that never changes has no correlation with anything.
     constant = np.ptp(u, axis=0) <= 0.01 * extent
     moving = np.flatnonzero((extent > smallest) & ~constant).tolist()
     # A soft servo gives way by less than ten times that range.
     held = np.flatnonzero(constant & (extent > 10.0 * smallest)).tolist()
     reach = int(SEARCHED / step)
     lags = np.arange(-reach, reach + 1)
+    # The same samples of positions for every lag, so that their correlations compare.
     positions = normalise_columns(q[reach : len(q) - reach])
     r = np.array(
         [positions.T @ normalise_columns(u[reach - lag : len(q) - reach - lag]) for lag in lags]
@@ -129,6 +134,7 @@ def _is_position(recording: Recording, moving: list[int]) -> bool:
     q, u = recording.q[:, moving], recording.command[:, moving]
     size = 1e-6 * np.nanmax(np.abs(q), axis=0)
     changes = np.flatnonzero(np.any(np.diff(u, axis=0) != 0.0, axis=1))
+    # Where a command holds for many samples it equals the position at rest: only changes count.
     here, next_one = (
         np.all(np.abs(u[changes] - q[changes + ahead]) <= size, axis=1) for ahead in (0, 1)
     )
@@ -153,6 +159,7 @@ def _find_constant(motion: _Motion) -> Iterator[Finding]:
 
 def _find_wrong_units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands that vary many times as much, or as little, as positions that follow them."""
+    # Only joints that follow their command somehow have a ratio to ask about.
     tested = [j for j in tested if abs(motion.r[:, j, j]).max() > FOLLOWED]
     ratios = np.ptp(motion.u, axis=0) / np.maximum(np.ptp(motion.q, axis=0), 1e-12)
     # Times that a command varies more, or less, than the position, beyond what a servo explains.
@@ -164,6 +171,7 @@ def _find_wrong_units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
         (unit, of)
         for unit, per_radian in UNITS.items()
         for of, expected in (("command", per_radian), ("position", 1 / per_radian))
+        # By the logarithm: the nearest unit within some 20 %.
         if abs(math.log(ratio / expected)) < 0.2
     ]
     unit, quantity = near[0] if near else ("", "command")
@@ -195,9 +203,11 @@ def _find_swapped(motion: _Motion) -> dict[int, int]:
     best = np.array([[motion.best(i, j, EVERY_LAG)[0] for j in moving] for i in moving])
     pairs = {
         moving[i]: moving[j]
+        # The one assignment of all joints that correlates best.
         for i, j in zip(*linear_sum_assignment(-best), strict=True)
         if best[i, j] > FOLLOWED and best[i, i] < LOST
     }
+    # A cycle of joints: an open chain has another cause.
     return pairs if set(pairs) == set(pairs.values()) else {}
 
 
@@ -219,6 +229,7 @@ def _report_swapped(motion: _Motion, pairs: Mapping[int, int]) -> Iterator[Findi
 def _find_flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands whose positions go the other way."""
     inside = (motion.lags >= 0.0) & (motion.lags <= LONGEST)
+    # Beyond a servo's longest lag periodic motion correlates with either sign.
     for j in tested:
         own = motion.r[inside, j, j]
         if own.max() < LOST and own.min() < -FOLLOWED:
@@ -235,6 +246,7 @@ def _find_flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
 def _find_offset(model: RobotModel, servo: PositionServo, motion: _Motion) -> Iterator[Finding]:
     """Find commands so far away that the stiffness, if stated, exceeds the torque limit."""
     away = np.median(motion.u - motion.q, axis=0)
+    # The tighter of what the servo and the description allow.
     limits = np.minimum(servo.torque_limit, [joint.limits.torque for joint in model.joints])
     for j, name in enumerate(motion.names):
         torque = servo.kp[j] * abs(away[j])
@@ -254,12 +266,14 @@ def _find_wrong_clock(motion: _Motion) -> Iterator[Finding]:
     lags = []
     for j in motion.moving:
         r, lag = motion.best(j, j, EVERY_LAG)
+        # Two samples early: a log writes the command of the next cycle.
         usual, _ = motion.best(j, j, (-2 * motion.step, LONGEST))
         # Share of what a usual lag leaves unexplained that this one must leave at most: friction
         # delays slow motion, too, but leaves a tenth.
         share = 0.5 if lag < 0.0 else 0.02
         if r > FOLLOWED and (1.0 - r < share * (1.0 - usual) or usual < LOST):
             lags.append(lag)
+    # At one joint a periodic motion has such lags by itself.
     if 2 * len(lags) <= len(motion.moving):
         return
     lag = float(np.median(lags))

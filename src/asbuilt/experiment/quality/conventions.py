@@ -50,7 +50,7 @@ class Conventions:
     def with_joint(self, k: int, convention: Convention) -> Conventions:
         """Return these conventions with another one of joint k."""
         fit, (position, torque, zero) = self.fit, convention
-        q, qd, qdd, tau = (np.array(each) for each in (fit.q, fit.qd, fit.qdd, fit.tau))
+        q, qd, qdd, tau = (np.array(array) for array in (fit.q, fit.qd, fit.qdd, fit.tau))
         q[:, k] = position * (q[:, k] - zero)
         qd[:, k] *= position
         qdd[:, k] *= position
@@ -64,6 +64,7 @@ class Conventions:
             zeros = QUARTERS if joint.is_revolute else QUARTERS[:1]
             for convention in product((1.0, -1.0), (1.0, -1.0), zeros):
                 position, _, zero = convention
+                # A torque alone of the other sign is another check's finding.
                 if k not in self.changed and (position < 0.0 or zero != 0.0):
                     yield self.with_joint(k, convention)
 
@@ -72,6 +73,7 @@ class Conventions:
         for k, (position, torque, zero) in sorted(self.changed.items()):
             what = list(OTHER_SIGNS.get((position, torque), ()))
             if zero != 0.0:
+                # 'has the opposite sign' and 'reads ...' may come together.
                 what.append(f"reads {np.degrees(zero):.0f} deg where the description has zero")
             sentences.append(f"{self.fit.model.joint_names[k]} {' and '.join(what)}")
         return join_names(sentences)
@@ -98,15 +100,18 @@ def check_conventions(
         }
         # Another joint is added to the five best.
         front = sorted(changes.values(), key=lambda each: each.cost)[:5]
+        # A further joint must be worth FALL, which its cost includes.
         if not front or front[0].cost > best.cost:
             break
         best = front[0]
         # Less than 1 apart another convention fits about as well.
-        near = [each for each in front[1:] if each.cost < best.cost + 1.0]
+        near = [other for other in front[1:] if other.cost < best.cost + 1.0]
     fallen = _find_improved_joints(fit, best.fit)
     if best is logged or not fallen.size:
         return None
-    before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
+    before, after = (
+        float(np.mean(np.abs(torque_fit.correlation[fallen]))) for torque_fit in (fit, best.fit)
+    )
     # What 1 lacks must fall to half: a convention changes the sign or the form of a torque.
     if after <= CLEAR or 1.0 - after > 0.5 * (1.0 - before):
         return None
@@ -133,6 +138,7 @@ def _count_joints_beyond(fit: TorqueFit) -> int:
     lower, upper = position_limits(fit.model)
     turn = np.where([joint.is_revolute for joint in fit.model.joints], 2.0 * np.pi, 0.0)
     turned = [fit.q + n * turn for n in (-1, 0, 1)]
+    # A log may count full turns from elsewhere.
     shares = [np.mean((q < lower) | (q > upper), axis=0) for q in turned]
     # Share of positions outside the limits from which a joint leaves them.
     return int(np.count_nonzero(np.min(shares, axis=0) > 0.02))
@@ -146,6 +152,7 @@ def _find_improved_joints(before: TorqueFit, after: TorqueFit) -> Indices:
 
 def _make_cure(best: Conventions) -> Cure:
     of_joints = [best.changed.get(k, DESCRIBED) for k in range(best.fit.model.n_joints)]
+    # Fields that are the usual ones for all joints are not written.
     written = [
         f"{name} = [{', '.join(f'{value:.6g}' for value in values)}]"
         for name, values, usual in zip(

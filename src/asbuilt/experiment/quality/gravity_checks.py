@@ -51,14 +51,18 @@ def _check_share(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     Two roads: the share by the masses of CAD, and the share with which any masses fit best, which
     their accelerations decide. Both halves of the log must agree; an error needs both roads.
     """
+    # Halves first and the whole last, whose figures are said.
     parts = (*fit.halves(), fit)
     of_cad = [measure_gravity_share(part) for part in parts]
+    # One part that follows gravity refutes its absence.
     if any(share >= PARTIAL for share in of_cad):
         return None
     absent = all(share < ABSENT for share in of_cad)
     of_any = [_measure_costs(part) for part in parts]
     best = {int(np.argmin(costs)) for costs in of_any}
+    # Halves that disagree show nothing: the whole gravity is kept.
     share = SHARES[best.pop()] if len(best) == 1 else 1.0
+    # A fit that is hardly better is chance.
     if of_any[-1][-1] - min(of_any[-1]) < BETTER:
         share = 1.0
     known = not any(np.isnan(of_cad))
@@ -75,6 +79,7 @@ def _check_share(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
 def _measure_costs(fit: TorqueFit) -> list[float]:
     """Return the mean logarithm of what any masses leave unexplained, by share of gravity."""
     weightless = fit.observe(np.zeros(3))
+    # The columns are linear in gravity: two evaluations give all shares.
     of_gravity = fit.observe(np.array(fit.model.gravity)) - weightless
     return [measure_any_masses(fit, weightless + share * of_gravity) for share in SHARES]
 
@@ -127,6 +132,7 @@ def _check_direction(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     now = cosines.at(given)
     if now > DOUBTFUL:
         return None
+    # Axes first: robots are mounted on floors, walls and ceilings.
     along = max((np.asarray(axis) for axis in AXES.values()), key=cosines.at)
     if max(-now, cosines.at(along)) < CLEAR:
         along = cosines.estimated()
@@ -134,17 +140,20 @@ def _check_direction(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
         if cosines.at(along) < 0.97:
             return None
     elif -now > CLEAR:
+        # Exactly opposite: upside down, or all torques flipped.
         along = -given
     if not along.any():
         return None
     mounted = replace(fit, model=fit.model.with_gravity(along))
     sign = find_friction_sign(mounted)
     parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
+    # Friction that acts along the motion shows flipped torques: not gravity's matter.
     if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - FALL)):
         return None
+    # With flipped torques the direction that fits is the opposite of gravity's.
     gravity = along if sign >= 0.0 else -along
     cosine = abs(cosines.at(along))
-    named = (each for each, axis in AXES.items() if np.array_equal(axis, gravity))
+    named = (axis_name for axis_name, axis in AXES.items() if np.array_equal(axis, gravity))
     name = next(named, ",".join(f"{g:.3g}" for g in gravity))
     direction = ", ".join(f"{g:.3g}" for g in given)
     finding = Finding(
@@ -162,7 +171,9 @@ def find_friction_sign(fit: TorqueFit) -> float:
     """Return the sign of the torques that friction of most joints shows, 0 if it shows none."""
     friction = fit.friction_correlation
     shown = friction[friction != 0.0]
+    # Most joints must show friction: one alone may be driven.
     mean = float(np.mean(shown)) if 2 * shown.size > friction.size else 0.0
+    # Joints that contradict each other decide nothing.
     return float(np.sign(mean)) if abs(mean) > 0.5 else 0.0
 
 
@@ -185,8 +196,9 @@ class _TorqueParts:
             return inverse_dynamics(mounted, fit.q, fit.qd, fit.qdd, threads=1)
 
         still = torque(np.zeros(3))
+        # Linear in gravity: three axes give every direction.
         x, y, z = (torque(axis) - still for axis in np.eye(3))
-        measured, m, *g = (fit.without_friction(each) for each in (fit.tau, still, x, y, z))
+        measured, m, *g = (fit.without_friction(torque) for torque in (fit.tau, still, x, y, z))
         whole = sum(
             (a * part for a, part in zip(fit.model.gravity, g, strict=True)), np.zeros_like(m)
         )
@@ -203,17 +215,20 @@ class _TorqueParts:
         """Return the least-squares share of gravity, in that of accelerations; NaN if unclear."""
         columns = np.stack([self.motion.ravel(), self.whole_gravity.ravel()], axis=1)
         y = self.measured.ravel()
+        # A vertical axis has no gravity, a robot at rest no acceleration.
         size = np.linalg.norm(columns, axis=0)
         if not np.all(size > 0.0):
             return np.nan
         motion, gravity = np.linalg.lstsq(columns / size, y, rcond=None)[0] / size
         explained = np.linalg.norm(columns @ [motion, gravity])
+        # A fit that leaves much has no shares to compare.
         clear = explained > CLEAR * np.linalg.norm(y) and motion != 0.0
         return abs(float(gravity / motion)) if clear else np.nan
 
     def estimated(self) -> Array:
         """Return the gravity of free fall in the direction of least squares, to three digits."""
         columns = np.stack([part.ravel() for part in self.gravity], axis=1)
+        # The length is that of free fall; least squares would take in errors of masses.
         g = np.linalg.lstsq(columns, (self.measured - self.motion).ravel(), rcond=None)[0]
         norm = float(np.linalg.norm(g)) or np.inf
         return np.array([float(f"{value:.3g}") for value in FREE_FALL * g / norm])

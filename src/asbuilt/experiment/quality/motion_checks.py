@@ -58,6 +58,7 @@ class Excess:
             ""
             if self.rate is None
             else f"the rate of {given:.4g} Hz is too high; every limit of velocity is kept up to"
+            # The unit and the rate are told apart by what the torques support.
             f" {self.rate:.3g} Hz"
         )
         if self.unit == "rad" and not slower:
@@ -103,6 +104,7 @@ def find_impossible_motion(
     turning = [k for k, joint in enumerate(model.joints) if joint.is_revolute]
     if not turning:
         return None
+    # A far position is a unit's or a robot's; speed alone may be the clock's.
     evidence, largest = _find_far_position(model, recording, turning)
     rate = None
     if not evidence and motion is not None:
@@ -110,12 +112,15 @@ def find_impossible_motion(
         rate = recording.rate / ratio
     if not evidence:
         return None
+    # What a sheet states is believed.
     if "position" in recording.first.stated:
         return None
+    # No joint turns this far: torques need not be asked.
     if largest >= LARGEST_RADIANS:
         return Excess(evidence, "deg", rate)
     if motion is None:
         return Excess(evidence, None, rate)
+    # Gravity in degrees instead of radians is off by factors, and needs no masses.
     unit = infer_unit_by_gravity(model, motion.q, motion.tau)
     one, other = (
         TorqueFit.of(model, motion, np.full(model.n_joints, scale)) for scale in (1.0, DEGREE)
@@ -136,6 +141,7 @@ def _is_too_fast(fit: TorqueFit) -> bool:
 
     A clock that is fast by a factor makes accelerations its square as large, and gravity small.
     """
+    # As many times the gravity: any masses would fit better if the clock were so fast.
     heavier = fit.model.with_gravity(RATE_TOO_HIGH * np.array(fit.model.gravity))
     return (
         measure_gravity_share(fit) > RATE_TOO_HIGH
@@ -150,7 +156,8 @@ def _find_far_position(
     extremes, joints = recording.position_range, [model.joints[k] for k in turning]
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
     largest = np.where(extremes.count > 0, largest, np.nan)[turning]
-    bounds = np.array([max(abs(each.limits.lower), abs(each.limits.upper)) for each in joints])
+    bounds = np.array([max(abs(joint.limits.lower), abs(joint.limits.upper)) for joint in joints])
+    # A joint without limits turns once.
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
     over = largest / bounds
     # One joint is far outside as radians, a third of them are outside, and as degrees none is.
@@ -174,6 +181,7 @@ def _find_fast_joint(
     speed = np.percentile(np.abs(motion.qd[:, turning]), USUAL_PEAK, axis=0)
     fastest = np.array([model.joints[k].limits.velocity for k in turning])
     # A joint without a limit of velocity is taken to turn at 10 rad/s.
+    # A speed in degrees must be a usual one, so that converting cures it.
     ratio = speed / np.where(np.isfinite(fastest) & (fastest > 0), fastest, 10.0)
     k = int(np.argmax(ratio))
     if not (ratio[k] > 3.0 and np.median(ratio) > 1.5 and np.all(ratio * DEGREE < 1.5)):
@@ -191,13 +199,14 @@ def check_recorded_motion(
     velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
         velocities = list(find_velocity_unit(model, recording, motion, motion.logged_qd))
+        # A wrong unit makes every comparison of velocities wrong: the first finding is the cause.
         velocities = velocities or list(check_velocities(recording, motion, motion.logged_qd))
     if excess is None:
         yield from _find_millimetres(model, recording)
         yield from _check_limits(model, recording)
         if motion is not None:
             yield from _find_too_fast(model, recording.rate, motion)
-    elif "rate_wrong" not in [each.code for each in velocities]:
+    elif "rate_wrong" not in [finding.code for finding in velocities]:
         yield excess.finding(recording.rate)
     degrees = excess is not None and excess.unit != "rad"
     yield from _find_still(model, recording, DEGREE if degrees else 1.0)
@@ -209,8 +218,10 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
     """Find sliding joints that are far outside their limits, and inside them as millimetres."""
     for k, joint in enumerate(model.joints):
         bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
+        # A slide without limits is no longer than the robot.
         bound = bound if np.isfinite(bound) else stretched_length(model)
         extremes = recording.position_range
+        # By absolute position: millimetres are off by a factor, not by a shift.
         furthest = float(max(abs(extremes.low[k]), abs(extremes.high[k])))
         # 1e-3: a millimetre in metres.
         if joint.is_revolute or not FAR < furthest / bound < 1e3 * KEPT:
@@ -272,6 +283,7 @@ def _find_too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> It
         "velocity_limit",
         "warning",
         f"most joints exceed their limits of velocity, {model.joint_names[known[k]]}"
+        # The rate that the fastest joint would allow.
         f" {ratio[k]:.2g} times: the rate of {rate:.4g} Hz is too high (limits allow"
         f" {rate / ratio[k]:.3g} Hz), or the limits are wrong",
         Cure("give the rate of the recording, or correct the time stamps", settings={"rate": "HZ"}),
@@ -291,6 +303,7 @@ def _find_still(model: RobotModel, recording: FirstPass, scale: float) -> Iterat
     if len(still) == model.n_joints:
         name, span, unit = max(still, key=lambda joint: joint[1])
         yield Finding(
+            # A range in degrees is converted, so that one threshold serves both units.
             "nothing_moves",
             "error",
             f"no joint moves: the largest position range is {span:.3g} {unit}, the range of {name}",
@@ -316,6 +329,7 @@ def _find_correlated(recording: FirstPass) -> Iterator[Finding]:
     moving = recording.moments.moving
     correlation = np.abs(recording.moments.correlations(moving))
     # Correlation of positions from which joints move in step.
+    # The largest group: joints that move in step with each other, not with one only.
     group = max((np.flatnonzero(row > 0.995) for row in correlation), key=len, default=())
     if len(group) < 3:
         return
@@ -346,6 +360,7 @@ def check_excitation(
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     if recording.n_samples < base.n_base:
         yield Finding(
+            # Least squares of fewer rows than parameters determines nothing, whatever the motion.
             "too_few_samples",
             "error",
             f"{recording.n_samples} samples are fewer than the {base.n_base} parameters to identify"
@@ -367,10 +382,13 @@ def check_excitation(
     states = (motion.q[rows], motion.qd[rows], motion.qdd[rows])
     observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
     lengths = np.linalg.norm(observed, axis=0)
+    # A column without excitation keeps its length, so that it counts as zero in the rank.
     lengths[lengths <= _RANK_TOLERANCE * np.max(lengths)] = 1.0
+    # The triangle has the singular values of all rows.
     triangle = np.linalg.qr(observed / lengths, mode="r")
     _, values, directions = np.linalg.svd(triangle, full_matrices=False)
     rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
+    # The last direction is the least excited.
     worst = join_names([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
     if rank < base.n_base:
         yield Finding(

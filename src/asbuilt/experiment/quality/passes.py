@@ -125,6 +125,7 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     full = 0.99 * np.array([joint.limits.torque for joint in model.joints])
     positions, torques, moments = Extremes(), Extremes(), PositionMoments()
     outside, saturated = Exceedance(), Exceedance()
+    # Flags of all samples are kept, a bit each; values are not.
     times, flags, spikes = [], [], list[Spikes]()
     missing: dict[tuple[int, int], Missing] = {}
     first = last = None
@@ -132,9 +133,11 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     for logged in chunks:
         chunk = order_as_modelled(model, logged)
         first = first or chunk
+        # A joint that has torque in the first chunk has it in all.
         chunk = chunk.with_torque_of(first.has_torque)
         not_repeated = _mark_not_repeated(chunk, last)
         _add_missing(missing, chunk, begin)
+        # The chunk as logged decides repetition, before values are blanked.
         last, chunk = chunk, blank_incredible(chunk)
         q, tau = chunk.q, chunk.tau
         valid_torque = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(tau))
@@ -144,13 +147,16 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         times.append(np.array(chunk.t))
         flags.append(np.stack([not_repeated, valid_torque, valid]))
         rows = np.arange(begin, begin + chunk.n_samples)
+        # Torques of a command jump with it: no spikes.
         if chunk.torque_source != "command":
             spikes += [
-                replace(each, rows=begin + each.rows) for each in find_spikes(tau, not_repeated)
+                replace(spike, rows=begin + spike.rows) for spike in find_spikes(tau, not_repeated)
             ]
+        # Positive beyond the one limit or the other.
         excess = np.maximum(lower - q, q - upper)
         size = np.abs(tau[not_repeated])
         positions, moments = positions.with_more(q), moments.with_more(q)
+        # Repeated samples would count a plateau twice.
         torques = torques.with_more(tau[not_repeated])
         # Distance beyond its limits [rad or m] at which a joint counts as outside them.
         outside = outside.with_more(excess, excess > 0.01, q, rows)
@@ -200,6 +206,7 @@ def order_as_modelled(model: RobotModel, recording: Recording) -> Recording:
     if recording.joint_names != model.joint_names and set(recording.joint_names) == set(
         model.joint_names
     ):
+        # The same names in another order are read by name.
         return recording.reordered(model.joint_names)
     return recording
 
@@ -210,6 +217,7 @@ def blank_incredible(recording: Recording) -> Recording:
     def cleaned(what: str, values: Array) -> Array:
         return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
 
+    # The usual log has nothing to blank, and is not copied.
     if not any(
         np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what]
         for what, values in _list_quantities(recording)
@@ -235,6 +243,7 @@ def _list_quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
         yield "velocity", recording.qd
     if recording.qdd is not None:
         yield "acceleration", recording.qdd
+    # Comparing with a sample before, also across chunks.
     if recording.second_encoder is not None:
         positions = recording.second_encoder[1]
         # Joints may be without a second encoder.
@@ -257,6 +266,7 @@ def _mark_not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     q, tau = (
         np.concatenate([x[-1:], y]) for x, y in ((before.q, chunk.q), (before.tau, chunk.tau))
     )
+    # The first row was the last of the chunk before.
     return find_changed_rows(q, tau)[1:]
 
 
@@ -266,6 +276,7 @@ def _add_missing(missing: dict[tuple[int, int], Missing], chunk: Recording, begi
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
             rows, key = np.flatnonzero(bad[:, k]), (list(CREDIBLE).index(what), k)
+            # NaN fails the comparison, and counts as missing too.
             known = missing.get(key) or Missing(what, k, rows[:0], float(values[rows[0], k]))
             missing[key] = replace(known, rows=np.append(known.rows, begin + rows))
 
@@ -329,15 +340,17 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
         stop = begin + chunk.n_samples
         changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [
-            tuple(each.with_more(changed[:, k], place) for each in both)
+            tuple(plateau.with_more(changed[:, k], place) for plateau in both)
             for k, both in enumerate(plateaus)
         ]
         for wanted, part in zip(rows, parts, strict=True):
+            # Rows of a segment that lie in this chunk; a segment may span two.
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
                 part.append(chunk.taken(here - begin))
         if known.n_chunks == 1:
             torques.append(chunk.tau[known.valid_torque])
+        # Plateaus count torques that are not repeated, and not samples.
         begin, place = stop, place + len(changed)
     segments = list(map(join_recordings, parts))
     motion = smooth_motion(segments, step, window) if segments else None
@@ -351,4 +364,5 @@ def _find_plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
     # Number of torques that are not repeated below which there is no plateau.
     if known.torque_range.count[joint] < 20 or high == low:
         return ()
+    # One at each extreme, with a twentieth of the range as its neighbourhood.
     return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))

@@ -51,6 +51,7 @@ class PositionNoise:
         except RecordingError:
             return None
         finite = recording.q[np.all(np.isfinite(recording.q), axis=1)]
+        # Repeated positions hide the step of the values.
         changed = find_changed_rows(finite)
         if grid.rate < 1.0 or not changed[1:].any():
             return None
@@ -59,6 +60,7 @@ class PositionNoise:
         )
         step = find_position_steps([finite[changed]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
+        # Quantisation is noise even where the spectrum does not show it.
         return cls(step, np.maximum(density, step**2 / (6.0 * grid.rate)), band)
 
 
@@ -70,6 +72,7 @@ def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[
     band = noise.band
     if band.noise is not None and band.cutoff < LIMITED * band.wanted:
         worst = band.noise.limiting_joint(band.wanted)
+        # Noise above the motion's band limits nothing that matters.
         cuts_motion = band.cutoff < LIMITED * POSITION_BANDWIDTHS * band.bandwidth
         by_steps = f", whose positions change in {steps[worst]}" if steps[worst] else ""
         yield Finding(
@@ -81,6 +84,7 @@ def check_positions(model: RobotModel, noise: PositionNoise | None) -> Iterator[
             Cure("log positions with the encoder's full resolution, or velocities, or move faster"),
         )
     for k, text in enumerate(steps):
+        # A step below 16 bits per turn is named only if it limits the band.
         if text and noise.step[k] > COARSE:
             yield Finding(
                 "coarse_positions",
@@ -108,8 +112,10 @@ def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     if closure is None:
         return
     known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
+    # At most 2000 postures, evenly spread.
     # Loops are looked at in 2000 samples of a log.
     rows = known[:: max(1, known.size // 2000)]
+    # Postures that do not close have no distance from a singular one.
     at = closure.postures(recording.q[rows])
     names = model.joint_names
     moving = [k for k in range(model.n_joints) if closure.moves_loops(k)]
@@ -135,6 +141,7 @@ def check_closure(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     if not at.closed.any():
         return
     nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
+    # The nearest one is said even where it is far: it is what a user can check.
     where, time = describe(nearest)
     text = (
         f"the loops are nearest to a singular posture {where}: smallest singular value"
@@ -161,6 +168,7 @@ def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding
     placed = np.full((known.size, model.n_links), np.nan)
     placed[known] = model.link_positions(recording.q[known])
     for k, joint in enumerate(model.followers, start=model.n_joints):
+        # Shares name the joints that a follower follows.
         master = " and ".join(
             name
             for name, share in zip(model.joint_names, model.link_shares[k], strict=True)
@@ -172,6 +180,7 @@ def check_couplings(model: RobotModel, recording: Recording) -> Iterator[Finding
             away = float(np.sqrt(np.nanmean((q - placed[:, k]) ** 2)))
             # Play of a gripper [rad or m], and the share of the follower's range that exceeds it.
             play, unit = (0.02, "rad") if joint.is_revolute else (0.001, "m")
+            # Play is no error of the coupling, nor is a small share of a long way.
             if away > max(play, 0.05 * float(np.nanmax(q) - np.nanmin(q))):
                 yield Finding(
                     "coupling_disagrees",
@@ -227,18 +236,21 @@ def estimate_encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | Non
     """
     if not (np.ptp(own) > 0.0 and np.ptp(other) > 0.0):
         return None
+    # s own - s lag d(own)/dt + c, a fit of three columns.
     columns = np.column_stack([own, np.gradient(own, t), np.ones_like(own)])
 
     def lag(left_out: Indices) -> tuple[float, Array]:
         kept = np.delete(np.arange(t.size), left_out)
-        found = np.linalg.lstsq(columns[kept], other[kept], rcond=None)[0]
-        return -float(found[1] / found[0]), found
+        fitted = np.linalg.lstsq(columns[kept], other[kept], rcond=None)[0]
+        # The slope over the gain is minus the lag.
+        return -float(fitted[1] / fitted[0]), fitted
 
     value, (s, b, c) = lag(np.arange(0))
     parts = [lag(rows)[0] for rows in np.array_split(np.arange(t.size), BLOCKS)]
     difference, error = other - s * own - c, other - columns @ np.array([s, b, c])
     return EncoderLag(
         value,
+        # Jackknife of m blocks: sqrt(m - 1) times the standard deviation of the parts.
         float(np.std(parts) * np.sqrt(BLOCKS - 1)),
         1.0 - float(np.mean(error**2) / np.mean(difference**2)),
         float(np.sqrt(np.mean(error**2))),
@@ -250,6 +262,7 @@ def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]
     second = recording.second_encoder
     if second is None or recording.n_samples < 2 * BLOCKS:
         return
+    # The lag is of the link behind the motor, whichever is the second encoder.
     sign = 1.0 if second[0] == "link" else -1.0
     found = [
         (joint, estimate_encoder_lag(recording.t, own, other))
@@ -257,24 +270,24 @@ def check_encoders(model: RobotModel, recording: Recording) -> Iterator[Finding]
     ]
     # Standard errors beyond which a lag is one.
     lagging = [
-        (joint, each)
-        for joint, each in found
-        if each is not None and abs(each.value) > 3.0 * each.std_error
+        (joint, encoder_lag)
+        for joint, encoder_lag in found
+        if encoder_lag is not None and abs(encoder_lag.value) > 3.0 * encoder_lag.std_error
     ]
     if not lagging:
         return
     lags = [
-        f"{joint.name} {1e3 * sign * each.value:.2f} +- {1e3 * each.std_error:.2f} ms"
-        for joint, each in lagging
+        f"{joint.name} {1e3 * sign * encoder_lag.value:.2f} +- {1e3 * encoder_lag.std_error:.2f} ms"
+        for joint, encoder_lag in lagging
     ]
-    shares = sorted(100.0 * each.explained for _, each in lagging)
+    shares = sorted(100.0 * encoder_lag.explained for _, encoder_lag in lagging)
     rest = [
-        f"{np.rad2deg(each.rest) * 1e3:.1f} mdeg"
+        f"{np.rad2deg(encoder_lag.rest) * 1e3:.1f} mdeg"
         if joint.is_revolute
-        else f"{1e6 * each.rest:.1f} um"
-        for joint, each in lagging
+        else f"{1e6 * encoder_lag.rest:.1f} um"
+        for joint, encoder_lag in lagging
     ]
-    without = [joint.name for joint, each in found if each is None]
+    without = [joint.name for joint, encoder_lag in found if encoder_lag is None]
     also = f"; {join_names(without)} have one encoder that moves" if without else ""
     yield Finding(
         "encoder_lag",

@@ -30,6 +30,7 @@ class Extremes:
 
     def with_more(self, values: Array) -> Extremes:
         """Include further values (N, n); those that are not finite do not count."""
+        # NaN would win every minimum, so that it is masked.
         finite = np.isfinite(values)
         return Extremes(
             self.count + finite.sum(axis=0),
@@ -54,9 +55,11 @@ class Exceedance:
         """Include amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
         if not len(rows):
             return self
+        # A joint whose amounts are all NaN never exceeds.
         amount = np.where(np.isnan(amount), -np.inf, amount)
         place, columns = np.argmax(amount, axis=0), np.arange(amount.shape[1])
         worst = amount[place, columns]
+        # Strictly: of equal ones the first stays.
         worse = worst > self.amount
         return Exceedance(
             self.count + exceeds.sum(axis=0),
@@ -81,6 +84,7 @@ class PositionMoments:
     def with_more(self, q: Array) -> PositionMoments:
         """Include further positions (N, n); rows with a value that is not finite do not count."""
         complete = q[np.all(np.isfinite(q), axis=1)]
+        # About the first sample: joints that hardly move keep their digits.
         about = self.about if self.n_samples or not len(complete) else complete[0]
         apart = complete - about
         return PositionMoments(
@@ -98,8 +102,10 @@ class PositionMoments:
     def correlations(self, joints: list[int]) -> Array:
         """Return the correlation coefficients of the positions of joints that move."""
         mean = self.total[joints] / self.n_samples
+        # Mean of squares less the square of the mean, in one pass.
         covariance = self.products[np.ix_(joints, joints)] / self.n_samples - np.outer(mean, mean)
         size = np.sqrt(np.diag(covariance))
+        # Rounding can leave a correlation just above one.
         return np.asarray(np.clip(covariance / np.outer(size, size), -1.0, 1.0))
 
 
@@ -139,6 +145,7 @@ def choose_segments(t: Array, valid: Mask) -> tuple[list[Indices], float, int]:
     There is no segment where none is long enough for the window, by which it is smoothed.
     """
     rows = np.flatnonzero(valid)
+    # Times that repeat or go back: each time once, in order.
     t, first = np.unique(t[rows], return_index=True)
     rows = rows[first]
     if t.size < 20:
@@ -146,6 +153,7 @@ def choose_segments(t: Array, valid: Mask) -> tuple[list[Indices], float, int]:
     steps = np.diff(t)
     step = float(np.median(steps))
     # 0.15: width of the smoothing [s].
+    # Odd, so that the window has a middle.
     window = max(5, int(0.15 / step) | 1)
     breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
     bounds = [
@@ -154,6 +162,7 @@ def choose_segments(t: Array, valid: Mask) -> tuple[list[Indices], float, int]:
         for a in range(start, stop, _SEGMENT_SAMPLES)
         for b in [min(a + _SEGMENT_SAMPLES, stop)]
         if b - a > 2 * window
+        # Evenly spread over the log, its beginning and end included.
     ]
     chosen = np.linspace(0, len(bounds) - 1, min(len(bounds), _MOST_SEGMENTS)).astype(int)
     return [rows[slice(*bounds[k])] for k in chosen], step, window
@@ -166,10 +175,12 @@ def smooth_motion(logged: Sequence[Recording], step: float, window: int) -> Smoo
     of values, so that a joint at rest has a velocity of exactly 0.
     """
     value, *slopes = _derive_cubic_taps(window, step)
+    # By parts: constant positions have steps of exactly zero.
     of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
     smooth: list[list[Array]] = []
     for part in logged:
         columns = [part.q, part.tau] + ([part.qd] if part.qd is not None else [])
+        # The median step, so that one set of taps serves all segments.
         even = np.arange(part.t[0], part.t[-1], step)
         q, *rest = [_resample(even, part.t, values) for values in columns]
         steps = np.diff(q, axis=1)
@@ -187,6 +198,7 @@ def _derive_cubic_taps(window: int, step: float) -> list[Array]:
     """
     powers = np.arange(window, dtype=np.float64) - window // 2
     A = powers ** np.arange(4.0)[:, None]
+    # k! / step^k turns a coefficient of the cubic into a derivative.
     return [lstsq(A, np.eye(4)[k] * factorial(k) / step**k)[0] for k in range(3)]
 
 
@@ -202,4 +214,5 @@ def normalise_columns(x: Array) -> Array:
     """
     x = x - x.mean(axis=0)
     length = np.linalg.norm(x, axis=0)
+    # A constant column becomes zero: it correlates with nothing.
     return np.asarray(x / np.where(length > 0.0, length, np.inf))

@@ -106,14 +106,17 @@ def propose_sheet(
     """
     chosen = options or ReadingOptions()
     given, _ = find_sheet(paths[0], chosen.sheet)
+    # Fields that the log's own sheet gives are no proposal.
     content = given.model_dump(exclude_unset=True, exclude_none=True)
     start = dict(content)
     reasons: list[str] = []
     check: RecordingCheck | None = None
     problem: RecordingError | None = None
+    # One change a round: reading with it changes what the next finding says.
     for _ in range(MOST_ROUNDS):
         try:
             fitted, recording = _read(model, paths, chosen, content)
+        # What is not read cannot be checked: its own error has the cure.
         except RecordingError as raised:
             problem = raised
             cures = [(raised.message, raised.cure)]
@@ -121,11 +124,13 @@ def propose_sheet(
             problem = None
             check = check_recording(fitted, recording)
             cures = [(f.message, f.cure) for f in (*check.errors, *check.warnings)]
+        # Errors first, so that they are cured first.
         found = _find_change(cures, content, check)
         if found is None:
             break
         change, reason = found
         content = merge_fields(content, change)
+        # Paths of this machine do not belong into a sheet.
         reasons.append(reason.replace(f"{paths[0]}", paths[0].name))
     changed = content != start
     if problem is None and check is not None:
@@ -143,6 +148,7 @@ def _read(
     model: RobotModel, paths: Sequence[Path], options: ReadingOptions, content: Mapping[str, Any]
 ) -> tuple[RobotModel, Any]:
     """Return the robot as recorded and the recording, read with these fields of a sheet."""
+    # A proposal is tested by reading the log with it.
     sheet = RecordingSheet.model_validate(content)
     fitted, ((recording,),) = read_fitted_recordings(
         model, [[*paths]], replace(options, sheet=sheet)
@@ -160,10 +166,12 @@ def _find_change(
         if cure is None:
             continue
         change = dict(cure.sheet)
+        # A sign that the sheet has must not be turned round by round.
         if cure.settings.get("flip_torque") and "sign" not in content:
             change = {"sign": -1}
         for name in ("rate", "torque_source"):
             value = cure.settings.get(name)
+            # Placeholders such as HZ are words for the user.
             if isinstance(value, float) or (name == "torque_source" and value == "command"):
                 change = {name: value}
         if (
@@ -213,6 +221,7 @@ def _complete(
         sheet = RecordingSheet.model_validate(content)
         table = read_table([*paths], sheet)
         layout = find_table_layout(table, sheet, model.standing, options)
+        # Completed sheets are kept only if they read the same.
         full = merge_fields(content, _list_columns(table, layout, content))
         again = head_of_recorded(_read(model, paths, options, full)[1])
     except (AsbuiltError, ValueError):
@@ -245,6 +254,7 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
     order = table.order or tuple(table.columns)
 
     def name(column: str) -> Any:
+        # Columns without names go by number, counted from 1.
         return column if table.named else order.index(column) + 1
 
     columns: dict[str, Any] = {}
@@ -254,8 +264,10 @@ def _list_columns(table: LogTable, layout: Layout, content: Mapping[str, Any]) -
         if not names or not all(names):
             continue
         columns[quantity] = [name(column) for column in names]
+        # A unit that the sheet states wins over one that was guessed.
         if quantity in content.get("units", {}):
             continue
+        # Columns of several units have no one name: the sheet says nothing of them.
         unit = _name_unit(quantity, [layout.scales.get(column, 1.0) for column in names])
         if unit is None:
             return {}
@@ -282,6 +294,7 @@ def _name_unit(quantity: str, scales: Sequence[float]) -> str | None:
     if scales[0] == 1.0:
         return ""
     named = {factor: names.get(quantity) for factor, names in UNIT_NAMES.items()}
+    # Factors come from divisions, and are close rather than equal.
     return next((unit for factor, unit in named.items() if math.isclose(factor, scales[0])), None)
 
 
@@ -297,7 +310,8 @@ def format_sheet(content: Mapping[str, Any]) -> list[str]:
         for name, value in content.items()
         if name not in tables and value is not None
     ]
-    for name in [*(each for each in tables if each != "columns"), "columns"]:
+    # Columns last: the longest table.
+    for name in [*(table_name for table_name in tables if table_name != "columns"), "columns"]:
         entries = {key: value for key, value in tables.get(name, {}).items() if value is not None}
         if entries:
             lines += ["", f"[{name}]"]
@@ -316,6 +330,7 @@ def _format_key(key: str) -> str:
 
 def _format_value(value: Any) -> str:
     """Return a value as TOML."""
+    # A bool is an int in Python, and must be asked for first.
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float | int):
@@ -335,11 +350,12 @@ def _find_span(value: Any) -> str:
     ('"2-4"', '"q_1-q_3"', '')
     """
     listed = value if isinstance(value, list) else []
+    # Leading zeros are part of a name, no number.
     found = [re.fullmatch(r"(\D*?)(0|[1-9]\d*)", str(name)) for name in listed]
     if len(found) < 3 or None in found:
         return ""
-    stems = {each[1] for each in found if each}
-    numbers = [int(each[2]) for each in found if each]
+    stems = {match[1] for match in found if match}
+    numbers = [int(match[2]) for match in found if match]
     rises = numbers == [*range(numbers[0], numbers[0] + len(numbers))]
     text = f"{listed[0]}-{listed[-1]}"
     return json.dumps(text, ensure_ascii=False) if len(stems) == 1 and rises else ""

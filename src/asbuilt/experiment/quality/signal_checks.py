@@ -42,6 +42,7 @@ def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
             Cure("log it, or name its column in a recording sheet: [columns] torque = [...]"),
             joint=joint.name,
             torque=1.0,
+            # The whole torque of this joint is lost: it ranks first.
         )
 
 
@@ -52,13 +53,16 @@ def check_saturation(
 
     An extreme of zero is none: magnitudes rest there.
     """
+    # Places on plateaus count samples that are not repeated.
     changed = np.flatnonzero(recording.not_repeated)
     for k, joint in enumerate(model.joints):
         for plateau in closer.plateaus[k]:
             flat = plateau.places.size
             longest, start = _find_longest_block(plateau.places)
+            # How often another value near the extreme occurs: a coarse torque repeats every value.
             usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
             # 5: consecutive samples at an extreme from which a torque may be saturated.
+            # Eight times as often as its neighbours: no accident of the steps.
             if plateau.extreme != 0.0 and longest >= 5 and flat > 8 * max(usual, 1.0):
                 yield Finding(
                     "saturation",
@@ -73,7 +77,9 @@ def check_saturation(
                     time=float(recording.t[changed[start]]),
                 )
         limit, over = joint.limits.torque, int(recording.saturated.count[k])
+        # Currents have no limit in the description's unit.
         stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
+        # From half of the samples on the limit itself is doubted elsewhere.
         if closer.plateaus[k] and stated and 3 <= over < 0.5 * changed.size:
             yield Finding(
                 "torque_limit",
@@ -88,10 +94,10 @@ def check_saturation(
 
 def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Name joints with single torques that stand out from their neighbours: number, size, place."""
-    for joint in sorted({each.joint for each in recording.spikes}):
-        own = [each for each in recording.spikes if each.joint == joint]
-        rows = np.concatenate([each.rows for each in own])
-        sizes = np.concatenate([each.sizes for each in own])
+    for joint in sorted({spike.joint for spike in recording.spikes}):
+        spikes_here = [spike for spike in recording.spikes if spike.joint == joint]
+        rows = np.concatenate([spike.rows for spike in spikes_here])
+        sizes = np.concatenate([spike.sizes for spike in spikes_here])
         worst, name = int(np.argmax(sizes)), model.joint_names[joint]
         unit = "N m" if model.joints[joint].is_revolute else "N"
         yield Finding(
@@ -115,10 +121,12 @@ def check_noise_floor(torques: Sequence[Array], rate: float) -> Iterator[Finding
     length = min(1024, *map(len, long_enough))
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
     power = np.mean([power_density(_detrend(tau), rate, length) for tau in long_enough], axis=0)
+    # A torque that is constant has no spectrum.
     power = power[:, power.max(axis=0) > 0]
     if not power.size:
         return
     relative = power / power.max(axis=0)
+    # Near half the rate no motion is left, only the sensor.
     floor = float(np.median(np.median(relative[frequency > 0.35 * rate], axis=0)))
     # Power at high frequency, relative to the peak, that no torque sensor falls below.
     if floor > 1e-9:
@@ -140,6 +148,7 @@ def _find_longest_block(places: Indices) -> tuple[int, int]:
     """Return the length of the longest block of consecutive indices, and its first."""
     if not places.size:
         return 0, 0
+    # The first index starts a block: the one prepended is two before.
     starts = np.flatnonzero(np.diff(places, prepend=places[0] - 2) != 1)
     lengths = np.diff(starts, append=places.size)
     longest = int(np.argmax(lengths))
@@ -149,6 +158,7 @@ def _find_longest_block(places: Indices) -> tuple[int, int]:
 def _detrend(tau: Array) -> Array:
     """Return torques (N, n) without mean and trend."""
     trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
+    # A trend leaks into all frequencies.
     level = tau - tau.mean(axis=0)
     return np.asarray(level - trend * (trend * level).sum(axis=0) / np.sum(trend**2))
 
@@ -160,6 +170,7 @@ def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> 
     whose commands, if there are any, say what was logged. A joint that the model's gravity always
     loads in the positive direction says nothing.
     """
+    # A weight that always pulls one way has one sign by itself.
     used = (measured.high > 0.0) & ~_mark_weight_bearing(model, beginning)
     # Joints from which it is no accident that none has a torque of the other sign.
     if np.count_nonzero(used) < 2 or np.any(measured.low < 0.0) or not _reverses(beginning):
@@ -169,6 +180,7 @@ def check_signs(model: RobotModel, measured: Extremes, beginning: Recording) -> 
         "use the commanded positions if the log has them, with torque_source = command",
         settings={"torque_source": "command"},
     )
+    # A sign by the command needs a law at every joint.
     if all(law is not None and law.holds and law.kind == "motor" for law in laws):
         cure = Cure(
             'write sign = "command" in a recording sheet: the torque then has the sign of the'
@@ -215,6 +227,7 @@ def _reverses(recording: Recording) -> bool:
     """Whether a joint with magnitudes moves both ways, for a tenth of its way at least."""
     for q, tau in zip(recording.q.T, recording.tau.T, strict=True):
         moved = np.diff(q[np.isfinite(q)])
+        # Total way forth and back, so that a drift is no reversal.
         forth, back = float(moved[moved > 0].sum()), float(-moved[moved < 0].sum())
         if is_magnitude(tau) and min(forth, back) > 0.1 * max(forth, back):
             return True

@@ -43,6 +43,7 @@ def check_torques(
     `position_scale` (n,) converts logged positions to rad: 1, or pi/180 if they are degrees.
     """
     fit = TorqueFit.of(model, motion, position_scale)
+    # Without masses there is no torque to compare with.
     if not np.any(fit.predicted > 0):
         yield from _check_without_masses(fit)
         return
@@ -55,13 +56,16 @@ def check_torques(
             Cure("log the measured joint torques or motor currents"),
         )
         return
+    # Gravity first: with the wrong one every other comparison is off.
     mounted = check_gravity(fit)
     if mounted is not None:
         yield mounted[0]
         fit = mounted[1]
+    # A wrong unit would hide an order or a convention: it is taken out before these are asked.
     ratio = 1.0 if PLAUSIBLE[0] < fit.ratio < PLAUSIBLE[1] else fit.ratio
     fit = replace(fit, tau=fit.tau * (1.0 / ratio))
     best = find_best_assignment(fit)
+    # The masses of CAD may prefer a swap that any masses refute.
     if best is not fit and compare_by_any_masses(fit, best) < 0:
         best = fit
     other = check_conventions(best, believed="zero" in recording.first.stated)
@@ -70,6 +74,7 @@ def check_torques(
     if other is not None:
         yield other[0]
         best = other[1]
+    # Swaps by any masses are asked only where CAD shows none.
     elif best is fit:
         yield from _find_swapped_without_cad(fit)
     yield from _check_sign_and_scale(recording, best, ratio)
@@ -84,6 +89,7 @@ def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
         if seen.size
         else "their signs neither, as no friction shows"
     )
+    # With nothing to compare with, what was not checked is said.
     yield Finding(
         "no_inertia",
         "info",
@@ -100,10 +106,12 @@ def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
     model, friction = fit.model, fit.friction_correlation
     wrong = np.flatnonzero(friction < -BRAKING).tolist()
+    # One joint against the motion may be driven by the others; several are a sign.
     right = np.flatnonzero(friction > BRAKING).tolist()
     if len(wrong) > max(len(right), 1):
         listed = join_names([f"{model.joint_names[k]} {friction[k]:.2f}" for k in wrong])
         halves = [half.friction_correlation[wrong] for half in fit.halves()]
+        # Energy first, as friction may be hidden; else both halves.
         sure = fit.kinetic_sign < 0.0 or (
             fit.kinetic_sign == 0.0 and all(np.all(half <= 0.0) for half in halves)
         )
@@ -140,6 +148,7 @@ def _report_driven_motion(
 
 def _report_swapped(fit: TorqueFit, best: TorqueFit) -> Finding:
     names = fit.model.joint_names
+    # Torque and motion may be swapped apart: a file may mix either.
     moved = [k for k in range(len(names)) if best.torque_of[k] != k or best.motion_of[k] != k]
     fits = []
     for k in moved:
@@ -180,6 +189,7 @@ def _find_swapped_without_cad(fit: TorqueFit) -> Iterator[Finding]:
 def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
     model, names = fit.model, fit.model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
+    # A correlation must be clear before gain or sign is read from it.
     clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > CLEAR))]
     if not clear:
         yield from _find_uncorrelated(model, correlation, gain, predicted)
@@ -188,15 +198,18 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
         f"{names[k]}: gain {gain[k]:.3g}, correlation {correlation[k]:.3f}"
         for k in sorted(clear, key=lambda k: -predicted[k])[:3]
     )
+    # Most joints decide the sign of all: the others are then those that differ.
     flipped = sum(correlation[k] < 0 for k in clear) * 2 > len(clear)
     sign = -1.0 if flipped else 1.0
     scale = float(np.median(np.abs(gain[clear])))
     relative = np.abs(gain) / scale
     # Beyond these gains relative to the others the unit or gain of a joint differs.
+    # A gain far from the others' is another fault than a sign.
     usual = (relative > 0.2) & (relative < 5.0)
     alone = [
         k
         for k in np.flatnonzero(fit.decides & usual).tolist()
+        # A joint alone needs more certainty than one among many.
         if sign * correlation[k] < -(CLEAR if k in clear else CERTAIN)
     ]
     if flipped:
@@ -210,6 +223,7 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
             else _make_flip_cure(recording.first.notes),
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
+    # Where rigid bodies say nothing friction does.
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
     braking = np.flatnonzero(unclear & (friction < -BRAKING)).tolist()
     braking = [k for k in braking if k not in alone]
@@ -218,6 +232,7 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
     for k in braking:
         yield _report_driven_motion(model, k, float(friction[k]), sign, [*alone, *braking])
     servo = recording.first.servo
+    # Unknown stiffness is the scale: there is none to doubt.
     if servo is not None and np.any(np.isnan(servo.kp)):
         yield Finding(
             "servo_stiffness",
@@ -227,6 +242,7 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
             Cure("give the stiffness if it is known; else it is identified, with its error"),
         )
         return
+    # A scale of all joints is one unit; single joints are asked after it.
     if not PLAUSIBLE[0] < scale < PLAUSIBLE[1]:
         yield _report_scale(recording, fit, scale, evidence, clear)
         return
@@ -265,6 +281,7 @@ def _weigh_flip(recording: FirstPass, fit: TorqueFit, clear: Sequence[int]) -> S
     Friction brakes and kinetic energy is positive, whatever the masses; where neither shows, both
     halves of the log must agree.
     """
+    # A sign that is stated is the user's: doubt is a warning.
     if "sign" in recording.first.stated:
         return "warning"
     roads = find_friction_sign(fit) + fit.kinetic_sign
@@ -289,6 +306,7 @@ def _report_opposite_sign(
     """
     name = fit.model.joint_names[k]
     evidence = f"gain {gain:.3g}, correlation {fit.correlation[k]:.3f}"
+    # All suspects are turned together, and this one alone turned back.
     others = np.where(np.isin(np.arange(fit.model.n_joints), list(alone)), -1.0, 1.0)
     signs = np.where(np.arange(fit.model.n_joints) == k, 1.0, others)
     by_masses = compare_by_any_masses(fit.with_signs(signs), fit.with_signs(others))
@@ -318,6 +336,7 @@ def _find_uncorrelated(
 ) -> Iterator[Finding]:
     """Find torques unlike the model's, unless noise or friction of the model's size explains it."""
     k = int(np.argmax(predicted))
+    # Noise and friction of the model's size hide a correlation, and need no finding.
     if not (correlation[k] > 0.3 and 0.8 < gain[k] < 1.25):
         yield Finding(
             "torque_uncorrelated",
@@ -359,11 +378,13 @@ def _is_one_scale(fit: TorqueFit, clear: Sequence[int]) -> bool:
     are wrong differ from joint to joint, a unit does not.
     """
     whole = np.std(fit.tau, axis=0)[clear]
+    # Friction leaves no scale of rigid bodies.
     bodies = [k for k, part in zip(clear, whole, strict=True) if fit.measured[k] > 0.5 * part]
     if not bodies:
         return False
-    gains = [np.abs(each.gain[bodies]) for each in (*fit.halves(), fit)]
+    gains = [np.abs(part.gain[bodies]) for part in (*fit.halves(), fit)]
     one, two, _ = map(np.median, gains)
+    # Of all joints the whole log; each ratio of two is the square of one.
     alike = np.max(gains[2]) < AGREEMENT**2 * np.min(gains[2])
     return bool(max(one, two) < AGREEMENT * min(one, two) and alike)
 
@@ -377,10 +398,11 @@ def _report_scale(
     CAD, or else one scale everywhere.
     """
     model = fit.model
+    # The density by CAD asks whether masses of the description can be an arm's.
     by_cad = infer_density(replace(fit, tau=inverse_dynamics(model, fit.q, fit.qd, fit.qdd)))
     by_log = infer_density(replace(fit, tau=fit.tau * scale))
     (low, high) = DENSITY
-    plausible = [None if each is None else low < each < high for each in (by_cad, by_log)]
+    plausible = [None if density is None else low < density < high for density in (by_cad, by_log)]
     if plausible == [False, True]:
         return Finding(
             "masses_implausible",
@@ -390,9 +412,11 @@ def _report_scale(
             " size: masses, or lengths, of the description look to be in another unit",
             Cure("correct the description"),
         )
+    # Two roads agree, or one scale is shared by everything.
     sure = plausible == [True, False] or _is_one_scale(fit, clear)
     # Links of one mass have placeholders, whose scale no torque follows.
     masses = [link.inertia.mass for link in model.links if link.inertia.mass > 0.0]
+    # Converted drawings have one mass for many links.
     placeholders = len(masses) > 2 and 2 * len(set(masses)) <= len(masses)
     sure = sure and not placeholders and "torque" not in recording.first.stated
     if recording.first.torque_source == "command":

@@ -40,6 +40,7 @@ def choose_decisive_change(
         Difference of the costs from which the change is decisive.
     """
     costs = [(cost(change), change) for change in changes]
+    # Without a change there is nothing to compare.
     best = min(costs, key=lambda pair: pair[0], default=None)
     return best[1] if best is not None and best[0] < cost(logged) - fall else None
 
@@ -50,6 +51,7 @@ def list_swaps(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
     >>> list(list_swaps((0, 1, 2)))
     [(1, 0, 2), (2, 1, 0), (0, 2, 1)]
     """
+    # Each pair once.
     for i, j in combinations(range(len(order)), 2):
         changed = list(order)
         changed[i], changed[j] = order[j], order[i]
@@ -82,6 +84,7 @@ class TorqueFit:
     @classmethod
     def of(cls, model: RobotModel, motion: SmoothedMotion, scale: Array) -> TorqueFit:
         """Compare a smoothed motion, positions times `scale` (n,), in the order logged."""
+        # The friction of the joint that moves here, so that swapped motions take theirs along.
         # 400 samples: more do not change a decision.
         rows = motion.thinned(400)
         order = tuple(range(model.n_joints))
@@ -115,6 +118,7 @@ class TorqueFit:
             drive=drive,
             columns=base.columns,
         ).reshape(samples, n, -1)
+        # Coulomb friction as a smooth sign: a jump at rest would fit noise.
         W[:, range(n), range(base.n_base, base.n_base + n)] = np.tanh(self.qd / BREAKAWAY)
         return W
 
@@ -123,6 +127,7 @@ class TorqueFit:
         # Columns in memory are summed pairwise: a constant torque is its mean to the last digit.
         y = np.asfortranarray(self.tau)
         y = y - y.mean(axis=0)
+        # Unit variance, so that no joint decides by its size.
         spread = _replace_zeros(y.std(axis=0))
         y = y / spread
         return NormalEquations(
@@ -148,6 +153,7 @@ class TorqueFit:
         `2 T = qd^T M(q) qd` is the power along `qd` of the torques that accelerate by `qd` from
         rest without gravity: linear in the masses, and positive for any that can exist.
         """
+        # One sign in the whole and both halves, else none.
         signs = {np.sign(part._mean_energy()) for part in (self, *self.halves())}
         return float(signs.pop()) if len(signs) == 1 else 0.0
 
@@ -157,6 +163,7 @@ class TorqueFit:
         n = self.model.n_joints
         beta = self.normal_equations(W).solve(tuple(range(n)))
         rest = np.zeros_like(self.qd)
+        # qdd = qd from rest without gravity: the torque is M(q) qd.
         moved = replace(self, qd=rest, qdd=self.qd).observe(np.zeros(3))
         # The last columns are friction, and viscous friction and offsets have no part in energy.
         base = find_base_parameters(self.model, DriveSet.parse("viscous,offset"))
@@ -171,6 +178,7 @@ class TorqueFit:
 
     def without_friction(self, torque: Array) -> Array:
         """Return torques (N, n) without what offset and friction of each joint explain."""
+        # A batch of matrices wants a column each.
         columns = torque.T[:, :, None]
         rest = columns - self.friction @ (self.friction.swapaxes(1, 2) @ columns)
         return np.ascontiguousarray(rest[:, :, 0].T)
@@ -185,6 +193,7 @@ class TorqueFit:
         """Which joints have enough predicted torque to decide anything, shape (n,)."""
         predicted = self.predicted
         # Predicted torque, relative to the largest, below which a joint decides nothing.
+        # Relative to the largest: a wrist of small torques decides nothing about the arm.
         return np.asarray(predicted > 0.02 * np.max(predicted))
 
     @property
@@ -201,6 +210,7 @@ class TorqueFit:
 
     @property
     def ratio(self) -> float:
+        # By size alone: signs and order may still be wrong.
         """Factor from predicted to measured torques by their size."""
         return float(np.sqrt(np.sum(self.measured**2) / np.sum(self.predicted**2)))
 
@@ -235,11 +245,13 @@ class TorqueFit:
             basis, values, _ = np.linalg.svd(
                 rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False
             )
+            # Directions of rounding would project out noise.
             basis = basis[:, values > 1e-6 * values[0]]
             both = np.column_stack([np.tanh(self.qd[:, k] / BREAKAWAY), self.tau[:, k]])
             direction, rest = (both - basis @ (basis.T @ both)).T
             norm = float(np.linalg.norm(direction) * np.linalg.norm(rest))
             whole = np.linalg.norm(both[:, 1] - both[:, 1].mean())
+            # A friction of less than a tenth is not told from what masses leave.
             if norm > 0 and abs(direction @ rest) / np.linalg.norm(direction) > 0.1 * whole:
                 correlation[k] = direction @ rest / norm
         return correlation
@@ -253,6 +265,7 @@ class TorqueFit:
     @property
     def cost(self) -> float:
         """Sum over joints of the logarithm of the misfit, for the better sign of all torques."""
+        # Either sign, as an order is asked before the sign.
         # 0.02: misfit below which a better fit does not count.
         return min(float(np.sum(np.log(self.misfit(sign) + 0.02))) for sign in (1, -1))
 
@@ -268,6 +281,7 @@ class TorqueFit:
                 "friction": self.friction[order],
                 "motion_of": tuple(self.motion_of[k] for k in order),
             }
+            # Torques alone, both, motions alone.
             yield replace(self, **torque)
             # More joints would take long.
             if self.model.n_joints <= 10:
@@ -299,6 +313,7 @@ def compare_by_any_masses(fit: TorqueFit, other: TorqueFit) -> int:
         measure_any_masses(one) - measure_any_masses(two)
         for one, two in zip((fit, *fit.halves()), (other, *other.halves()), strict=True)
     ]
+    # Parts that contradict each other show nothing.
     if abs(falls[0]) < BETTER or min(falls) < 0.0 < max(falls):
         return 0
     return 1 if falls[0] > 0.0 else -1
@@ -318,6 +333,7 @@ def friction_bases(qd: Array, springs: Array) -> Array:
     friction = np.linalg.qr(terms.swapaxes(0, 1))[0]
     if not springs.size:
         return np.asarray(friction)
+    # Springs beyond friction, so that the joint basis stays orthonormal.
     rest = springs - friction @ (friction.swapaxes(1, 2) @ springs)
     bases, sizes, _ = np.linalg.svd(rest, full_matrices=False)
     whole = np.linalg.norm(springs, axis=(1, 2))[:, None]
@@ -328,6 +344,7 @@ def friction_bases(qd: Array, springs: Array) -> Array:
 def find_best_assignment(fit: TorqueFit) -> TorqueFit:
     """Swap pairs of joints as long as the torques fit decisively better, and one joint well."""
     best = fit
+    # Each round swaps one pair: a cycle of three takes two.
     for _ in range(fit.model.n_joints):
         # A sum of logarithms that falls by 2: one misfit falls to an eighth.
         change = choose_decisive_change(best, best.changes(), lambda each: each.cost, 2.0)
@@ -375,6 +392,7 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     found = choose_decisive_change(logged, list_swaps(logged), normal.cost, 4.0)
     if found is None:
         return None
+    # The two joints that have moved.
     i, j = (k for k in range(n) if found[k] != k)
     before, after = (normal.unexplained(order)[[i, j]].mean() for order in (logged, found))
     return TorqueSwap((i, j), float(before), float(after))
@@ -401,6 +419,7 @@ class NormalEquations:
         shares = self.unexplained(torque_of) + 1e-3
         for k, j in enumerate(torque_of):
             # A torque that is constant, or noise alone, is explained no better at another joint.
+            # Each must gain, so that one good fit does not carry a bad one.
             if k != j and (self.power[j] == 0.0 or shares[k] > 0.5 * logged[j]):
                 return np.inf
         return float(np.sum(np.log(shares)))
@@ -409,6 +428,7 @@ class NormalEquations:
         """Return the parameters (p,) that fit best if joint k has `torque_of[k]`."""
         order = list(torque_of)
         scale = 1.0 / self.spread[order]
+        # Torques are scaled by the logged column, wherever it is tried.
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         return Scaled(np.tensordot(scale**2, self.grams, axes=1)).solve(scale @ side)
 
@@ -419,6 +439,7 @@ class NormalEquations:
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         explained = scale**2 * (self.grams @ beta @ beta)
+        # |y - W beta|^2 from the normal equations, per sample.
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))
 
@@ -433,6 +454,7 @@ def replace_links_by_rods(model: RobotModel) -> RobotModel:
         if solid.link == ROOT or solid.kind != "rod":
             continue
         span = solid.stop - solid.start
+        # 1 kg/m^3 of a rod as wide as the arm is long: the mass is then the density.
         mass = solid.length * stretched_length(model) ** 2
         inertia = mass / 12.0 * (span @ span * np.eye(3) - np.outer(span, span))
         rod = LinkInertia.from_com(mass, 0.5 * (solid.start + solid.stop), inertia)
@@ -447,10 +469,12 @@ def infer_density(fit: TorqueFit) -> float | None:
     """
     rods = replace(fit, model=replace_links_by_rods(fit.model))
     predicted = rods.predicted
+    # The largest torque decides: there gravity is clearest.
     k = int(np.argmax(predicted))
     # Least share of gravity in the largest torque, and its least correlation with the rods' torque.
     if not predicted[k] > 0 or rods.gravity[k] < 0.8 * predicted[k]:
         return None
     if abs(rods.correlation[k]) < 0.7:
         return None
+    # Torques are linear in the masses, so that their ratio is the density.
     return float(np.linalg.norm(rods.measured) / np.linalg.norm(predicted))

@@ -70,6 +70,7 @@ class Counts:
                     " zero = 3.1416"
                 ),
             )
+        # Counts of half a turn or none are usual as zero.
         zero = 2.0 * math.pi * self.zero / self.turn
         unit = f"1/{self.turn} turn"
         fields = f'units = {{ position = "{unit}" }}, zero = {zero:.6g}'
@@ -96,6 +97,7 @@ def find_counts(
     q = recording.first.q
     known = q[np.all(np.isfinite(q), axis=1)]
     largest = float(np.max(np.maximum(np.abs(low), np.abs(high)), initial=0.0))
+    # Whole numbers within a turn could be radians by chance; beyond they are counts.
     whole = known.size > 0 and bool(np.all(known == np.round(known)))
     if not whole or largest <= LARGEST_RADIANS or not all(j.is_revolute for j in model.joints):
         return None
@@ -103,11 +105,12 @@ def find_counts(
     if motion is None:
         return Counts(0, 0, largest, names)
     candidates = [(turn, zero) for turn in COUNTS if turn > np.max(high) for zero in (0, turn // 2)]
-    left = {each: _measure_left_over(model, motion, *each) for each in candidates}
+    left = {candidate: _measure_left_over(model, motion, *candidate) for candidate in candidates}
     ranked = sorted(left, key=lambda each: left[each])
     if not ranked or left[ranked[0]] > 1.0 - EXPLAINS:
         return Counts(0, 0, largest, names)
     best = ranked[0]
+    # Two counts that explain about as much leave the turn open.
     if len(ranked) > 1 and left[best] > CLEARLY_LESS * left[ranked[1]]:
         return Counts(0, 0, largest, names)
     return Counts(best[0], best[1], largest, names)
@@ -118,7 +121,7 @@ def _measure_left_over(model: RobotModel, motion: SmoothedMotion, turn: int, zer
     scale = 2.0 * np.pi / turn
     rows = motion.thinned(MOST_ROWS)
     q, qd, qdd = scale * (motion.q[rows] - zero), scale * motion.qd[rows], scale * motion.qdd[rows]
-    left = [each.left for each in _fit_parts(model, q, qd, qdd, motion.tau[rows])]
+    left = [parts.left for parts in _fit_parts(model, q, qd, qdd, motion.tau[rows])]
     return float(np.mean(left)) if left else 1.0
 
 
@@ -139,18 +142,20 @@ def _fit_parts(model: RobotModel, q: Array, qd: Array, qdd: Array, tau: Array) -
     """
     load = gravity_torque(model, q)
     inertia = inverse_dynamics(model, q, qd, qdd) - load
-    found = []
+    parts = []
     for k in range(model.n_joints):
         measured = tau[:, k] - float(np.mean(tau[:, k]))
         columns = np.column_stack([load[:, k], inertia[:, k], qd[:, k], np.sign(qd[:, k])])
+        # Centred, which is the offset o.
         columns -= columns.mean(axis=0)
         power = float(measured @ measured)
+        # A joint without load or without inertia cannot compare the two.
         if power == 0.0 or np.any(np.std(columns, axis=0) == 0.0):
             continue
         factors = np.linalg.lstsq(columns, measured, rcond=None)[0]
         left = float(np.sum((measured - columns @ factors) ** 2)) / power
-        found.append(_Parts(float(factors[0]), float(factors[1]), left))
-    return found
+        parts.append(_Parts(float(factors[0]), float(factors[1]), left))
+    return parts
 
 
 def find_velocity_unit(
@@ -166,15 +171,24 @@ def find_velocity_unit(
     moving = np.flatnonzero((energy > 0.0) & (np.std(logged, axis=0) > 0.0))
     if moving.size < 1:
         return
+    # Least-squares factor of logged velocities on the derivative.
     gains = np.sum(logged * slope, axis=0)[moving] / energy[moving]
     alike = [float(np.corrcoef(logged[:, k], slope[:, k])[0, 1]) for k in moving]
     middle = float(np.median(gains))
     one = middle > 0.0 and bool(np.all(np.abs(gains / middle - 1.0) < ALIKE))
-    degrees = any(abs(middle / each - 1.0) < DEGREES_WITHIN for each in (DEGREE, 1.0 / DEGREE))
+    degrees = any(
+        abs(middle / unit_factor - 1.0) < DEGREES_WITHIN for unit_factor in (DEGREE, 1.0 / DEGREE)
+    )
+    # Near 1 the unit is right; degrees are another check's.
     if not one or min(alike) < FOLLOW or abs(middle - 1.0) < 3.0 * ALIKE or degrees:
         return
     factor = 1.0 / middle
-    named = [name for name, each in KNOWN_VELOCITIES.items() if abs(factor / each - 1.0) < ALIKE]
+    named = [
+        name
+        for name, known_factor in KNOWN_VELOCITIES.items()
+        if abs(factor / known_factor - 1.0) < ALIKE
+    ]
+    # Without a known unit the clock is as likely wrong: the torques decide.
     if not named and not _keeps_clock(model, motion, middle):
         return
     unit = named[0] if named else f"{factor:.4g} rad/s"
@@ -204,11 +218,12 @@ def _keeps_clock(model: RobotModel, motion: SmoothedMotion, factor: float) -> bo
     if not np.all(np.isfinite(q)) or np.max(np.abs(q)) > LARGEST_RADIANS:
         return False
     votes = [
-        math.log(each.inertia / each.load)
-        for each in _fit_parts(model, q, qd, qdd, tau)
-        if each.load * each.inertia > 0.0
+        math.log(parts.inertia / parts.load)
+        for parts in _fit_parts(model, q, qd, qdd, tau)
+        if parts.load * parts.inertia > 0.0
     ]
     if not votes:
         return False
-    found = float(np.median(votes))
-    return abs(found) < abs(found - 2.0 * math.log(factor))
+    ratio = float(np.median(votes))
+    # Inertia is off by the square of the clock's factor; which hypothesis is nearer?
+    return abs(ratio) < abs(ratio - 2.0 * math.log(factor))

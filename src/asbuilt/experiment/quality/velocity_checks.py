@@ -30,6 +30,7 @@ def check_velocities(
     slope = motion.qd
     energy = np.sum(slope**2, axis=0)
     # Range of positions [rad or m] up to which a joint is at rest, its velocity noise.
+    # At rest the derivative is noise, and correlates with nothing.
     moves = np.ptp(motion.q, axis=0) > 5e-3
     moving = np.flatnonzero(moves & (energy > 0) & (np.std(logged, axis=0) > 0))
     if not moving.size:
@@ -43,9 +44,11 @@ def check_velocities(
             )
         return
     correlation = normalise_columns(logged[:, moving]).T @ normalise_columns(slope[:, moving])
+    # One assignment of all columns: pairs alone would miss a cycle.
     swapped = [
         (int(moving[a]), int(moving[b]))
         for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
+        # The own correlation must be poor as well: joints that move in step correlate with all.
         if a != b and correlation[a, b] > SWAPPED and correlation[a, a] < OWN
     ]
     if swapped:
@@ -75,6 +78,7 @@ def check_velocities(
             f" look like {unit}",
             Cure(
                 'write the unit in a recording sheet: units = { velocity = "deg/s" }',
+                # Only degrees have a cure in the sheet; the other way positions are wrong.
                 sheet={"units": {"velocity": "deg/s"}} if middle > 1.0 else {},
             ),
         )
@@ -118,6 +122,7 @@ def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> f
 
     Units of velocity other than the units of the positions are no reason to doubt the rate.
     """
+    # The same factor at all joints to a twentieth: no accident of single ones.
     common, apart = float(np.median(gain)), 0.05
     wrong = (
         gain.size > 1
@@ -134,11 +139,13 @@ def _find_lag(
     recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
     lags = np.array([_find_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
+    # Repeated samples lengthen the true period.
     step = 1.0 / (recording.rate * float(np.mean(recording.not_repeated)))
     middle = float(np.median(lags))
     # Lag from which it is reported, in sampling periods; none is found if one of them is not known.
+    # NaN compares as false: one joint without a lag leaves all open.
     if abs(middle) > 0.3 * step:
-        low, high = (f"{1e3 * each:.2g}" for each in np.sort(np.abs(lags))[[0, -1]])
+        low, high = (f"{1e3 * size:.2g}" for size in np.sort(np.abs(lags))[[0, -1]])
         worst = moving[int(np.argmax(np.abs(lags)))]
         yield Finding(
             "velocity_lag",
@@ -159,15 +166,18 @@ def _find_best_shift(late: Array, early: Array) -> float:
     most = min(30, late.size // 5)
     if most < 1:
         return float("nan")
+    # The same inner part for every shift.
     inner = slice(most, late.size - most)
     shifts = range(-most, most + 1)
     correlation = np.array(
         [np.corrcoef(late[inner], early[most - d : early.size - most - d])[0, 1] for d in shifts]
     )
     k = int(np.argmax(correlation))
+    # A best shift at the edge of the search is none.
     if not 0 < k < correlation.size - 1 or correlation[k] < SWAPPED:
         return float("nan")
     before, at, after = correlation[k - 1 : k + 2]
+    # Vertex of the parabola through the three best.
     return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
 
 
@@ -177,6 +187,7 @@ def _check_ends(
     """Find ends at which velocities and positions differ, as after the transient of a filter."""
     end = 0.4  # duration of the ends that a filter may have disturbed [s]
     width = int(end * motion.rate)
+    # Ends must be a small part of the log, so that the inside is a standard.
     if width < 1 or motion.n_samples < 10 * width:
         return
     error = np.abs(logged - motion.qd)
@@ -184,7 +195,9 @@ def _check_ends(
     spread = np.std(motion.qd, axis=0)
     for name, part in (("first", slice(0, width)), ("last", slice(-width, None))):
         worst = np.max(error[part], axis=0)
+        # Much more than inside, and a share of the motion that matters.
         bad = [k for k in moving if worst[k] > max(8.0 * inner[k], 0.2 * spread[k])]
+        # Most joints: a filter disturbs all of them.
         if len(bad) * 2 > len(moving):
             k = max(bad, key=lambda k: worst[k] / spread[k])
             window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"

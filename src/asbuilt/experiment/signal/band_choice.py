@@ -65,10 +65,13 @@ class NoiseLimit:
         if not tried.any():
             return usual
         at = np.flatnonzero(tried)
+        # The error at `usual` itself is compared too, by the next frequency.
         at = np.append(at, min(int(at[-1]) + 1, self.frequency.size - 1))
+        # Mean of logarithms: the geometric mean over joints.
         mean = np.mean(np.log(self.error[at]), axis=1)
         # An error of 1.02 times the smallest counts as equally good.
         good = at[mean <= mean.min() + 2.0 * np.log(1.02)]
+        # As good at the end as anywhere: noise asks for no lower cutoff.
         return usual if good[-1] == at[-1] else float(self.frequency[good[-1]])
 
     def limiting_joint(self, usual: float) -> int:
@@ -79,6 +82,7 @@ class NoiseLimit:
 
     def density(self, cutoff: float) -> Array:
         """Return the noise of the positions about a cutoff [Hz], a spectrum [rad^2/Hz], (n,)."""
+        # About the cutoff, where the noise that is left has most of its acceleration.
         near = (self.frequency >= 0.7 * cutoff) & (self.frequency <= 2.0 * cutoff)
         return np.asarray(
             np.median(self.noise[near], axis=0) if near.any() else 0.0 * self.noise[0],
@@ -107,24 +111,31 @@ def estimate_noise_limit(
     """
     # Spectra are averaged over windows of 10 s.
     window = min(round(10.0 * rate), max(q.shape[0] for q, _ in segments))
+    # Too short to resolve the lowest cutoff, or too slow to show noise above it.
     if window < 2 * rate / LOWEST or rate < 4.0 * LOWEST:
         return None
     frequency = np.asarray(np.fft.rfftfreq(window, 1.0 / rate), dtype=np.float64)
     position, torque = (
-        _estimate_spectrum([each[i] for each in segments], rate, window) for i in range(2)
+        _estimate_spectrum([signals[i] for signals in segments], rate, window) for i in range(2)
     )
     w = 2.0 * np.pi * frequency[:, None]
     if of_velocity:
+        # A position has the spectrum of its velocity over w^2.
         position = np.divide(position, w**2, out=np.zeros_like(position), where=w > 0.0)
+    # w^4 S, the spectrum of the acceleration.
     acceleration = w**4 * position
     inertia = _estimate_squared_inertia(frequency, position, acceleration, torque)
     white = np.median(position[frequency > NOISE_FROM * rate], axis=0)
+    # Smoothed, since single bins of a spectrum scatter by their own size.
     clear = uniform_filter1d(position, SMOOTHED, axis=0) > ABOVE_NOISE * white
+    # Of joints without any torque: those of a base that floats.
     free = clear[frequency >= LOWEST].any(axis=0) & ~torque.any(axis=0)
     torque = np.where(free, clear * np.clip(acceleration - w**4 * white, 0.0, None), torque)
+    # Errors of a base are errors of its acceleration: an inertia of one.
     inertia = np.where(free, 1.0, inertia)
     if not np.any(inertia > 0.0):
         return None
+    # What the acceleration would take beyond the torque that was measured is noise.
     excess = np.clip(inertia * acceleration - torque, 0.0, None) * (frequency >= LOWEST)[:, None]
     share = np.divide(
         excess, inertia * acceleration, out=np.zeros_like(excess), where=acceleration * inertia > 0
@@ -142,6 +153,7 @@ def _estimate_spectrum(parts: Sequence[Array], rate: float, window: int) -> Arra
     weight = 0
     for x in parts:
         if x.shape[0] >= window:
+            # Side lobes of 92 dB: the motion would cover the noise at high frequencies otherwise.
             total += x.shape[0] * power_density(x, rate, window, window="blackmanharris")
             weight += x.shape[0]
     return total / weight
@@ -162,12 +174,12 @@ def _estimate_squared_inertia(
     clear &= velocity > 1e-3 * velocity.max(axis=0)
     clear = np.where(clear, acceleration, 0.0)
     moving = (clear > 0.02 * clear.max(axis=0)) & (clear > 0.0)
-    found = np.zeros(position.shape[1])
+    squares = np.zeros(position.shape[1])
     for k in np.flatnonzero(moving.any(axis=0)):
         at = moving[:, k]
         # Gravity, friction and other joints add torque at some frequencies.
-        found[k] = np.quantile(torque[at, k] / acceleration[at, k], 0.25)
-    return found
+        squares[k] = np.quantile(torque[at, k] / acceleration[at, k], 0.25)
+    return squares
 
 
 def _predict_errors(
@@ -177,14 +189,17 @@ def _predict_errors(
     above, width = (frequency >= LOWEST)[:, None], float(frequency[1])
     floor = np.median(torque[frequency > NOISE_FROM * rate], axis=0)
     useful = np.clip(torque - floor, 0.0, None) * above
+    # What a low-pass at each frequency takes away, and what it leaves of the noise.
     lost = (useful.sum(axis=0) - np.cumsum(useful, axis=0)) * width
     power = np.maximum(
         (torque * above).sum(axis=0) * width,
+        # Above its floor the torque is signal.
         MODEL_ERROR**2 * np.mean([tau.var(axis=0) for tau in logged], axis=0),
     )
     power = np.maximum(power, np.finfo(np.float64).tiny)
     rest = np.maximum(power - useful.sum(axis=0) * width, 0.0)
     errors = (rest + lost + np.cumsum(excess, axis=0) * width) / power
+    # No model is exact: below its error a cutoff gains nothing.
     return np.asarray(np.maximum(errors, MODEL_ERROR**2), dtype=np.float64)
 
 
@@ -207,20 +222,25 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     for q in segments:
         if q.shape[0] <= window:
             continue
+        # Of differences, whose spectrum falls with the frequency: a position's leaks from its
+        # drift.
         velocity = np.diff(q, axis=0) * rate
         total += power_density(velocity, rate, window, centred=False) * (q.shape[0] - 1)
     total[_mark_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
     power = total.sum(axis=0)
+    # A hundredth of the speed is a ten thousandth of the power.
     moving = power > 1e-4 * power.max()
     if not moving.any():
         return 1.0 / WINDOW
     share = np.cumsum(total[:, moving], axis=0) / power[moving]
     reached = (share >= 0.95).argmax(axis=0)
+    # The fastest joint decides, as all are filtered alike.
     return float(max(frequency[reached.max()], 1.0 / WINDOW))
 
 
 def _mark_noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     """Return which bins (F, n) of velocity spectra are noise; `cycles` (F,) are per sample."""
+    # White positions, differenced: a spectrum of sin^2.
     shape = np.sin(np.pi * cycles)[:, None] ** 2
     upper = cycles >= 0.25
     noise = shape * (
@@ -229,6 +249,7 @@ def _mark_noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     # Share of the velocity's power from which white noise of the positions is allowed for.
     noisy = noise.sum(axis=0) > 0.01 * total.sum(axis=0)
     smooth = uniform_filter1d(total, SMOOTHED, axis=0, mode="nearest")
+    # The last bin that stands out of the noise; beyond it nothing is motion.
     last = np.where(smooth > ABOVE_NOISE * noise, np.arange(len(cycles))[:, None], 0).max(axis=0)
     return np.asarray(noisy & (np.arange(len(cycles))[:, None] > last))
 
@@ -283,6 +304,7 @@ def choose_band(
     the logged velocities, from which accelerations follow.
     """
     moved = [
+        # Velocities are summed to positions, so that one rule serves both.
         np.cumsum(segment.qd, axis=0) / rate
         if of_velocity and segment.qd is not None
         else segment.q
@@ -298,5 +320,6 @@ def choose_band(
     )
     cutoff = wanted if noise is None else noise.cutoff(wanted)
     if commanded:
+        # Below it the phase that shows stiffness and delay would turn.
         cutoff = max(cutoff, min(wanted, LOWEST_CUTOFF))
     return Band(bandwidth, wanted, cutoff, noise)

@@ -32,6 +32,7 @@ def central_differences(x: ArrayLike, rate: float) -> Array:
     slopes = np.empty_like(values)
     np.subtract(values[2:], values[:-2], out=slopes[1:-1])
     slopes[1:-1] *= 0.5 * rate
+    # Parabolas through the three samples at each end.
     slopes[0] = rate * (-1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2])
     slopes[-1] = rate * (0.5 * values[-3] - 2.0 * values[-2] + 1.5 * values[-1])
     return slopes
@@ -64,6 +65,7 @@ def savitzky_golay(
 
     q, qd, qdd = (
         np.ascontiguousarray(
+            # At the ends the polynomial of the last window, instead of a shorter one.
             savgol_filter(values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp")
         )
         for d in range(3)
@@ -77,7 +79,9 @@ def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
     It is at least degree + 2. Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6)
     (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011).
     """
+    # Solved for m, half the window without its middle.
     half = ((degree + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
+    # Odd, and more samples than coefficients.
     return max(2 * round(half) + 1, degree + 2 + (degree + 1) % 2)
 
 
@@ -97,6 +101,7 @@ def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array
         )
     if values.shape[0] < 5:
         raise UsageError(f"a smoothing spline needs at least 5 samples, got {values.shape[0]}")
+    # 1 / (1 + lambda w^4) is 1 / sqrt(2) at the cutoff.
     lam = (np.sqrt(2.0) - 1.0) / (2.0 * np.pi * cutoff / rate) ** 4
     k = np.arange(values.shape[0], dtype=np.float64)
     from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415 - light start
@@ -104,6 +109,7 @@ def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array
     spline = make_smoothing_spline(k, values, lam=lam, axis=0)
     q, qd, qdd = (
         np.ascontiguousarray(spline.derivative(d)(k) if d else spline(k)) * rate**d
+        # Time counts in samples: each derivative brings a factor of the rate.
         for d in range(3)
     )
     return q, qd, qdd
@@ -162,6 +168,7 @@ def validate_velocities(
     for segment in segments:
         if segment.qd is None:
             return None
+        # Shorter ones are transient of the low-pass from end to end.
         if segment.t.size > 2 * settling_samples(cutoff, rate, order=order):
             derived = central_differences(segment.q, rate)
             smooth, logged = (
@@ -188,13 +195,16 @@ def compare_velocities(
         v = np.concatenate([pair[0][:, k] for pair in pairs])
         w = np.concatenate([pair[1][:, k] for pair in pairs])
         a = np.concatenate([np.gradient(pair[0][:, k]) * rate for pair in pairs])
+        # w = gain v - gain lag dv/dt
         (gain, slope), *_ = np.linalg.lstsq(np.column_stack([v, a]), w, rcond=None)
         lags[k], gains[k] = -slope / gain if gain else np.inf, gain
         removed = [
+            # What the low-pass takes from each, before less after.
             np.sqrt(sum(float(np.sum((pair[2 + i][:, k] - pair[i][:, k]) ** 2)) for pair in pairs))
             for i in range(2)
         ]
         noises[k] = removed[1] / removed[0] if removed[0] > 0 else np.inf
+    # A joint at rest has a derivative of noise alone.
     moving = speed > 0.01 * speed.max()
     worst = int(np.abs(np.where(moving, lags, 0.0)).argmax())
     scale = int(np.abs(np.where(moving, gains - 1.0, 0.0)).argmax())

@@ -80,8 +80,10 @@ class FilterPlan:
                 cure=Cure("give one, or choose it from a recording", call="resolve_chain"),
             )
         if chain.derivative == "savitzky-golay":
+            # Half a window: its polynomial needs samples on both sides.
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
         elif chain.derivative == "gaussian":
+            # The kernel ends, and so do the differences after it.
             margin = exact = kernel_samples(cutoff, rate) + DIFFERENCES
         else:
             # Of the response of the low-pass, 1e-12 of its peak counts as zero.
@@ -91,6 +93,7 @@ class FilterPlan:
                 )
                 for tolerance in (0.01, 1e-12)
             )
+        # Untrimmed chains keep the transients, as published ones do.
         margin = margin if chain.trimmed else 0
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
@@ -103,13 +106,16 @@ class FilterPlan:
         # Logs are thinned to 100 Hz at least, and to 12 cutoffs of the positions.
         thinning = max(1, int(rate / max(100.0, 12.0 * cutoff) + 1e-9))
         if total is not None:
+            # The whole decimation must be a product of thinning and the parallel filter's.
             thinning = max(factor for factor in range(1, thinning + 1) if total % factor == 0)
             factor = total // thinning
             if chain.parallel_cutoff is None:
+                # A default cutoff gives way to what the wanted rate can carry.
                 low = min(low, 0.5 * rate / total / STOP_BAND_EDGE)
         else:
             factor = max(1, int(rate / thinning / (4.0 * low)))
         anti_alias = (
+            # A quarter of the thinned rate: no aliases reach the band that is kept.
             design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
         )
         parallel = design_parallel_filter(low, rate / thinning, factor)
@@ -120,6 +126,7 @@ class FilterPlan:
         """Number of logged samples on either side that a prepared sample depends on."""
         smear = self.anti_alias.margin if self.anti_alias else 0
         shift = max(self.late) + HALF_WIDTH if self.chain.delays else 0
+        # A rest is recognised by what lies within a pause on either side.
         rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
         return max(self.exact, smear + shift) + rest + 2
 
@@ -127,6 +134,7 @@ class FilterPlan:
     def late(self) -> tuple[int, int]:
         """Number of samples at the beginning and at the end whose shifted torque was not logged."""
         shifts = [delay * self.rate for delay in (*self.chain.delays, 0.0)]
+        # A torque that is late by d needs samples from d later on.
         return int(np.ceil(-min(shifts))), int(np.ceil(max(shifts)))
 
     @property
@@ -148,6 +156,7 @@ class FilterPlan:
             qdd = central_differences(qd, rate)
         if chain.velocity == "measured" and segment.qd is not None:
             qd = smooth(segment.qd)
+            # Logged accelerations are no differences of ours, and stay.
             qdd = central_differences(qd, rate) if segment.qdd is None else smooth(segment.qdd)
         return q, qd, qdd
 
@@ -170,14 +179,18 @@ class FilterPlan:
         q = q[np.isfinite(q).all(axis=1)]
         if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
             return ()
+        # An impulse through everything that acts on positions: its squares sum to the noise gain.
         reach, n = self.exact + DIFFERENCES + 1, self.thinning
         impulse = np.zeros(2 * reach + 1)
         impulse[reach] = 1.0
+        # Two differences make accelerations of positions.
         twice = central_differences(central_differences(self.smooth(impulse), self.rate), self.rate)
         taps = np.zeros(n * (self.parallel.taps.size - 1) + 1)
+        # The parallel filter works on thinned samples: its taps lie so far apart.
         taps[::n] = self.parallel.taps
         power = power_density(q, 2.0, SPECTRUM)
         noise = np.median(power[-SPECTRUM // 8 :], axis=0)  # the upper quarter of the band
+        # White noise through taps h has the variance sum h^2.
         return tuple((noise * np.sum(np.convolve(twice, taps) ** 2)).tolist())
 
     def fits(self, segment: UniformSegment) -> bool:
@@ -208,6 +221,7 @@ class FilterPlan:
         n, speeds = self.thinning, self.chain.standstill
         first, last = self.late[0], segment.t.size - self.late[1]
         if first >= last:
+            # The shift leaves nothing that was logged.
             return [], stop
         if not self.chain.parallel and n > 1:
             t, q, qd, qdd, tau = (x[first:last] for x in (segment.t, q, qd, qdd, tau))
@@ -217,11 +231,13 @@ class FilterPlan:
         if not self.chain.rests and speeds is not None:
             still = find_rests(qd, speeds, self.rate)
             if still.any():
+                # At rest filters leave creeping velocities, whose sign friction would follow.
                 qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
             ranges = find_moving_ranges(still, self.rate, self.shoulder)
         m = self.anti_alias.margin if self.anti_alias else 0
         parts, after = [], stop
         for begin, end in ranges:
+            # Where torques were shifted in, or the anti-alias has no input, nothing is kept.
             a, b = max(begin, low, first + m), min(end, stop, last - m)
             if a >= b:
                 continue
@@ -230,6 +246,8 @@ class FilterPlan:
             if self.anti_alias:
                 smooth = self.anti_alias.apply(tau[a - m : b + m], axis=0)
             parts.append((segment.t[kept], q[kept], qd[kept], qdd[kept], smooth, tau[kept]))
+            # The last range may go on in the next chunk: where its outputs end is where that
+            # begins.
             if end >= stop:
                 outputs, step = (
                     (self.parallel.n_outputs(len(smooth)), self.parallel.decimation)

@@ -79,6 +79,7 @@ def choose_usual_rule(seconds: float) -> str | None:
     """
     if seconds < SHORTEST_DIVIDED:
         return None
+    # A third of six sixths: two blocks are held out; to a tenth of a second for reading.
     return f"blocks:{min(5.0, np.floor(10.0 * seconds / 6.0) / 10.0):g}s:3"
 
 
@@ -120,9 +121,11 @@ def hold_out(samples: Samples, rule: str, *, shared: bool = False) -> tuple[Samp
     since, chosen = samples.t - samples.origin, parse_rule(rule)
     if isinstance(chosen, Blocks):
         held = (
+            # Rounding of times must not move the first sample of a block into the one before.
             np.floor(since / chosen.seconds + 1e-9).astype(int) % chosen.every == chosen.every - 1
         )
     else:
+        # The last sample lasts one period.
         held = since >= (1.0 - chosen.share) * (since[-1] + 1.0 / samples.rate) - 1e-9
     if held.all() or not held.any():
         raise RecordingError(

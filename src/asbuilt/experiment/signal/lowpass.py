@@ -33,6 +33,8 @@ def single_pass_cutoff(cutoff: float, rate: float, order: int) -> float:
     >>> round(single_pass_cutoff(8.0, 1000.0, 2), 3)
     9.971
     """
+    # (sqrt(2) - 1)^(1 / (2 order)) is where the squared amplitude is 1 / sqrt(2), in warped
+    # frequency.
     warped = np.tan(np.pi * cutoff / rate) / (np.sqrt(2.0) - 1.0) ** (0.5 / order)
     return float(np.arctan(warped) * rate / np.pi)
 
@@ -61,6 +63,7 @@ def butterworth(
     """
     values = np.asarray(x, dtype=np.float64)
     sections = _design_sections(cutoff, rate, order, corrected)
+    # Odd reflection as long as the response, or as the log allows.
     padding = min(
         settling_samples(cutoff, rate, order=order, corrected=corrected, tolerance=1e-6),
         values.shape[0] - 1,
@@ -82,6 +85,7 @@ def gaussian(x: ArrayLike, *, cutoff: float, rate: float, shorter: int = 0) -> A
     """
     values = np.asarray(x, dtype=np.float64)
     half = kernel_samples(cutoff, rate, shorter)
+    # exp(-2 (pi sigma f)^2) = 1 / sqrt(2), sigma in samples.
     sigma = np.sqrt(np.log(2.0)) * rate / (2.0 * np.pi * cutoff)
     taps = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
     columns = np.ascontiguousarray(values.reshape(len(values), -1).T)
@@ -92,6 +96,7 @@ def gaussian(x: ArrayLike, *, cutoff: float, rate: float, shorter: int = 0) -> A
 
 def kernel_samples(cutoff: float, rate: float, shorter: int = 0) -> int:
     """Return the samples of the kernel of `gaussian` to either side of its middle, at least one."""
+    # 1e-9: half a period that is a whole number of samples stays one.
     return max(1, int(SPREAD * rate / cutoff + 1e-9) - shorter)
 
 
@@ -106,10 +111,12 @@ def settling_samples(
     """
     sections = _design_sections(cutoff, rate, order, corrected)
     slowest = max(abs(root) for section in sections for root in np.roots(section[3:]))
+    # From the slowest pole, with some margin: the response itself is then looked at.
     length = int(np.ceil(np.log(1e-3 * tolerance) / np.log(slowest))) + 1
     rows = np.zeros((AT_ONCE, 2 * length))
     rows[0, 0] = 1.0
     _filter_in_place(rows, sections, np.zeros((len(sections), 2)))
+    # Forwards and backwards an impulse becomes the autocorrelation of one pass.
     double = np.abs(rows[0])
     return int(np.flatnonzero(double > tolerance * double.max())[-1]) + 1
 
@@ -135,13 +142,16 @@ def _filter_both_ways(x: Array, sections: Array, padding: int) -> Array:
     length = x.shape[0]
     columns = x.reshape(length, -1).T
     m = len(columns)
+    # Rows in fours, padded with zeros.
     rows = np.zeros((-(-m // AT_ONCE) * AT_ONCE, length + 2 * padding))
     rows[:m, padding : padding + length] = columns
     if padding:
+        # Straight lines continue as straight lines.
         rows[:m, :padding] = 2.0 * columns[:, :1] - columns[:, padding:0:-1]
         rows[:m, -padding:] = 2.0 * columns[:, -1:] - columns[:, -2 : -padding - 2 : -1]
     steady = _solve_steady_state(sections.tobytes(), len(sections))
     _filter_in_place(rows, sections, steady)
+    # Views: the padding is dropped without a copy.
     kept = rows[:m, padding : padding + length].T
     return kept[:, 0] if x.ndim == 1 else kept
 
@@ -158,6 +168,7 @@ def _solve_steady_state(sections: bytes, count: int) -> Array:
     system = np.tile(np.eye(2), (count, 1, 1))
     system[:, 0, 1] = -1.0
     system[:, :, 0] += a[:, 1:]
+    # Each section sees the gain of those before it as its constant input.
     states = np.linalg.solve(system, (b[:, 1:] - a[:, 1:] * b[:, :1])[..., None])[..., 0]
     gain = np.cumprod(np.append(1.0, b.sum(axis=1) / a.sum(axis=1)))[:-1]
     return np.asarray(gain[:, None] * states)
@@ -174,6 +185,7 @@ def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
     for g in range(0, rows.shape[0], 4):
         r0, r1, r2, r3 = rows[g], rows[g + 1], rows[g + 2], rows[g + 3]
         for way in range(2):
+            # The state that the first sample would have held for ever: no step at the ends.
             at = last if way else 0
             u0, u1, u2, u3 = r0[at], r1[at], r2[at], r3[at]
             for s in range(sections.shape[0]):
@@ -184,6 +196,7 @@ def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
                 q0, q1 = steady[s, 1] * u0, steady[s, 1] * u1
                 q2, q3 = steady[s, 1] * u2, steady[s, 1] * u3
                 for k in range(last + 1):
+                    # The way back runs over the same rows in reverse.
                     j = last - k if way else k
                     x0, x1, x2, x3 = r0[j], r1[j], r2[j], r3[j]
                     y0, y1, y2, y3 = b0 * x0 + p0, b0 * x1 + p1, b0 * x2 + p2, b0 * x3 + p3
@@ -218,9 +231,11 @@ def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
     """
     w = 4.0 * np.tan(np.pi * (cutoff / (0.5 * rate)) / 2.0)
     s = w * -np.exp(0.5j * np.pi * np.arange(1.0 - order, order, 2.0) / order)
+    # Conjugate pairs share a section, so that its coefficients are real.
     z = ((4.0 + s) / (4.0 - s))[order // 2 :]  # a real pole, then one of each conjugate pair
     sections = np.tile([1.0, 2.0, 1.0, 1.0, 0.0, 0.0], (len(z), 1))
     sections[:, 4], sections[:, 5] = -2.0 * z.real, z.real**2 + z.imag**2
+    # An odd order has a real pole, with a section of first order.
     if order % 2:
         sections[0] = 1.0, 1.0, 0.0, 1.0, -z[0].real, 0.0
     sections[0, :3] *= w**order * (1.0 / np.prod(4.0 - s)).real
@@ -235,7 +250,7 @@ def shift_in_time(x: Array, delay: Array, rate: float) -> Array:
     logged, x is continued by its odd reflection.
     """
     steps = (delay * rate).tolist()
-    return np.stack([_shift(each, late) for each, late in zip(x.T, steps, strict=True)], axis=1)
+    return np.stack([_shift(column, late) for column, late in zip(x.T, steps, strict=True)], axis=1)
 
 
 def _shift(x: Array, steps: float) -> Array:
@@ -243,12 +258,14 @@ def _shift(x: Array, steps: float) -> Array:
     whole = round(steps)
     part = steps - whole
     padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
+    # The whole part of the shift is an index; only the rest is filtered.
     begin = whole + abs(whole)
     if abs(part) < 1e-9:
         return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
     offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
     # Shape of its window: side lobes of -80 dB.
     window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
+    # Of unit sum, so that a constant stays.
     taps = np.sinc(offsets - part) * window
     return np.convolve(
         padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"

@@ -49,6 +49,7 @@ class ParallelFilter:
         if (
             taps.ndim != 1
             or taps.size % 2 == 0
+            # Symmetric taps have no phase; an odd number has a middle sample.
             or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14)
         ):
             raise UsageError(
@@ -71,6 +72,7 @@ class ParallelFilter:
 
     def n_outputs(self, n_inputs: int) -> int:
         """Return the number of outputs of `n_inputs` contiguous samples, 0 if they are too few."""
+        # The first output needs all taps, each further one `decimation` inputs more.
         return max(0, (n_inputs - self.taps.size) // self.decimation + 1)
 
     def apply(self, x: Array, axis: int = -1, out: Array | None = None) -> Array:
@@ -82,6 +84,7 @@ class ParallelFilter:
         values = np.asarray(x, dtype=np.float64)
         if values.ndim == 2 and axis in (-1, 1) and _has_rows_in_memory(values):
             return filter_rows(values, self.taps, self.decimation, out)
+        # Rows are copied once, and filtered as rows in memory.
         moved = np.ascontiguousarray(np.moveaxis(values, axis, -1))
         flat = self.apply(moved.reshape(-1, moved.shape[-1]), -1)
         return np.ascontiguousarray(
@@ -107,12 +110,14 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
         If the cutoff is beyond what the rate, or the rate after decimation, can carry without
         aliasing.
     """
+    # Beyond, the stop band would begin above half the rate.
     highest = 0.5 * rate / STOP_BAND_EDGE
     if not 0.0 < cutoff <= highest:
         raise UsageError(
             f"a parallel filter at {cutoff:g} Hz is impossible at {rate:g} Hz: it must be above 0"
             f" and at most {highest:g} Hz"
         )
+    # 1e-12: a decimation that just fits must not fail by rounding.
     if rate / decimation < 2.0 * STOP_BAND_EDGE * cutoff * (1 - 1e-12):
         raise UsageError(
             f"decimation by {decimation} leaves {rate / decimation:g} Hz, too little for a filter"
@@ -126,9 +131,11 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
             upper=int(rate / (2.0 * STOP_BAND_EDGE * cutoff)),
         )
     ratio = cutoff / rate
+    # Kaiser's formula for beta by the attenuation.
     beta = 0.1102 * (STOP_BAND - 8.7)
     # 1.2: width of the transition band about the -6 dB point, which is near 1.12 cutoffs, in
     # cutoffs.
+    # Kaiser's formula for the number of taps by attenuation and transition band.
     half = int(np.ceil(0.5 * (STOP_BAND - 7.95) / (2.285 * 2.0 * np.pi * 1.2 * ratio)))
     k = np.arange(-half, half + 1)
     window = np.kaiser(2 * half + 1, beta)
@@ -138,6 +145,7 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
         return np.asarray(h / h.sum(), dtype=np.float64)
 
     def excess(corner: float) -> float:
+        # -3 dB exactly at the cutoff, which windows shift: the corner is solved for.
         return float(taps(corner) @ np.cos(2.0 * np.pi * ratio * k) - np.sqrt(0.5))
 
     corner = float(optimize.brentq(excess, 0.3 * ratio, min(1.75 * ratio, 0.5), xtol=1e-14))
@@ -159,6 +167,7 @@ def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = 
         behind = np.zeros((rows, (LANES - count) * decimation))
         out[:] = filter_rows(np.concatenate([x, behind], axis=1), taps, decimation)[:, :count]
     elif rows and count:
+        # Eight outputs at once: each input's weights in all of them stand side by side.
         weights = np.zeros((taps.size + (LANES - 1) * decimation, LANES))
         for lane in range(LANES):
             weights[lane * decimation : lane * decimation + taps.size, lane] = taps
@@ -170,6 +179,7 @@ def filter_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = 
 
 def _flatten_memory(x: Array) -> tuple[Array, int]:
     """Return the memory of an array (m, L) as one row, and where the next of its rows begins."""
+    # Views of larger arrays keep their stride.
     stride = x.strides[0] // x.itemsize
     return as_strided(x, ((len(x) - 1) * stride + x.shape[1],), x.strides[1:]), stride
 
@@ -202,6 +212,7 @@ def _filter_rows(
         below = min(rows - 1 - first, EIGHT - 1)
         # one call, which is inlined and compiled once
         for k in range(0, count, LANES):
+            # The last eight overlap those before, so that no tail is needed.
             at = min(k, count - LANES)
             begin, to = first * stride + at * decimation, first * out_stride + at
             _sum_eight_rows(memory, begin, stride, below, weights, span, out, to, out_stride)
@@ -224,6 +235,7 @@ def _sum_eight_rows(
     Rows are slices, whose indices need no check for negative ones.
     """
     r0 = memory[at:][:span]
+    # Missing rows repeat the last one, whose sums are written again unchanged.
     r1 = memory[at + min(1, below) * stride :][:span]
     r2 = memory[at + min(2, below) * stride :][:span]
     r3 = memory[at + min(3, below) * stride :][:span]

@@ -44,6 +44,7 @@ def resolve_chain(
         settle_chain(chain, recording, grid.uniform(), grid.rate, filters)[0]
         for recording, grid in grids
     ]
+    # The highest cutoff keeps every recording's motion; velocities are judged apart.
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
 
 
@@ -107,9 +108,12 @@ def stream_samples(
     while following is not None:
         chunk, following = following, next(chunks, None)
         more = following is not None
+        # A chunk is held until the next one comes, since its end has no filter response yet.
         held = joined = chunk if held is None else join_recordings([held, chunk])
+        # Too short to choose a chain from.
         if joined.n_samples < SHORTEST and more:
             continue
+        # The first chunk decides which joints have torque, for all.
         has_torque = joined.has_torque if has_torque is None else has_torque
         grid = plan_grid(joined, chain, plan.rate if plan else None, has_torque)
         segments, rate, notes = grid.uniform(), grid.rate, grid.notes
@@ -124,9 +128,11 @@ def stream_samples(
             notes = (*chosen, *notes)
             origin = float(segments[0].t[0])
         parts: list[SegmentArrays] = []
+        # Only the last segment of a chunk can go on.
         for k, segment in enumerate(segments):
             goes_on = more and k == len(segments) - 1
             begin = (
+                # From where the last chunk ended; else the beginning is trimmed as an end.
                 max(round((low - segment.t[0]) * rate), 0)
                 if low > segment.t[0] - 0.5 / rate
                 else plan.margin
@@ -134,14 +140,15 @@ def stream_samples(
             stop = segment.t.size - (plan.support if goes_on else plan.margin)
             after = begin
             if plan.fits(segment) and stop > begin:
-                found, after = plan.cut(segment, plan.motion(segment), begin, stop)
-                parts.extend(found)
+                cut_parts, after = plan.cut(segment, plan.motion(segment), begin, stop)
+                parts.extend(cut_parts)
             if goes_on:
                 low = (
                     float(segment.t[0] + after / rate)
                     if after > plan.margin or np.isfinite(low)
                     else -np.inf
                 )
+                # What the next outputs depend on is kept, and joined to the next chunk.
                 held = joined.between(segment.t[0] + (after - plan.support - 0.5) / rate, np.inf)
         if parts:
             provenance = (*joined.notes, *notes, *plan.describe())

@@ -47,15 +47,20 @@ class MotionFilters:
         UsageError
             If a cutoff or rate is impossible for this recording.
         """
+        # The delay shifts torques alone: motions are the same for all of them.
         asked = replace(chain or SignalChain(), delay=None)
         grid = plan_grid(recording, asked)
         segments = grid.uniform()
         settled, notes, bound = settle_chain(asked, recording, segments, grid.rate, self)
+        # Pauses that the chosen filter does not resolve no longer divide: the grid is planned
+        # again.
         if asked.cutoff is None:
             grid = plan_grid(recording, settled)
             segments = grid.uniform()
         plan = FilterPlan.of(settled, grid.rate)
-        motions = (self.motion(plan, each) if plan.fits(each) else None for each in segments)
+        motions = (
+            self.motion(plan, segment) if plan.fits(segment) else None for segment in segments
+        )
         return PreparedMotion(recording, plan, grid, notes, tuple(segments), tuple(motions), bound)
 
     def motion(self, plan: FilterPlan, segment: UniformSegment) -> FilteredMotion:
@@ -68,11 +73,12 @@ class MotionFilters:
         self, what: object, segments: Sequence[UniformSegment], make: Callable[[], Found]
     ) -> Found:
         """Return what is made of the motion of segments, as it was made before if it was."""
+        # By value: segments of the same motion are made anew for each question.
         arrays = [x for segment in segments for x in (segment.q, segment.qd) if x is not None]
-        for known, before, found in self._kept:
+        for known, before, made_before in self._kept:
             same = known == what and len(before) == len(arrays)
             if same and all(map(np.array_equal, before, arrays)):
-                return found  # type: ignore[return-value]
+                return made_before  # type: ignore[return-value]
         made = make()
         self._kept.append((what, arrays, made))
         return made
@@ -109,9 +115,10 @@ class PreparedMotion:
     def with_torque(self, tau: Array) -> PreparedMotion:
         """Return the motion with another signal (N, n), finite where the torque is, for torque."""
         recording = replace(self.recording, tau=tau)
+        # As in the recording: a channel that is constant is none.
         channel = self.grid.channel(recording.with_torque_of(recording.has_torque).tau)
         segments = tuple(
-            replace(each, tau=tau) for each, tau in zip(self.segments, channel, strict=True)
+            replace(segment, tau=tau) for segment, tau in zip(self.segments, channel, strict=True)
         )
         return replace(self, recording=recording, segments=segments)
 
@@ -130,6 +137,7 @@ class PreparedMotion:
         parts, seconds = list[SegmentArrays](), 0.0
         for segment, motion in zip(self.segments, self.motions, strict=True):
             if motion is not None:
+                # Ends that the filter has not settled at are cut, whichever torque is there.
                 stop = segment.t.size - plan.margin
                 parts += plan.cut(segment, motion, plan.margin, stop)[0]
                 seconds += (stop - plan.margin) / rate
@@ -154,6 +162,7 @@ class PreparedMotion:
             (*recording.notes, *self.grid.notes, *self.notes, *plan.describe()),
         )
         samples = self._with_second_encoder(samples)
+        # Enough for the low-pass may be too little for the filter after it.
         if samples.parallel is not None and samples.n_filtered == 0:
             raise RecordingError(
                 f"{recording.source}: no segment is as long as the parallel filter at"
@@ -162,6 +171,7 @@ class PreparedMotion:
                 cure=Cure("raise the cutoff or record longer"),
                 file=recording.source,
             )
+        # What is neither kept nor trimmed was rest.
         rested = seconds - samples.duration
         if plan.chain.rests or rested <= PAUSE:
             return samples
@@ -179,8 +189,9 @@ class PreparedMotion:
             for segment, q in zip(self.segments, self.grid.channel(positions), strict=True)
             if self.plan.fits(segment)
         ]
+        # The same instants as the samples: filters are alike, rests are left out of one only.
         at = np.searchsorted(np.concatenate([t for t, _ in parts]), samples.t)
-        moved = np.concatenate([each for _, each in parts], axis=1)
+        moved = np.concatenate([motion for _, motion in parts], axis=1)
         return replace(samples, encoder=moved[:, at], encoder_at=side)
 
 
@@ -194,6 +205,7 @@ def _fit_contacts(chain: SignalChain, recording: Recording) -> SignalChain:
     if recording.contact is None or chain.derivative != "central":
         return chain
     closed = recording.contact > 0.5
+    # Feet that never move make no touch-down.
     return chain if np.all(closed == closed[0]) else replace(chain, derivative="gaussian")
 
 
@@ -226,6 +238,7 @@ def settle_chain(
     """
     chain, commanded = _fit_contacts(chain, recording), recording.torque_source == "command"
     notes, clock_bound = list[str](), np.inf
+    # Checked before anything is chosen: no cutoff suits such a clock.
     if rate < SLOWEST_RATE:
         raise RecordingError(
             f"a sampling rate of {rate:.3g} Hz is too low to differentiate positions; at least"
@@ -235,6 +248,7 @@ def settle_chain(
             lower=SLOWEST_RATE,
         )
     longest = max(segment.t.size for segment in segments) / rate
+    # Less than a tenth of a period is a constant.
     if chain.cutoff is not None and chain.cutoff * longest < 0.1:
         raise UsageError(
             f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of a recording whose longest"
@@ -246,6 +260,7 @@ def settle_chain(
     band = None
     if chain.cutoff is None:
         band = choose_band(segments, rate, commanded=commanded)
+        # Velocities are compared with the derivative under the cutoff of the positions.
         chain = replace(chain, cutoff=band.cutoff)
     if chain.velocity == "auto":
         verdict = filters.once(
@@ -268,11 +283,13 @@ def settle_chain(
     if band is not None:
         if chain.velocity == "measured":
             band = choose_band(segments, rate, of_velocity=True, commanded=commanded)
+            # Noise of logged velocities, not of positions, then limits the band.
             chain = replace(chain, cutoff=band.cutoff)
         notes.insert(0, str(band))
     if chain.standstill is None and not chain.rests:
         plan = FilterPlan.of(chain, rate)
-        motions = [filters.motion(plan, each)[:2] for each in segments if plan.fits(each)]
+        motions = [filters.motion(plan, segment)[:2] for segment in segments if plan.fits(segment)]
+        # Rests are recognised in the filtered motion, whose noise is what is left.
         if motions:
             chain = replace(
                 chain, standstill=estimate_standstill_speeds(motions, chain.cutoff or 0.0)
@@ -313,8 +330,10 @@ def assemble_samples(
         origin=origin,
         provenance=provenance,
         delay=plan.chain.delays,
+        # An infinite slowest speed leaves out every row of a joint without torque.
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
+        # Contacts count as open over the width of the filter: it spreads their forces so far.
         contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf) + logged),
         pose_noise=() if recording.contact is None else plan.pose_noise(recording.q),
     )

@@ -104,9 +104,11 @@ class Grid:
 
     recording: Recording
     bridges: Bridges
+    # 1e-6: a last tick that rounding puts just beyond the end is kept.
     segments: tuple[Indices, ...]
     clocks: tuple[Array, ...] | None
     rate: float
+    # Stamps within half a period of a uniform clock are that clock, rounded.
     notes: tuple[str, ...]
 
     def uniform(self) -> list[UniformSegment]:
@@ -114,6 +116,7 @@ class Grid:
         recording = self.recording
         q, tau = self.channel(recording.q), self.channel(recording.tau)
         qd = self._logged_channel(recording.qd)
+        # The last tick may lie beyond the last sample by rounding: a spline must not extrapolate.
         qdd = self._logged_channel(recording.qdd if recording.undriven else None)
         times = map(self._times, range(len(self.segments)))
         return list(map(UniformSegment, times, q, tau, qd, qdd))
@@ -127,6 +130,7 @@ class Grid:
         """Return a channel in each segment, None if it was not logged, or not for every sample."""
         if x is None:
             return [None] * len(self.segments)
+        # A polynomial through a pause with a missing sample would fill in nothing.
         filled = self.bridges.fill(x)
         return [
             self._on_clock(filled, k)
@@ -205,7 +209,9 @@ def plan_uniform_grid(
         )
     steps = np.diff(recording.t[kept_rows])
     period = float(np.median(steps))
+    # The mean, as stamps are rounded: their median may be a multiple of the rounding.
     logged_rate = _round_rate(1.0 / float(np.mean(steps[steps <= GAP * period])))
+    # A rate above the log's would invent samples.
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
             f"{recording.source}: a rate of {rate:g} Hz is above the rate of the log,"
@@ -218,7 +224,7 @@ def plan_uniform_grid(
     gap, pause = max(GAP * period, resolved) if max_gap is None else max_gap, GAP * period
     bridges = plan_bridges(recording.t, kept_rows, gap, pause)
     if bridges.pauses:
-        longest = steps[[each.row - 1 for each in bridges.pauses]].max()
+        longest = steps[[pause.row - 1 for pause in bridges.pauses]].max()
         notes.append(
             f"{len(bridges.pauses)} pauses of up to {longest:.3g} s, shorter than the filter"
             " resolves, were bridged by local polynomials"
@@ -236,11 +242,13 @@ def plan_uniform_grid(
         raise RecordingError(
             f"{recording.source}: no segment of {SHORTEST} samples is without a gap of more than"
             f" {gap:g} s",
+            # Where pauses end segments their steps say nothing of the clock.
             cure=Cure("check the clock"),
             file=recording.source,
         )
     target = logged_rate if rate is None else rate
     inside = np.delete(steps, breaks - 1)
+    # A uniform clock is taken as it is: splines would only blur it.
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
         return Grid(recording, bridges, segments, None, target, tuple(notes))
     q = bridges.fill(recording.q)
@@ -277,12 +285,13 @@ def _drop_repeats(recording: Recording, index: Indices) -> Indices:
     if not index.size or (recording.torque_source == "command" and recording.command is not None):
         return index
     part = _simplify_indices(index)
-    further = [each for key, each in recording.extra.items() if key.startswith("tau")]
+    further = [channel for key, channel in recording.extra.items() if key.startswith("tau")]
     velocities = [] if recording.qd is None else [recording.qd]
     channels = (recording.q, recording.tau, *velocities, *further)
-    changed = find_changed_rows(*(each[part] for each in channels))
+    changed = find_changed_rows(*(channel[part] for channel in channels))
     starts = np.flatnonzero(changed)
     lengths = np.diff(np.append(starts, index.size))
+    # Long runs are rests, in which a controller writes the same values too.
     rest = np.repeat(lengths > GAP * np.median(lengths), lengths)
     return np.asarray(index[changed | rest])
 
@@ -295,6 +304,7 @@ def _simplify_indices(rows: Indices) -> Indices | slice:
 
 
 def _round_rate(rate: float) -> float:
+    # Below 20 Hz a whole number is not within 0.1 % by accident alone.
     """Return a rate rounded to a whole number within 0.1 %."""
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 20 else rate
 
@@ -312,17 +322,22 @@ def _choose_clock(t: Array, q: Array) -> tuple[Array, bool]:
         return t, False
     slope, start = np.polyfit(tick, t - t[0], 1)
     even = t[0] + start + slope * tick
+    # Beyond half a period stamps and ticks are not paired for certain.
     if np.max(np.abs(even - t)) > 0.6 * period:
         return t, False
     grid = np.arange(int(tick[-1]) + 1)
     on_even = CubicSpline(tick, q, axis=0)(grid)
+    # Ticks just outside the stamps are moved to their ends.
     inside = t[0] + np.clip(start + slope * grid, 0.0, t[-1] - t[0])
     on_stamps = CubicSpline(t, q, axis=0)(inside)
     roughness = [
-        np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0)) for x in (on_even, on_stamps)
+        # Without the ends, at which splines are free.
+        np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0))
+        for x in (on_even, on_stamps)
     ]
     return (
         (even, True)
+        # The median over joints, since one at rest is as smooth on either clock.
         if np.median(roughness[0] / np.maximum(roughness[1], 1e-300)) < 1.0
         else (t, False)
     )
@@ -338,11 +353,14 @@ def _assign_ticks(t: Array, period: float) -> Array | None:
     turns = (t - t[0]) / period
     blocks = np.array_split(np.arange(t.size), max(1, t.size // 256))
     means = np.array([np.mean(np.exp(2j * np.pi * turns[block])) for block in blocks])
+    # Phases that scatter over the whole circle follow no clock of this period.
     if np.any(np.abs(means) < 0.3):
         return None
     centre = np.array([block.mean() for block in blocks])
+    # Between blocks the phase drifts with the error of the period.
     phase = np.interp(np.arange(t.size), centre, np.unwrap(np.angle(means)) / (2.0 * np.pi))
     tick = np.rint(turns - phase)
+    # Two stamps on one tick, or an order reversed: no clock.
     return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
@@ -353,19 +371,20 @@ def plan_bridges(t: Array, usable: Indices, longest: float, pause: float) -> Bri
     period = float(np.median(steps))
     pauses = []
     for place in np.flatnonzero((steps > pause) & (steps <= longest)).tolist():
+        # Evenly between the ends, which need not be a whole number of periods apart.
         count = round(float(steps[place]) / period) - 1
         times = logged[place] + np.arange(1, count + 1) * (steps[place] / (count + 1))
         near = _select_around(logged, place, count, pause)
         pauses.append(Pause(place + 1, times, near, logged[near]))
     if not pauses:
         return Bridges(usable, (), t, usable)
-    filled = _insert(logged, pauses, [each.times for each in pauses])
+    filled = _insert(logged, pauses, [pause.times for pause in pauses])
     return Bridges(usable, tuple(pauses), filled, np.arange(filled.size))
 
 
 def _insert(x: Array, pauses: Sequence[Pause], filled: Sequence[Array]) -> Array:
     """Return usable rows (L, ...) with what fills each pause between them."""
-    rows = np.repeat([each.row for each in pauses], [len(each) for each in filled])
+    rows = np.repeat([times.row for times in pauses], [len(times) for times in filled])
     return np.insert(x, rows, np.concatenate(filled), axis=0)
 
 
@@ -382,6 +401,7 @@ def _select_around(t: Array, place: int, count: int, pause: float) -> slice:
 
 def _interpolate_locally(t: Array, values: Array, times: Array) -> Array:
     """Return a polynomial through values (L, n) at other times (m, n)."""
+    # Centred and of unit width: powers of times would lose their digits.
     centre, half = float(times.mean()), max(float(np.ptp(t)) / 2.0, 1e-12)
     # Degree of the polynomial; a sine at the cutoff makes less than one turn in its window.
     degree = min(5, t.size - 1)

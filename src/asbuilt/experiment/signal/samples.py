@@ -115,6 +115,7 @@ class Samples:
     def __post_init__(self) -> None:
         t = _freeze(self.t)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
+        # In order and without overlap, from the first sample to the last.
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
         shape = (t.size, len(self.joint_names))
         expected: dict[str, tuple[Array | None, tuple[int, ...]]] = {
@@ -198,11 +199,13 @@ class Samples:
         """Apply the parallel filter to x (N, ...), segment by segment, giving (n_filtered, ...)."""
         if self.parallel is None:
             return self.in_segments(x)
+        # Windows of neighbouring chunks overlap by the width of the filter.
         step, width = self.parallel.decimation, self.parallel.taps.size
         at_once = max(1, AT_ONCE // step)
         parts = []
         for a, b in self.segments:
             count = self._n_outputs(b - a)
+            # Segments that are too short still contribute an array of no rows.
             for first in range(0, max(count, 1), at_once):
                 last = min(first + at_once, count)
                 span = slice(a + first * step, min(a + (last - 1) * step + width, b))
@@ -211,6 +214,7 @@ class Samples:
 
     def in_segments(self, x: Array) -> Array:
         """Return x (N, ...) at the samples of segments alone."""
+        # Nothing is left out: no copy.
         if sum(b - a for a, b in self.segments) == len(x):
             return x
         parts = [x[a:b] for a, b in self.segments]
@@ -254,6 +258,7 @@ class Samples:
         arrays = {name: getattr(self, name) for name in names}
         kept = {k: None if x is None else self.in_segments(x) for k, x in arrays.items()}
         if self.encoder is not None:
+            # An axis for position, velocity and acceleration stands first.
             kept["encoder"] = np.stack([self.in_segments(x) for x in self.encoder])
         bounds = [0, *np.cumsum([b - a for a, b in self.segments]).tolist()]
         return replace(self, **cast(Any, kept), segments=tuple(pairwise(bounds)))

@@ -122,6 +122,7 @@ class SignalChain:
         if self.delay is None or isinstance(self.delay, str):
             return ()
         delays = self.delay if isinstance(self.delay, tuple) else (self.delay,)
+        # A delay of 0 everywhere is none, so that such chains are equal.
         return delays if any(delays) else ()
 
     @classmethod

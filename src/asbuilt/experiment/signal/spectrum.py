@@ -29,9 +29,11 @@ def power_density(
     >>> float(power_density(noise, 100.0, 200).sum() * 0.5).__round__(1)
     1.0
     """
+    # Periodic window: the sample after the last would be the first.
     phase = np.linspace(-np.pi, np.pi, length + 1)[:-1]
     weights = sum(a * np.cos(k * phase) for k, a in enumerate(WINDOWS[window]))
     parts = sliding_window_view(np.ascontiguousarray(x.T), length, axis=-1)
+    # Windows overlap by half.
     parts = parts[:, :: length - length // 2]
     power = np.zeros((x.shape[1], length // 2 + 1))
     at_once = max(1, SAMPLES_AT_ONCE // (x.shape[1] * length))
@@ -42,5 +44,6 @@ def power_density(
         transform = fft.rfft(some * weights, axis=-1)
         power += np.sum(transform.real**2 + transform.imag**2, axis=1)
     power /= parts.shape[1] * rate * np.sum(weights**2)
+    # One-sided: all but the mean, and half the rate where there is one, stand for two.
     power[:, 1 : (length + 1) // 2] *= 2.0
     return np.asarray(power.T, dtype=np.float64)

@@ -38,6 +38,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     places = np.flatnonzero(not_repeated)
     if places.size < FEWEST:
         return []
+    # Quantiles of as many samples as decide.
     some = slice(None, None, max(1, places.size // 20_000))
     found = []
     for k in range(tau.shape[1]):  # one by one: a long log leaves no room for all of them
@@ -45,6 +46,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
         steps = np.diff(x)
         sizes = np.abs(steps)
         prominence = np.minimum(sizes[1:], sizes[:-1])
+        # Above both neighbours or below both: the steps have opposite signs.
         prominence *= steps[1:] * steps[:-1] < 0.0
         low, high = np.quantile(x[some], [0.005, 0.995])
         # Own choices, tested on 25 real logs: a spike has 15 times the prominence that noise
@@ -69,8 +71,9 @@ def replace_spikes(recording: Recording) -> Recording:
         return recording
     tau = np.array(recording.tau)
     found = find_spikes(tau, find_changed_rows(tau, recording.q))
-    for each in found:
-        x = tau[:, each.joint]
-        usual = np.setdiff1d(np.arange(len(x)), each.rows)
-        x[each.rows] = np.interp(each.rows, usual, x[usual])
+    for spike in found:
+        x = tau[:, spike.joint]
+        # Interpolated over neighbours that stand out themselves.
+        usual = np.setdiff1d(np.arange(len(x)), spike.rows)
+        x[spike.rows] = np.interp(spike.rows, usual, x[usual])
     return replace(recording, tau=tau) if found else recording

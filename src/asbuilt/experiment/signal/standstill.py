@@ -25,11 +25,13 @@ def estimate_standstill_speeds(
 
     `motions` are positions and velocities (L, n) of segments, behind a low-pass of `cutoff` [Hz].
     """
+    # 99 %: single samples of noise are no speed.
     top = np.max([np.quantile(np.abs(qd), 0.99, axis=0) for _, qd in motions], axis=0)
     swept = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
     # 10.0: position range, in top speeds over the cutoff [rad/s], from which a joint moves at all;
     # noise below the cutoff has about 5, a sine of a fifth of its frequency 10.
     moves = swept * 2.0 * np.pi * cutoff > 10.0 * top
+    # Of a joint that moves slowly, its own speed decides; a still one has only noise.
     least = np.where(moves, np.minimum(SLOWEST * top.max(), MOVING * top), SLOWEST * top.max())
     # Share of a joint's top speed below which it may be at rest.
     return tuple(np.maximum(0.003 * top, least).tolist())
@@ -38,8 +40,8 @@ def estimate_standstill_speeds(
 def find_rests(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
     """Return where each joint is at rest, (L, n): slower than its speed for `PAUSE` or longer."""
     slow = np.ascontiguousarray(np.abs(qd.T) < np.asarray(speeds)[:, None])
-    for each in slow:
-        _keep_lasting(each, PAUSE * rate)
+    for slow_joint in slow:
+        _keep_lasting(slow_joint, PAUSE * rate)
     return slow.T
 
 
@@ -52,6 +54,7 @@ def find_moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[in
     rest = np.array(still.all(axis=1))
     _keep_lasting(rest, PAUSE * rate)
     keep = ~rest
+    # What the parallel filter reaches of a rest stays, so that its outputs up to there exist.
     for a, b in find_true_ranges(rest):
         keep[a : a + shoulder if a > 0 else a] = True
         keep[max(b - shoulder, a) if b < rest.size else b : b] = True
@@ -62,6 +65,7 @@ def find_moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[in
 def _keep_lasting(mask: Mask, samples: float) -> None:
     """Set runs of true values that are shorter than `samples` to false."""
     length = 0
+    # One past the end closes a run that lasts to it.
     for k in range(mask.size + 1):
         if k < mask.size and mask[k]:
             length += 1

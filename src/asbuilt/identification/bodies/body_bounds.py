@@ -37,11 +37,13 @@ class BodyBounds:
 
     def wider(self, part: float, chi: ArrayLike) -> BodyBounds:
         """Return the bounds wider by a part of the size of their terms at chi: rounding."""
+        # The size of the terms, not of their sum: rounding is left where they cancel.
         size = np.abs(self.rows) @ np.abs(np.asarray(chi)) + np.abs(self.offsets)
         return BodyBounds(self.rows.copy(), self.offsets + part * size, self.labels)
 
     def raised(self, below: ArrayLike) -> BodyBounds:
         """Return these bounds as bounds on `chi - below`."""
+        # rows (chi - below) + (offsets + rows below) >= 0
         return BodyBounds(self.rows.copy(), self.slack(below), self.labels)
 
     def and_also(self, other: BodyBounds) -> BodyBounds:
@@ -65,6 +67,7 @@ def bound_known_masses(prior: CadPrior) -> BodyBounds:
     for links, lower, upper in prior.mass_ranges:
         masses = [10 * link + 9 for link in links]
         name = " + ".join(f"m{link + 1}" for link in links)
+        # A whole robot's links would fill the message.
         if len(links) > 2 and links == tuple(range(links[0], links[-1] + 1)):
             name = f"m{links[0] + 1} + ... + m{links[-1] + 1}"
         if lower > 0.0:
@@ -116,6 +119,8 @@ def bound_stated(
     if tolerance is not None:
         if not tolerance > 0.0:
             raise UsageError(f"a tolerance of CAD is positive, such as 0.2; got {tolerance:g}")
+        # The centre of mass over the mass is no linear bound: the moment against limit times mass
+        # is.
         # A link whose mass is guessed, as CAD has none, has less weight than the others.
         masses = {
             i: (max(1.0 - tolerance, 0.0) * mass, (1.0 + tolerance) * mass)
@@ -140,6 +145,7 @@ def _bound_by_shapes(prior: CadPrior, model: RobotModel) -> BodyBounds:
             # integral x^2 dm = (Iyy + Izz - Ixx) / 2, and so on.
             second = {first + place: 0.5 for place in (0, 3, 5)}
             second[first + (0, 3, 5)[axis]] = -0.5
+            # integral (x - l)(u - x) dm = -integral x^2 dm + (l + u) m c - l u m
             spread = {place: -part for place, part in second.items()}
             bounds.append((spread | {moment: low + high, m: -low * high}, 0.0, label))
     if not bounds:
@@ -175,7 +181,9 @@ def bound_widely(prior: CadPrior) -> BodyBounds:
         if i not in given
     }
     centres = {
-        i: (body[6:9] / body[9] - far, body[6:9] / body[9] + far) for i, body in enumerate(bodies)
+        # Twice the largest reach: joints and frames rarely enclose the whole body.
+        i: (body[6:9] / body[9] - far, body[6:9] / body[9] + far)
+        for i, body in enumerate(bodies)
     }
     return bound_bodies(prior, mass=masses, com=centres)
 
@@ -213,6 +221,7 @@ def bound_bodies(
         for axis, low, high in zip(range(3), *centre, strict=True):
             _check(prior, link, low, high, f"centre of mass along {'xyz'[axis]}")
             moment, m, name = 10 * link + 6 + axis, 10 * link + 9, f"c{'xyz'[axis]}{link + 1}"
+            # m c >= low m, linear in the standard parameters.
             bounds.append(({moment: 1.0, m: -float(low)}, 0.0, f"{name} >= {low:.3g} m"))
             bounds.append(({moment: -1.0, m: float(high)}, 0.0, f"{name} <= {high:.3g} m"))
     return _join_bounds(prior, bounds)
@@ -222,6 +231,7 @@ def _join_bounds(prior: CadPrior, bounds: Sequence[Bound]) -> BodyBounds:
     """Return bounds that are given one by one."""
     rows = np.zeros((len(bounds), len(prior.parameters)))
     for row, (coefficients, _, _) in zip(rows, bounds, strict=True):
+        # Many bounds have one or two coefficients each.
         row[[*coefficients]] = [*coefficients.values()]
     offsets = np.array([offset for _, offset, _ in bounds], dtype=np.float64)
     return BodyBounds(rows, offsets, tuple(label for _, _, label in bounds))

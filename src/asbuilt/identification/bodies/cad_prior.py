@@ -113,6 +113,7 @@ class CadPrior:
     def __post_init__(self) -> None:
         if not self.drive_scale.size:
             stated = np.abs(self.parameters[10 * self.n_links :])
+            # Frozen: the default depends on other fields.
             object.__setattr__(self, "drive_scale", np.where(stated > 0, stated, 1.0))
         for values in (
             *(self.parameters, self.strength, self.reach),
@@ -148,12 +149,14 @@ class CadPrior:
         eq. 23).
         """
         whitened = self.relative_eigenvalues(parameters)
+        # A negative eigenvalue has no logarithm: the divergence is infinite there.
         logarithms = np.log(np.where(whitened > 0, whitened, np.nan))
         value = np.sum(whitened - logarithms - 1.0, axis=1)
         return np.where(np.isnan(value), np.inf, value)
 
     def relative_eigenvalues(self, parameters: Array) -> Array:
         """Return the eigenvalues of `P0^-1 P` of every link, ascending, shape (n, 4); 1 at CAD."""
+        # L^-1 P L^-T has the eigenvalues of P0^-1 P, and is symmetric.
         inverse = np.linalg.inv(np.linalg.cholesky(self.pseudo_inertias))
         P = pseudo_inertias(parameters[: 10 * self.n_links].reshape(-1, 10))
         return np.asarray(np.linalg.eigvalsh(inverse @ P @ inverse.transpose(0, 2, 1)))
@@ -165,11 +168,12 @@ class CadPrior:
         the line to CAD until they are.
         """
         smallest = self.relative_eigenvalues(parameters)[:, 0]
+        # Along the line to CAD eigenvalues move linearly from `smallest` to 1.
         share = np.minimum(1.0, (1.0 - least) / np.maximum(1.0 - smallest, 1e-300))
         share[smallest >= least] = 1.0
-        found, cad = np.array(parameters), self.parameters[: 10 * self.n_links]
-        found[: len(cad)] = cad + np.repeat(share, 10) * (found[: len(cad)] - cad)
-        return found
+        consistent, cad = np.array(parameters), self.parameters[: 10 * self.n_links]
+        consistent[: len(cad)] = cad + np.repeat(share, 10) * (consistent[: len(cad)] - cad)
+        return consistent
 
 
 def body_metric_root(parameters: Array, strength: Array) -> Array:
@@ -188,6 +192,7 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     its joints and the size of its reach, with a tenth of the weight.
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
+    # Damping and friction of a simulator's model are no claim about the drive.
     if not model.drives_by_design:
         chi[10 * model.n_links :] = 0.0
     masses = np.array([link.inertia.mass if link.inertia_known else 0.0 for link in model.links])
@@ -201,15 +206,18 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             mass, com = masses[i], link.inertia.com
             spread = _second_moment(link.inertia.inertia_about_com)
         elif link.negligible:
+            # A frame without mass must stay a body, else the logarithm of its determinant has none.
             mass, com, spread = RULES.negligible, points.mean(axis=0), np.zeros((3, 3))
         else:
             mass, com = _average_neighbouring_mass(model, masses, i), points.mean(axis=0)
             spread = (
                 _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
             )
+            # A guess holds a tenth as much as a CAD value.
             strength[i] = RULES.guessed_strength
         eigenvalues, axes = np.linalg.eigh(spread)
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
+        # Eigenvalues of the second moment must all be positive: three of a point are zero.
         if total <= RULES.point_mass * mass * reach[i] ** 2:
             corrected = np.full(3, mass * (reach[i] / 4.0) ** 2)
         elif eigenvalues[0] < RULES.no_thickness * total:
@@ -222,18 +230,22 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
                 f"{link.name} has {given} in CAD; {mass:.3g} kg assumed from its neighbours"
             )
         elif masses[i] > 0 and np.any(corrected != eigenvalues):
+            # `negligible` links are known to have none, which is no news.
             notes.append(
                 f"CAD inertia of {link.name} corrected to be physically consistent"
                 f" ({link.inertia.inconsistency() or 'it has no thickness'})"
             )
         if masses[i] > 0 and np.array_equal(corrected, eigenvalues):
+            # The CAD value itself, without the rounding of an eigenvalue decomposition.
             chi[10 * i : 10 * i + 10] = link.inertia.parameters
         else:
+            # I = tr(S) 1 - S about the centre of mass.
             S = (axes * corrected) @ axes.T
             chi[10 * i : 10 * i + 10] = LinkInertia.from_com(
                 mass, com, np.trace(S) * np.eye(3) - S
             ).parameters
     if np.all(masses == 0.0):
+        # The notes of all links say the same.
         notes = [f"No link has a mass in CAD; {chi[9]:.3g} kg assumed for each"]
     return CadPrior(
         robot=model.name,
@@ -258,6 +270,7 @@ def _list_joint_points(model: RobotModel, i: int) -> Array:
     """Return origins of the joints and frames of a link in link axes, shape (k, 3)."""
     return np.array(
         [
+            # In link axes its joint lies where the placement behind the joint comes from.
             np.linalg.inv(model.moving_joints[i].after)[:3, 3],
             *(joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i),
             *(frame.placement[:3, 3] for frame in model.frames if frame.link == i),
@@ -269,6 +282,7 @@ def _average_neighbouring_mass(model: RobotModel, masses: Array, i: int) -> floa
     near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i]
     near += [masses[model.parents[i]]] if model.parents[i] >= 0 else []
     known = [m for m in near if m > 0] or [m for m in masses if m > 0] or [1.0]
+    # Geometric mean, as masses of links differ by factors.
     return float(np.exp(np.mean(np.log(known))))
 
 
@@ -290,13 +304,17 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     """
     links, n = 10 * prior.n_links, information.n_joints
     torque = np.sqrt(information.torque_energy / information.n_samples)
+    # A joint without torque takes the largest scale: less would hold what nothing says.
     torque = np.where(torque > 0.0, torque, torque.max())
     K = information.base.regrouping[:, links:]
     # Energy of the column of each drive parameter, all joints.
     pairs = zip(information.support, information.joint_factors, strict=True)
-    energy = sum(np.sum((R[:, :-1] @ K[own]) ** 2, axis=0) for own, R in pairs).reshape(n, -1)
+    energy = sum(np.sum((R[:, :-1] @ K[support]) ** 2, axis=0) for support, R in pairs).reshape(
+        n, -1
+    )
     present = np.maximum(np.count_nonzero(energy, axis=0), 1)
     typical = np.sqrt(energy.sum(axis=0) / present / information.n_samples)
+    # The parameter alone makes the whole torque of its joint at the motion of a usual one.
     whole = np.divide(torque[:, None], typical, out=np.zeros_like(energy), where=typical > 0.0)
     scale = np.maximum(whole.reshape(-1), np.abs(prior.parameters[links:]))
     scale = np.where(scale > 0.0, scale, prior.drive_scale)
@@ -309,11 +327,12 @@ def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Arr
     The prior covers the base parameters that belong to one drive alone.
     """
     first = 10 * prior.n_links
-    own = np.flatnonzero(base.columns >= first)
-    weight = np.sqrt(prior.drive_weight) / prior.drive_scale[base.columns[own] - first]
-    rows = np.zeros((len(own), base.n_base + 1))
-    rows[range(len(own)), own] = weight
-    rows[:, -1] = weight * prior.parameters[base.columns[own]]
+    places = np.flatnonzero(base.columns >= first)
+    # Rows of the prior beside those of the data: their squares are the quadratic form.
+    weight = np.sqrt(prior.drive_weight) / prior.drive_scale[base.columns[places] - first]
+    rows = np.zeros((len(places), base.n_base + 1))
+    rows[range(len(places)), places] = weight
+    rows[:, -1] = weight * prior.parameters[base.columns[places]]
     return triangular_factor(np.vstack([factor, rows]))
 
 
@@ -329,6 +348,7 @@ def design_values(model: RobotModel, base: BaseParameters) -> Array:
             chi[10 * i : 10 * i + 10] = np.nan
     silent = np.zeros(len(chi), dtype=bool)
     silent[links:] = np.isnan(chi[links:]) if model.drives_by_design else True
+    # Sums of links and drives keep the links' part; a drive by itself has no value.
     values = base.values(np.where(silent, 0.0, chi))
     values[silent[base.columns]] = np.nan
     return values

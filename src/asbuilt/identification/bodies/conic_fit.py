@@ -54,11 +54,14 @@ def solve_cone_program(
     """
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False
+    # Fits run side by side in threads of their own.
     chosen.max_threads = 1
     for name, value in settings.items():
         setattr(chosen, name, value)
     try:
-        found = clarabel.DefaultSolver(quadratic, linear, constraints, right, cones, chosen).solve()
+        solution = clarabel.DefaultSolver(
+            quadratic, linear, constraints, right, cones, chosen
+        ).solve()
     except (
         BaseException
     ) as problem:  # a panic of the solver, whose type nothing exports, is no Exception
@@ -66,7 +69,7 @@ def solve_cone_program(
             raise
         return ConeSolution(f"Panic ({problem})", np.full(len(linear), np.nan), 0)
     return ConeSolution(
-        str(found.status), np.array(found.x, dtype=np.float64), int(found.iterations)
+        str(solution.status), np.array(solution.x, dtype=np.float64), int(solution.iterations)
     )
 
 
@@ -133,12 +136,14 @@ class ConicProblem:
         self.prior, self.smallest_part = prior, smallest_part
         self.bodies, self.q0 = scale_near_one(prior)
         n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
+        # Unit rows: tolerances of the solver are absolute.
         self.bounds, self.margin = np.zeros((0, n)), np.zeros(0)
         if bounds is not None:
-            rows = -bounds.rows @ self.bodies
-            size = np.linalg.norm(rows, axis=1)
-            self.bounds, self.margin = rows / size[:, None], bounds.offsets / size
+            bound_rows = -bounds.rows @ self.bodies
+            size = np.linalg.norm(bound_rows, axis=1)
+            self.bounds, self.margin = bound_rows / size[:, None], bounds.offsets / size
         below = np.vstack([self.bounds, -np.eye(inertial, n)])
+        # Q_i >= part 1, as all CAD bodies are 1 in these variables.
         self.limits = np.concatenate(
             [self.margin, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)]
         )
@@ -170,6 +175,7 @@ class ConicProblem:
         torque = factor[:-1, :-1] @ self.torque
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
         for resolved in RESOLVED:
+            # Next to the stiffest direction less weight would be lost to rounding.
             floored = max(weight, resolved * stiffest)
             # 1e-3: weight of drive parameters relative to the weight of links.
             pull = np.concatenate(
@@ -178,10 +184,12 @@ class ConicProblem:
                     np.full(n - inertial, max(min(floored, 1.0) * 1e-3, prior.drive_weight)),
                 ]
             )
+            # A tiny weight pulls bodies to the border of consistency: nothing would be saved.
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None
             if inside is not None:
                 return self._unscale(inside)
             constraints = self._fill_pattern(torque)
+            # P is diagonal: the pull of CAD on q, and the residual's square.
             quadratic = sparse.csc_matrix(
                 (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
                 (n + p, n + p),
@@ -227,17 +235,21 @@ class ConicProblem:
         goal, normal = self.bodies.T @ value, np.zeros(n)
         if divisor is not None:
             normal = self.bodies.T @ divisor
+            # In units of the divisor, so that one limit of distance serves all ratios.
             goal, normal = goal / np.linalg.norm(normal), normal / np.linalg.norm(normal)
         size = float(np.linalg.norm(goal))
         farthest = FARTHEST if divisor is None else np.sqrt(FARTHEST)
         rows = np.zeros((3, n + p + 1))
         rows[0, :n], rows[0, -1] = normal, float(divisor is None)
+        # Row 0: divisor @ x = 1, or t = 1; row 1: t >= 0; row 2: the goal not beyond `farthest`.
         rows[1, -1] = -1.0
         rows[2, :n] = -goal / size
         ball = np.zeros((p + 1, n + p + 1))
+        # |r| <= radius t
         ball[0, -1] = -radius
         ball[1:, n:-1] = -np.eye(p)
         constraints = self._fill_pattern(factor[:-1, :-1] @ self.torque)
+        # z and limits are multiplied by t, as x = t chi.
         of_t = sparse.csc_matrix(-np.concatenate([z, self.limits])[:, None])
         further = sparse.csc_matrix(np.vstack([rows, ball]))
         whole = sparse.csc_matrix(sparse.vstack([sparse.hstack([constraints, of_t]), further]))
@@ -265,6 +277,7 @@ class ConicProblem:
         if not solution.is_solved:
             return -np.inf
         found = float(goal @ solution.x[:n])
+        # An optimum at the end of the search is none: nothing bounds the value.
         return found if found > -OPEN * size * farthest else -np.inf
 
     def _fill_pattern(self, torque: Array) -> sparse.csc_matrix:
@@ -277,10 +290,11 @@ class ConicProblem:
     def _unscale(self, q: Array) -> Array:
         """Return chi, with drive parameters moved to their bound if rounding left them beyond."""
         q, inertial = q.copy(), 10 * self.prior.n_links
+        # A bound of a single parameter: rounding is moved onto it.
         for row, margin in zip(self.bounds[:, inertial:], self.margin, strict=True):
-            (own,) = np.nonzero(row)
-            if len(own) == 1 and row @ q[inertial:] > margin:
-                q[inertial + own] = margin / row[own]
+            (places,) = np.nonzero(row)
+            if len(places) == 1 and row @ q[inertial:] > margin:
+                q[inertial + places] = margin / row[places]
         return np.asarray(self.bodies @ q)
 
     def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
@@ -290,6 +304,7 @@ class ConicProblem:
         Squares Problems, 1974, chapter 23).
         """
         root, info = lapack.dpotrf(torque.T @ torque + np.diag(pull), lower=1)
+        # Without a positive definite form the program with cones decides.
         if info:
             return None
         solved = solve_triangular(
@@ -299,11 +314,13 @@ class ConicProblem:
             check_finite=False,
         )
         u, slopes = solved[:, 0], solved[:, 1:]
+        # Violations of the bounds by the unconstrained minimum.
         broken = -(self.margin + u @ slopes)
         if np.any(broken > 0.0):
             goal = np.append(np.zeros(len(u)), 1.0)
             both = np.vstack([slopes, broken])
             error = both @ nnls(both, goal)[0] - goal
+            # The bounds have no common point: the program with cones says so in its own words.
             if error[-1] >= 0.0:
                 return None
             u = u - error[:-1] / error[-1]
@@ -316,6 +333,7 @@ def scale_near_one(prior: CadPrior) -> tuple[Array, Array]:
     """Return M and q0 (CAD) with `chi = M q`: svec(Q_i) of every link, then scaled drives."""
     n, inertial = len(prior.parameters), 10 * prior.n_links
     roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]
+    # P = L Q L^T, solved for the parameters that have this svec.
     images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)
     M = np.zeros((n, n))
     places = np.arange(inertial).reshape(-1, 10)

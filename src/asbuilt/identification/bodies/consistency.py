@@ -57,6 +57,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     counted = np.array(
         [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
     )
+    # Rows of drives alone say nothing of bodies.
     rows = np.flatnonzero(np.any(base.regrouping[:, counted] != 0, axis=1))
     shared = np.any(base.regrouping[rows] != 0, axis=0) & ~counted
     free = np.concatenate([np.flatnonzero(counted), np.flatnonzero(shared)])
@@ -79,14 +80,17 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         ]
     )
     constraints = sparse.csc_matrix(sparse.vstack([fixed, positive, bodies]))
+    # K chi = beta; armatures and P_i above t.
     bounds = np.concatenate([values[rows], np.zeros(len(armatures) + 10 * n_links)])
     cones = [
         clarabel.ZeroConeT(len(rows)),
         clarabel.NonnegativeConeT(len(armatures)),
         *[clarabel.PSDTriangleConeT(4)] * n_links,
     ]
+    # Maximise t.
     nothing, goal = sparse.csc_matrix((n + 1, n + 1)), np.append(np.zeros(n), -1.0)
     solution = solve_cone_program(nothing, goal, constraints, bounds, cones)
+    # Without a bound t grows for ever: no link is constrained.
     if "DualInfeasible" in solution.status:
         return float("inf")
     if not solution.is_solved:
@@ -117,7 +121,9 @@ def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]
     """Return the names of single drive parameters that are negative, against passivity."""
     values = np.asarray(beta, dtype=np.float64)
     alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(
-        base.columns, find_non_negative_columns(base.n_links, base.n_joints, base.drive)
+        # Among others a parameter may be negative while its own one is not.
+        base.columns,
+        find_non_negative_columns(base.n_links, base.n_joints, base.drive),
     )
     return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))
 
@@ -206,7 +212,9 @@ def find_inconsistency(
         return None
     plainest = problem.plainest()
     proof = problem.shortened(surest) if plainest is None else plainest
+    # Largest first by torque, in which parameters of different units compare.
     order = np.argsort(-np.abs(proof) * problem.size, kind="stable")[: np.count_nonzero(proof)]
+    # Largest coefficient 1, for reading.
     y = proof / np.abs(proof[order[0]])
     return Inconsistency(
         names=tuple(base.names[j] for j in order),
@@ -214,6 +222,7 @@ def find_inconsistency(
         coefficients=y[order],
         value=float(y @ problem.beta),
         std_error=problem.error(y),
+        # One over `min |L^T u|` at y^T beta = -1 is the distance of beta from the cone.
         sigmas=-float(surest @ problem.beta)
         / max(problem.error(surest), np.finfo(np.float64).tiny),
     )
@@ -230,6 +239,7 @@ class _Separation:
     ) -> None:
         self.beta = beta
         size = np.sqrt(np.diag(covariance))
+        # Parameters without an error count as the surest that has one.
         self.size = np.where(size > 0, size, size[size > 0].min(initial=1.0))
         bodies, _ = scale_near_one(prior)
         self.images = (base.regrouping @ bodies).T / self.size
@@ -238,6 +248,7 @@ class _Separation:
         self.passive = np.intersect1d(drives, prior.non_negative)
         self.free = np.setdiff1d(drives, prior.non_negative)
         eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(self.size, self.size))
+        # Rounding leaves eigenvalues just below zero.
         self.root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
 
     def error(self, y: Array) -> float:
@@ -246,12 +257,15 @@ class _Separation:
 
     def plainest(self) -> Array | None:
         """Return y (p,) with the most significant single negative parameter; None if none is."""
+        # The dual of the semidefinite cone is itself: a unit of the parameter is such a body.
         bodies = smat(self.images[: self.inertial].T.reshape(len(self.beta), -1, 10))
         size = np.abs(self.images).max(axis=0)
         eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
         drives = self.images[self.passive].min(axis=0, initial=0.0)
         proof = (np.minimum(eigenvalues, drives) >= -RULES.solved * size) & ~np.any(
-            self.images[self.free], axis=0
+            # Free drives may take any value, so that no proof may contain them.
+            self.images[self.free],
+            axis=0,
         )
         sigmas = np.where(proof, -self.beta / self.size, 0.0)
         surest = int(np.argmax(sigmas))
@@ -261,10 +275,11 @@ class _Separation:
         """Return a proof with few parameters, starting from the most significant."""
         proof, prices = surest, np.ones(len(surest))
         for _ in range(RULES.rounds):
-            found = self.solve(prices)
-            proof = proof if found is None else found
-            if found is None or np.count_nonzero(proof) <= FEW:
+            candidate = self.solve(prices)
+            proof = proof if candidate is None else candidate
+            if candidate is None or np.count_nonzero(proof) <= FEW:
                 break
+            # Candes, Wakin and Boyd: what is small is dearer in the next round.
             share = np.abs(proof) * self.size
             least = share.max() / RULES.dearest
             prices = np.minimum(RULES.dearest, share.max() / np.maximum(share, least))
@@ -277,6 +292,7 @@ class _Separation:
         -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
         """
         p, at, identity = len(self.beta), self.beta / self.size, np.eye(len(self.beta))
+        # beta = 0 is consistent.
         length = float(np.linalg.norm(at))
         if length == 0.0:
             return None
@@ -284,6 +300,7 @@ class _Separation:
         def alone(rows: Array) -> Array:
             return np.hstack([rows, np.zeros((len(rows), p + 1))])
 
+        # u^T beta = -1, and nothing of drives without sign.
         equal = alone(np.vstack([at / length, self.images[self.free]]))
         none = np.zeros((p, 1))
         bounded = np.block([[identity, -identity, none], [-identity, -identity, none]])
@@ -297,6 +314,7 @@ class _Separation:
                 alone(-self.images[: self.inertial]),
             ]
         )
+        # The one at the top: everything else is homogeneous.
         right = np.append(-1.0, np.zeros(len(constraints) - 1))
         cones = [
             clarabel.ZeroConeT(len(equal)),

@@ -72,8 +72,9 @@ class Coordinates:
         """Return the split that belongs to base parameters."""
         others = np.setdiff1d(np.arange(base.n_standard), base.columns)
         kept, dependent = (
-            np.eye(base.n_standard).take(each, axis=1) for each in (base.columns, others)
+            np.eye(base.n_standard).take(columns, axis=1) for columns in (base.columns, others)
         )
+        # K chi = beta: what dependent parameters add to base parameters is taken off there.
         dependent[base.columns] = -base.regrouping[:, others]
         return cls(base.regrouping, kept, dependent)
 
@@ -95,7 +96,7 @@ class EntropicFits:
     def last(self) -> EntropicFits:
         """The fit of the last problem alone."""
         return EntropicFits(
-            *(each[-1:] for each in (self.chi, self.values, self.duals, self.multipliers))
+            *(array[-1:] for array in (self.chi, self.values, self.duals, self.multipliers))
         )
 
 
@@ -125,6 +126,7 @@ class EntropicProblem:
         self.whitening = np.linalg.inv(scale)
         self.inertial = 10 * prior.n_links
         self.free = coordinates.dependent if held else scale
+        # Held, steps go along the dependent parameters alone, and K chi is exact.
         self.along = self.whitening @ self.free if held else np.eye(len(scale))
         self.torque = coordinates.regrouping @ self.free
         self.rows = np.zeros((0, len(scale))) if bounds is None else bounds.rows
@@ -143,6 +145,7 @@ class EntropicProblem:
             scaling[..., SVEC_ROW[:, None], SVEC_COLUMN]
             * scaling[..., SVEC_COLUMN[:, None], SVEC_ROW]
         )
+        # svec(W^-1 Z W^-1): the symmetric Kronecker product, in pairs of places.
         blocks = 0.5 * np.outer(SVEC_LENGTH, SVEC_LENGTH) * pairs
         if self.held:
             parts, drives = self.along[:n].reshape(-1, 10, self.along.shape[1]), self.along[n:]
@@ -150,6 +153,7 @@ class EntropicProblem:
                 axis=1
             ) + self.prior.drive_weight * drives.T @ drives
             return
+        # Links do not act on each other here: their blocks stand on the diagonal.
         for i in range(len(blocks[0])):
             hessians[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += blocks[:, i]
         drive = range(n, len(self.q0))
@@ -174,6 +178,7 @@ class EntropicProblem:
                 f"the entropic fit of {self.prior.robot} needs consistent starting values strictly"
                 " inside the bounds"
             )
+        # Each problem stops by itself, so that its result does not depend on the others.
         active, steps = np.arange(len(search.y)), 0
         while active.size and steps < NEWTON.most_steps:
             active, steps = active[~search.advance(active, close)], steps + 1
@@ -218,6 +223,7 @@ class _Search:
                 _multiply_vectors(factors[:, :-1, :-1], self.start @ problem.regrouping.T)
                 - factors[:, :-1, -1]
             )
+        # The Gram matrix does not change with the steps.
         self.gram = _transpose(self.A) @ self.A
         self.y = np.zeros((m, v))
         self.q = self.start @ problem.whitening.T
@@ -228,6 +234,7 @@ class _Search:
             self.duals, self.multipliers = start.duals.copy(), start.multipliers.copy()
         else:
             inverse = np.asarray(np.linalg.inv(self.roots), dtype=np.float64)
+            # On the central path: Z = weight Q^-1, and slack times multiplier is the barrier.
             self.duals = self.weights[:, None, None] * (_transpose(inverse) @ inverse)
             self.multipliers = barrier / self.slack
 
@@ -239,9 +246,11 @@ class _Search:
         problem, n, q = self.problem, self.problem.inertial, self.q[a]
         roots = self.roots[a]
         inverse = np.asarray(np.linalg.inv(roots), dtype=np.float64)
+        # Eigenvalues V^2 of L^T Z L, Q = L L^T: T Q T^T = T^-T Z T^-1 = diag(V).
         size, turn = np.linalg.eigh(_transpose(roots) @ self.duals[a] @ roots)
         V = np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
         T = np.sqrt(V)[..., None] * (_transpose(turn) @ inverse)
+        # d/dQ of tr(Q) - log det Q is 1 - Q^-1.
         bodies = self.weights[:, None] * np.asarray(
             IDENTITY_SVEC - svec(_transpose(inverse) @ inverse)
         )
@@ -250,7 +259,9 @@ class _Search:
         gradient = _multiply_vectors(_transpose(self.A[a]), self.error[a]) + (
             slope @ problem.along if problem.held else slope
         )
+        # Of -barrier log(slack).
         gradient -= (self.barrier / self.slack[a]) @ problem.slopes
+        # Multipliers in place of barrier / slack: the Hessian halfway to the boundary.
         hessian = (
             problem.slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]
         ) @ problem.slopes
@@ -261,8 +272,9 @@ class _Search:
     def advance(self, active: Indices, close: float) -> NDArray[np.bool_]:
         """Take one step of the active problems, and return which of them have arrived."""
         problem, m, n = self.problem, len(active), self.problem.inertial
+        # A slice is a view: the usual case of all problems copies nothing.
         a: Indices | slice = active if m < len(self.y) else slice(None)
-        error, q, slack, multipliers, own = (
+        error, q, slack, multipliers, strength = (
             self.error[a],
             self.q[a],
             self.slack[a],
@@ -281,13 +293,17 @@ class _Search:
         narrowing, swing = step @ problem.slopes.T, _multiply_vectors(self.A[a], step)
 
         X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _transpose(T)
-        Y = (own / V - V)[..., None] * np.eye(4) - X
+        # Z Q = weight linearised in the scaled space, where both are diag(V).
+        Y = (strength / V - V)[..., None] * np.eye(4) - X
+        # slack multiplier = barrier, linearised.
         loosening = (self.barrier - multipliers * narrowing) / slack - multipliers
         length = _find_step_length(X, V, -narrowing / slack)
         dual_length = _find_step_length(Y, V, -loosening / multipliers)
+        # Duals take their own step, as they meet their boundary elsewhere.
         self.duals[a] += dual_length[:, None, None, None] * (_transpose(T) @ Y @ T)
         self.multipliers[a] += dual_length[:, None] * loosening
 
+        # Backtracking of each problem alone: Armijo, and infinity outside the domain.
         trying = np.arange(m)
         while trying.size:
             b, far = active[trying], length[trying, None]
@@ -298,16 +314,18 @@ class _Search:
             )
             values, roots = self._evaluated(*tried)
             promised = NEWTON.sufficient * length[trying] * np.maximum(self.decrements[b], 0.0)
+            # Near the minimum the promised decrease is less than rounding of the value.
             good = values <= self.values[b] - promised + NEWTON.rounding * np.abs(self.values[b])
             kept = b[good]
             self.y[kept] += (far * step[trying])[good]
-            self.q[kept], self.error[kept], self.slack[kept] = (each[good] for each in tried)
+            self.q[kept], self.error[kept], self.slack[kept] = (state[good] for state in tried)
             self.values[kept], self.roots[kept] = values[good], roots[good]
             trying = trying[~good]
             length[trying] *= NEWTON.shorter
             trying = trying[length[trying] > NEWTON.shortest]
+        # Off the central path the decrement is small without being at the minimum.
         off = np.maximum(
-            np.max(np.abs(V**2 / own - 1.0), axis=(1, 2), initial=0.0),
+            np.max(np.abs(V**2 / strength - 1.0), axis=(1, 2), initial=0.0),
             np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0),
         )
         return np.asarray(
@@ -323,6 +341,7 @@ class _Search:
             value = (
                 bodies @ IDENTITY_SVEC
                 - 2.0 * np.log(np.diagonal(roots, axis1=2, axis2=3)).sum(axis=2)
+                # `- 4 n` is left out: a constant.
             ) @ self.weights
             value += 0.5 * (
                 problem.prior.drive_weight * np.sum(drives**2, axis=1) + np.sum(error**2, axis=1)
@@ -345,6 +364,7 @@ def _find_step_length(change: Array, V: Array, approach: Array) -> Array:
     each bound.
     """
     root = np.sqrt(V)
+    # 1 + length eigenvalue > 0 keeps the body positive definite.
     edge = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(axis=(1, 2))
     nearest = np.column_stack([edge, approach]).max(axis=1)
     tiny = np.finfo(np.float64).tiny
@@ -355,6 +375,7 @@ def _factor_matrices(matrices: Array) -> Array:
     """Return the Cholesky roots of (m, l, 4, 4) matrices; NaN for those not positive definite."""
     try:
         return np.asarray(np.linalg.cholesky(matrices))
+    # One inconsistent body fails the whole stack; the others are factored without it.
     except np.linalg.LinAlgError:
         inside = np.linalg.eigvalsh(matrices)[..., 0] > 0.0
         roots = np.full(matrices.shape, np.nan)

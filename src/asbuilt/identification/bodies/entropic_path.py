@@ -50,6 +50,7 @@ class EntropicPath:
     def fit_descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
         wanted, fits = set(weights), dict[float, Array]()
+        # Through all stronger weights, as links may lie far from CAD.
         for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
             with suppress(IdentifiabilityError):
                 fits[weight] = self.fit_roughly(factors, weight)
@@ -57,6 +58,7 @@ class EntropicPath:
 
     def fit_roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
         """Return the fits of many factors, to a small part of a standard error, for one weight."""
+        # The last stronger weight that converged is the nearest start.
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
         # Squared distance from the minimum, in squared standard errors, at which a rough fit ends.
@@ -76,10 +78,11 @@ class EntropicPath:
     def fit_exactly(self, factor: Array, weight: float) -> Array:
         """Return the fit of one factor, from the last rough one or through stronger weights."""
         if weight not in self._reached:
+            # What was reached belongs to other factors.
             self._reached.clear()
-            for each in (stronger for stronger in DESCENT if stronger > weight):
+            for stronger_weight in (stronger for stronger in DESCENT if stronger > weight):
                 with suppress(IdentifiabilityError):
-                    self.fit_roughly(factor[None], each)
+                    self.fit_roughly(factor[None], stronger_weight)
             self.fit_roughly(factor[None], weight)
         return np.asarray(
             self._problem.fit(factor[None], weight, self._reached[weight].last).chi[0]
@@ -91,12 +94,15 @@ def _find_inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     chi = prior.parameters.copy()
     lifted = prior.non_negative
     # 0.1: start of bounded drive parameters, in units of their scale.
+    # Bounded drives start inside, where the barrier has a value.
     chi[lifted] = np.maximum(chi[lifted], 0.1 * prior.drive_scale[lifted - 10 * prior.n_links])
     if np.all(bounds.slack(chi) > 0):
         return chi
+    # At most a quarter of the way between opposite bounds, so that something is left between them.
     margin = np.minimum(1e-3 * np.linalg.norm(bounds.rows, axis=1), 0.25 * _measure_widths(bounds))
     tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
     p = len(prior.parameters)
+    # Without data the program is the distance from CAD alone.
     nothing = np.zeros((p + 1, p + 1))
     for part in START_PARTS:
         with suppress(IdentifiabilityError):
@@ -153,13 +159,16 @@ def find_plausible_parameters(
             if found[1] <= limit:
                 break
             above = weight
+        # Even the data alone do not come below the limit.
         else:
             return None
         for _ in range(MOST_HALVINGS if np.isfinite(above) else 0):
             if found[1] >= (1.0 - CLOSE) * limit:
                 break
+            # Halved by the logarithm, as weights span decades.
             weight = float(np.sqrt(above * below))
             tried = fit(weight)
+            # The found weight always meets the limit, whenever the search ends.
             if tried[1] <= limit:
                 below, found = weight, tried
             else:

@@ -61,6 +61,7 @@ class FeasibleRegion:
 
     @cached_property
     def _problem(self) -> ConicProblem:
+        # Bodies at the border of consistency belong to the region.
         return ConicProblem(self.prior, self.base.regrouping, self.bounds, smallest_part=0.0)
 
     @cached_property
@@ -76,6 +77,7 @@ class FeasibleRegion:
     @cached_property
     def scale(self) -> float:
         """The factor s on squared errors by what the model misses."""
+        # A distance beyond its degrees is model error, and widens the region as it would an error.
         return max(1.0, self.distance / max(len(self.root), 1))
 
     @cached_property
@@ -90,6 +92,7 @@ class FeasibleRegion:
         region in which all quantities together hold.
         """
         part = replace(self, bounds=self.bounds.and_also(stated))
+        # A region in which all quantities together hold, wider than that of a single one.
         together = chdtri(len(self.root), LEAST_CHANCE) * self.scale
         if part.distance > self.distance + together:
             raise UsageError(
@@ -98,6 +101,7 @@ class FeasibleRegion:
                 f" the nearest of all {np.sqrt(self.distance):.3g}",
                 cure=Cure("state wider bounds, or none"),
             )
+        # The part is of the same data: its model error is the whole region's.
         vars(part)["scale"] = self.scale
         return part
 
@@ -108,12 +112,14 @@ class FeasibleRegion:
         Infinite where nothing bounds it. Raises `IdentifiabilityError` if the solver fails.
         """
         ends = [
+            # The greatest is minus the least of the negative.
             sign * self._problem.find_extreme(self._factor, self.radius, sign * value, divisor)
             for sign in (1.0, -1.0)
         ]
         # Rounding about zero, such as a mass of -1e-10 kg.
         size = ROUNDING * self._measure_size(value)
         least, greatest = (0.0 if divisor is None and abs(x) < size else x for x in ends)
+        # Rounding of two solves can turn a point's ends around.
         return least, max(least, greatest)
 
     def find_estimate(self, value: Array) -> tuple[float, float] | None:
@@ -122,6 +128,7 @@ class FeasibleRegion:
         They do if it is a combination `w^T R K` of what they determine; its error then is `|w|`.
         """
         seen, scaled = self._seen.T, self._scales * value
+        # value @ chi = w^T (R K chi): solved in units of the bodies.
         w, *_ = np.linalg.lstsq(seen, scaled, rcond=1e-10)
         if np.linalg.norm(seen @ w - scaled) > ROUNDING * np.linalg.norm(scaled):
             return None
@@ -136,11 +143,16 @@ class FeasibleRegion:
         """
         scales, n = self._scales, len(value)
         size = np.linalg.norm(self._seen, axis=1)
+        # Unit rows, so that directions count alike whatever their size.
         seen = self._seen / np.where(size > 0.0, size, 1.0)[:, None]
         rows = np.vstack([seen, scales * value / np.linalg.norm(scales * value)])
         right = np.append(np.zeros(len(seen)), 1.0)
         solution = linprog(
-            np.ones(2 * n), A_eq=np.hstack([rows, -rows]), b_eq=right, bounds=(0.0, None)
+            # A change is the difference of two non-negative parts: their sum is its l1 norm.
+            np.ones(2 * n),
+            A_eq=np.hstack([rows, -rows]),
+            b_eq=right,
+            bounds=(0.0, None),
         )
         if solution.x is None:
             return (), ()

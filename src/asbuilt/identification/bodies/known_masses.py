@@ -91,6 +91,7 @@ def link_masses_from_text(text: str) -> dict[str, Limits]:
             )
         name = found["name"].strip()
         lower, upper = limits_from_text(found["within"] or found["bound"])
+        # Both limits hold, so that the narrower counts.
         before = masses.get(name, (0.0, math.inf))
         masses[name] = (max(lower, before[0]), min(upper, before[1]))
         if not masses[name][0] < masses[name][1]:
@@ -122,7 +123,8 @@ def with_known_masses(
     """
     known = [MassRange((name,), *limits) for name, limits in links.items()]
     if total is not None:
-        least = sum(each.lower for each in known)
+        least = sum(known_mass.lower for known_mass in known)
+        # One link without an upper limit leaves the whole unbounded.
         most = sum(links.get(name, (0.0, math.inf))[1] for name in model.link_names)
         if least >= total[1] or most <= total[0]:
             raise UsageError(
@@ -135,6 +137,7 @@ def with_known_masses(
     try:
         return replace(model, mass_ranges=(*model.mass_ranges, *known))
     except DescriptionError as problem:
+        # The description's own words name the place; the cure is the option's.
         raise UsageError(problem.message, cure=Cure("name moving links, or the total")) from None
 
 

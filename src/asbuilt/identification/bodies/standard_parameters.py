@@ -196,27 +196,33 @@ def find_standard_parameters(
     cad = build_cad_prior(model, base.drive)
     coordinates = Coordinates.of(base)
     drives = bound_passive_drives(cad)
+    # Drive parameters that dependent ones change share a base parameter with a link.
     moving = np.any(coordinates.dependent[cad.non_negative] != 0.0, axis=1)
     shared = BodyBounds(
         drives.rows[moving], drives.offsets[moving], tuple(np.array(drives.labels)[moving])
     )
+    # Those alone in theirs are what beta says, passive or not.
     alone = drives.rows[~moving] @ (coordinates.kept @ asked)
     motion = build_random_motion_rows(model, base)
     of_motion = _measure_joint_rms(motion @ asked, model.n_joints)
+    # Rounding: CAD values may lie on their bound.
     known = bound_known_masses(cad).wider(RULES.rounding, cad.parameters)
     shared, passive = shared.and_also(known), drives.and_also(bound_known_masses(cad))
     within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
     chi, part = find_deepest_inside(cad, coordinates, asked, within)
+    # Wide bounds give way before beta does: they are only likely.
     if part > RULES.exact_part:
         shared = within
     else:
         chi, part = find_deepest_inside(cad, coordinates, asked, shared)
+    # The nearest model has passive drives, so that negative friction refutes exactness.
     exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
     consistent = exact or nearest
     if not exact and nearest:
         distance = factor_distance(_find_root(asked, motion, information), asked)
         chi = ConicProblem(cad, base.regrouping, passive).fit(distance)
         scale = cad.drive_scale[cad.non_negative - 10 * cad.n_links]
+        # Next to zero, not at it: the search for the deepest point needs an interior.
         chi[cad.non_negative] = np.maximum(
             chi[cad.non_negative], RULES.least_share * scale * moving
         )
@@ -226,6 +232,7 @@ def find_standard_parameters(
     if (
         (exact and uncertainty_root is not None and not np.any(alone < 0.0))
         and len(uncertainty_root)
+        # Torque in standard errors: beyond rounding no chi-square could be kept.
         and np.linalg.norm(uncertainty_root @ asked) <= RULES.sharpest
     ):
         plausible = find_plausible_parameters(cad, base, asked, uncertainty_root, LIMIT)
@@ -266,13 +273,17 @@ def find_deepest_inside(
     """
     bodies, q0 = scale_near_one(cad)
     inertial = 10 * cad.n_links
+    # From the closest in the metric, which has K chi = beta, along directions that keep it.
     near = _find_closest_in_metric(cad, coordinates, beta)
     whitened = np.linalg.solve(bodies, np.column_stack([near, coordinates.dependent]))
+    # Orthonormal directions, so that the solver sees one scale.
     along, triangle = np.linalg.qr(whitened[:, 1:])
     free = coordinates.dependent @ np.linalg.inv(triangle)
+    # Bounds hold with a little of t as slack, bodies with the whole.
     slack = np.append(np.full(len(bounds.rows), RULES.least_share), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
     constraints = np.block([[-rows, slack], [-along[:inertial], q0[:inertial, None]]])
+    # t <= 1: deeper than CAD itself is no aim.
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
     goal = np.append(np.zeros(free.shape[1]), -1.0)
@@ -294,7 +305,9 @@ def _find_closest_above(
     The floor is half of `part` at most; the divergence `D(P - floor P0 || (1 - floor) P0)` is that
     above the floor, least at CAD too.
     """
+    # Half of what is possible leaves an interior for the barrier.
     floor = min(SMALLEST_PART, 0.5 * part)
+    # Drives have no floor.
     below = floor * cad.parameters
     below[10 * cad.n_links :] = 0.0
     problem = EntropicProblem(
@@ -314,6 +327,7 @@ def _find_closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array
     whitened = np.linalg.solve(
         bodies, np.column_stack([coordinates.kept @ beta - cad.parameters, coordinates.dependent])
     )
+    # Of least norm in the whitened parameters, in which CAD's metric is 1.
     d, *_ = np.linalg.lstsq(whitened[:, 1:], -whitened[:, 0], rcond=None)
     return np.asarray(coordinates.kept @ beta + coordinates.dependent @ d)
 
@@ -322,6 +336,7 @@ def _find_root(beta: Array, motion: Array, information: ArrayLike | None) -> Arr
     """Return the root R (r, p) of the distance from beta."""
     if information is None:
         torque = float(np.sqrt(np.mean((motion @ beta) ** 2)))
+        # So small a noise that CAD decides nothing.
         return motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
     return Scaled(np.asarray(information, dtype=np.float64)).root
 

@@ -110,18 +110,19 @@ def derive_gain_errors(
     Without `stated` values, the usual ones of the torque source count, wider by what the gravity
     torques of the result differ from CAD's beyond its tolerance. Torques of motors count as
     calibrated, to 5 %, if the gravity torques agree with CAD's; otherwise 10 %, as all torques
-    but a sensor's do where the description has no masses.
+    but a sensor's do where the description has no masses. Torques of unknown source are as good as
+    a sensor's until gravity contradicts them.
     """
     usual = relative_gain_errors(source, result.model.n_joints, stated)
     if stated is not None or source == "sensor":
         return usual
     if not result.model.has_every_mass:
         return np.maximum(usual, UNCALIBRATED)
-    if source == "unknown":
-        return usual
     scales = gravity_scales(result)
     doubted = derive_gain_doubt(scales)
-    if source == "motor" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
+    if source == "unknown" and not np.any(doubted > 0.0):
+        return usual
+    if source != "current" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
         usual = np.maximum(usual, UNCALIBRATED)
     return np.minimum(np.hypot(usual, doubted), MOST)
 
@@ -134,7 +135,7 @@ def name_doubtful_gains(result: IdentificationResult, source: TorqueSource) -> t
     """
     if source != "sensor" and not result.model.has_every_mass:
         return result.model.joint_names
-    if source not in ("motor", "current"):
+    if source == "sensor":
         return ()
     doubted = derive_gain_doubt(gravity_scales(result))
     return tuple(result.model.joint_names[k] for k in np.flatnonzero(doubted > 0.0))

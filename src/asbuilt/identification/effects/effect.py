@@ -67,7 +67,7 @@ class FoundEffect:
     def improvement(self) -> str:
         """The torque error without and with it, as text."""
         before, after = (
-            round_significant(100 * each, 2) for each in (self.error_before, self.error_after)
+            round_significant(100 * error, 2) for error in (self.error_before, self.error_after)
         )
         return f"torque error {before} -> {after} %"
 
@@ -120,6 +120,7 @@ class Motion:
         state = self.q[span], self.qd[span], self.qdd[span]
         part = Motion(self.robot, self.rate, *state, self.elapsed[span])
         rigid, whole = self.torques
+        # A cached property reads the instance's dict first: filled here, a part costs no recursion.
         vars(part)["torques"] = rigid[span], whole[span]
         return part
 
@@ -184,8 +185,11 @@ class Effect(ABC):
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return size, standard error and unit of its values (m,) with their covariance."""
+        # One parameter keeps its sign; several have only a length.
         size = float(np.linalg.norm(values)) if len(values) > 1 else float(values[0])
+        # Gradient of the length, for the error to first order; at zero every direction is as good.
         slope = values / size if size else np.ones(len(values)) / len(values)
+        # Rounding can leave the variance of a nearly undetermined size just below zero.
         variance = max(float(slope @ covariance @ slope), 0.0)
         return size, float(np.sqrt(variance)), self.unit(revolute)
 
@@ -203,12 +207,10 @@ class Effect(ABC):
     ) -> FoundEffect:
         """Return what was found of it; `errors` are torque errors without and with it."""
         size = self.size(values, covariance, revolute=revolute)
-        found = FoundEffect(
-            self.key, joint, *size, in_model, torque, *errors, alternatives, text=""
-        )
+        bare = FoundEffect(self.key, joint, *size, in_model, torque, *errors, alternatives, text="")
         where = f"{self.title} at {joint}" if joint else self.title
         text = self.size_text(values, covariance, revolute=revolute)
-        return replace(found, text=f"{where} {text}: {found.improvement}")
+        return replace(bare, text=f"{where} {text}: {bare.improvement}")
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the size with its standard error and unit as text."""
@@ -234,6 +236,7 @@ class Effect(ABC):
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether a robot in use can have these values, large enough to matter."""
+        # The norm is at least 0 even for a negative parameter: its sign is asked for apart.
         size = float(np.linalg.norm(values))
         positive = not self.positive or bool(np.all(values > 0.0))
         return self.least <= size <= self.farthest and positive
@@ -246,6 +249,7 @@ class Effect(ABC):
 
     def advanced(self, values: Array, step: Array) -> Array:
         """Return the values after a step about what they leave."""
+        # Columns of a share are per relative change of what earlier steps left: steps multiply.
         return np.asarray((1.0 + values) * (1.0 + step) - 1.0 if self.of_shares else values + step)
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding | None:
@@ -275,6 +279,7 @@ EFFECTS: Registry[Effect] = Registry(
 
 def effect(family: type[Effect]) -> type[Effect]:
     """Register a family of effects."""
+    # A family that imitates no other is a kind of its own.
     family.kind = family.kind or family.key
     EFFECTS.register(family.key, family())
     return family

@@ -48,13 +48,14 @@ class Candidate:
     @property
     def busy(self) -> set[tuple[str, int | None]]:
         """Kinds and joints that nothing else is asked for once it is taken."""
+        # What a motor shared with the joint before leaves shows at both.
         near = () if self.joint is None else (self.joint, self.joint - 1)
         return {self.slot, *((kind, k) for kind in self.effect.imitators for k in near)}
 
     @property
     def has_trial_values(self) -> bool:
         """Whether it has nonlinear parameters whose values are not fitted yet."""
-        return self.term is not None and any(each.fitted for each in self.term.nonlinear)
+        return self.term is not None and any(parameter.fitted for parameter in self.term.nonlinear)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +120,15 @@ def gather_equations(
     kept
         Rows of the model that are kept for others who ask for the same ones.
     """
-    variants = [each for effect in effects for each in effect.variants(robot)]
+    variants = [variant for effect in effects for variant in effect.variants(robot)]
     variants.sort(key=lambda each: not each.local)  # local columns first
-    candidates, own, size = _place_candidates(variants, robot.model.n_joints, base)
-    plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=own.shape[1] + 1)
-    support = [np.concatenate(each) for each in zip(plan.support, own, strict=True)]
+    candidates, slots, size = _place_candidates(variants, robot.model.n_joints, base)
+    plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=slots.shape[1] + 1)
+    support = [np.concatenate(both) for both in zip(plan.support, slots, strict=True)]
     # a joint has not every slot, but torque
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
     grams: list[tuple[Array, ...]] = []
+    # The torque is one spare row more, after all columns of effects.
     counts: list[int] = []
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
@@ -134,8 +136,11 @@ def gather_equations(
             block = [np.zeros((len(s) + 1,) * 2) for s in support]
             for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):
+                    # Rows are transposed (parameters and torque by samples), so that this is the
+                    # Gram matrix.
                     block[k] += rows @ rows.T
             grams.append(
+                # Slots that a joint does not have hold zeros, and go before the blocks are kept.
                 tuple(gram[np.ix_(kept, kept)] for gram, kept in zip(block, there, strict=True))
             )
             counts.append(part.n_outputs)
@@ -154,19 +159,22 @@ def _place_candidates(
     variants: Sequence[Variant], n: int, base: BaseParameters
 ) -> tuple[list[Candidate], Indices, int]:
     """Return candidates, the parameter in each slot of each joint (-1: none), and the number."""
-    own = np.full((n, sum(each.n_columns for each in variants)), -1)
+    # Slots, not parameters, are columns of the regressor: a local variant fills one for all joints.
+    parameters = np.full((n, sum(variant.n_columns for variant in variants)), -1)
     candidates, first, size = list[Candidate](), 0, base.n_base
     for variant in variants:
         slots = slice(first, first + variant.n_columns)
         first = slots.stop
         for k in variant.joints if variant.local else (variant.joint,):
+            # Numbers follow the order of candidates, the model's own first.
             places = np.arange(size, size + variant.n_columns)
             size += variant.n_columns
-            own[k if variant.local else slice(None), slots] = places
+            parameters[k if variant.local else slice(None), slots] = places
+            # Only what acts at a joint stands for a simpler term there.
             simpler = variant.term.stands_for if variant.local and variant.term else None
             replaced = find_places(base, simpler, k or 0)
             candidates.append(Candidate(variant.effect, k, places, variant.term, replaced))
-    return candidates, own, size
+    return candidates, parameters, size
 
 
 class _Columns:
@@ -185,15 +193,16 @@ class _Columns:
         ahead = self._samples is part.samples and self._start <= span.start
         if not ahead or span.stop > self._stop:
             self._evaluate(part, span)
-        own = slice(span.start - self._start, span.stop - self._start)
-        motion = self._motion.within(own)
+        inside = slice(span.start - self._start, span.stop - self._start)
+        motion = self._motion.within(inside)
         return [
             column
             for variant, columns in zip(self._variants, self._columns, strict=True)
             for column in (
                 variant.effect.columns(variant, motion)
+                # Columns that depend on a span's neighbours are evaluated on the span itself.
                 if columns is None
-                else (each[own] for each in columns)
+                else (values[inside] for values in columns)
             )
         ]
 
@@ -201,13 +210,15 @@ class _Columns:
         """Evaluate what depends on single instants, from the start of a span on."""
         samples = self._samples = part.samples
         self._start = span.start
+        # Blocks are short: a call for more samples than one block needs saves calls.
         self._stop = max(span.stop, min(span.start + 2 * ROWS.samples_at_once, part.stop))
         held = slice(self._start, self._stop)
+        # A recording of one sample has no length.
         length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
         elapsed = (samples.t[held] - samples.t[0]) / length - 0.5
         state = samples.q[held], samples.qd[held], samples.qdd[held]
         self._motion = Motion(self._robot, samples.rate, *state, elapsed)
         self._columns = [
-            None if each.effect.by_span else each.effect.columns(each, self._motion)
-            for each in self._variants
+            None if variant.effect.by_span else variant.effect.columns(variant, self._motion)
+            for variant in self._variants
         ]

@@ -44,25 +44,29 @@ class Lacking:
 
         `removed` are the values of effects that the equations are without.
         """
-        own = list(out)
-        busy = {each.slot for each in selection.taken}
+        candidates = list(out)
+        busy = {candidate.slot for candidate in selection.taken}
+        # Of a kind at a joint the one with the largest gain comes first, and keeps the others out.
         for trial in sorted(selection.unsure, key=lambda each: -each.gain):
             slot = trial.candidate.slot
+            # What replaces a term of the model is no column that is lacking.
             if slot not in busy and not trial.candidate.replaces.size:
                 busy.add(slot)
-                own.append(trial.candidate)
-        if not own:
+                candidates.append(trial.candidate)
+        if not candidates:
             return None
-        values, covariance = selection.values_of(own)
-        ends = np.cumsum([each.places.size for each in own])
-        for each, part in zip(own, np.split(values, ends[:-1]), strict=True):
-            if each.at in removed:  # a part is a view of the values
-                part[:] = 0.0 if _is_constant(each, selection) else removed[each.at]
-        text = _word_candidates([e for e in own if not _is_constant(e, selection)], selection)
+        values, covariance = selection.values_of(candidates)
+        ends = np.cumsum([candidate.places.size for candidate in candidates])
+        for candidate, part in zip(candidates, np.split(values, ends[:-1]), strict=True):
+            if candidate.at in removed:  # a part is a view of the values
+                part[:] = 0.0 if _is_constant(candidate, selection) else removed[candidate.at]
+        text = _word_candidates(
+            [e for e in candidates if not _is_constant(e, selection)], selection
+        )
         return cls(
             selection.equations,
             _list_names(selection),
-            np.concatenate([each.places for each in own]),
+            np.concatenate([candidate.places for candidate in candidates]),
             values,
             covariance,
             text,
@@ -77,18 +81,26 @@ class Lacking:
         """
         if fit.uncertainty.basis.asked == "textbook":
             return None
+        # The largest scale that the value itself supports: an effect within its error shrinks to
+        # zero.
         mean, spread = shrink_effects(self.values, self.covariance, np.abs(self.values))
         constant = np.ix_(self.values == 0.0, self.values == 0.0)
         spread[constant] = self.covariance[constant]  # constants in the model keep their errors
-        own = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
-            fit, fit.estimate.weights
+        moves = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
+            fit,
+            fit.estimate.weights,
+            # The same estimate without CAD, for errors that do not count on it.
         )
         plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
         free = self._follows(fit, plain.weights)
-        bias, free_bias = own @ mean, free @ mean
-        covariance = np.outer(bias, bias) + own @ spread @ own.T
+        bias, free_bias = moves @ mean, free @ mean
+        # What the mean moves is a bias of unknown sign to the user: it widens the error as its
+        # square.
+        covariance = np.outer(bias, bias) + moves @ spread @ moves.T
         return OmittedBias(
             bias=bias,
+            # Rounding leaves the product slightly off symmetry, which later Cholesky factors
+            # refuse.
             covariance=0.5 * (covariance + covariance.T),
             free_bias=free_bias,
             free_covariance=np.outer(free_bias, free_bias) + free @ spread @ free.T,
@@ -98,11 +110,15 @@ class Lacking:
     def _follows(self, fit: Fit, weights: Array) -> Array:
         """Return how weighted least squares moves (p, m) with the values of the columns."""
         place = {name: j for j, name in enumerate(self.names) if name}
+        # Parameters of the fit that the equations of the search do not have cannot follow.
         kept = np.array([k for k, name in enumerate(fit.base.names) if name in place])
-        own = np.array([place[fit.base.names[k]] for k in kept])
+        places = np.array([place[fit.base.names[k]] for k in kept])
         gram = self.equations.stacked(weights)[:-1, :-1]
         follows = np.zeros((fit.base.n_base, len(self.columns)))
-        follows[kept] = Scaled(gram[np.ix_(own, own)]).solve(gram[np.ix_(own, self.columns)])
+        # (W^T W)^-1 W^T C, Frisch and Waugh.
+        follows[kept] = Scaled(gram[np.ix_(places, places)]).solve(
+            gram[np.ix_(places, self.columns)]
+        )
         return follows
 
 
@@ -114,25 +130,32 @@ def _list_names(selection: Selection) -> tuple[str, ...]:
     """Return the names of the model's parameters in the equations, and of terms added to it."""
     equations = selection.equations
     names = [*equations.base.names, *[""] * (equations.n_parameters - equations.n_base)]
-    for each in selection.taken:
-        if each.term is None or each.joint is None or each.effect.key not in selection.applied:
+    for candidate in selection.taken:
+        if (
+            candidate.term is None
+            or candidate.joint is None
+            or candidate.effect.key not in selection.applied
+        ):
             continue
         symbols = [
             s
-            for s, act in zip(each.term.symbols, each.term.at(each.joint).functions(), strict=True)
+            for s, act in zip(
+                candidate.term.symbols, candidate.term.at(candidate.joint).functions(), strict=True
+            )
+            # Parameters that do not act have no place.
             if act
         ]
-        for symbol, place in zip(symbols, each.places, strict=False):
-            names[place] = f"{symbol}{each.joint + 1}"
+        for symbol, place in zip(symbols, candidate.places, strict=False):
+            names[place] = f"{symbol}{candidate.joint + 1}"
     return tuple(names)
 
 
 def _word_candidates(candidates: Sequence[Candidate], selection: Selection) -> str:
     names = selection.equations.robot.model.joint_names
     joints: dict[str, list[str]] = {}
-    for each in candidates:
-        own = joints.setdefault(each.effect.title, [])
-        own += [] if each.joint is None else [names[each.joint]]
+    for candidate in candidates:
+        located = joints.setdefault(candidate.effect.title, [])
+        located += [] if candidate.joint is None else [names[candidate.joint]]
     return join_names(
         [f"{what} at {join_names(at, 4)}" if at else what for what, at in joints.items()]
     )

@@ -57,6 +57,7 @@ def _report_missing(effects: Effects) -> Iterator[Finding]:
             else effect.finding(each, effects.model)
         )
         if finding is not None:
+            # A finding is ranked by squares, errors are roots of squares.
             kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
             # the share of the squared torque error that the effect takes away
             yield replace(finding, torque=max(0.0, 1.0 - kept**2), effect=each.effect)
@@ -65,23 +66,24 @@ def _report_missing(effects: Effects) -> Iterator[Finding]:
 def _report_unseen(effects: Effects) -> Iterator[Finding]:
     """Yield errors of the log, larger than any log should hide, that this one does not show."""
     names = effects.model.joint_names
-    named = {(each.effect, each.joint) for each in effects.found}
-    for key, each in EFFECTS.items():
+    named = {(known.effect, known.joint) for known in effects.found}
+    for key, effect in EFFECTS.items():
         sized, never = list[str](), list[str]()
-        for (own, joint), size in effects.unseen.items():
+        for (sought, joint), size in effects.unseen.items():
             name = None if joint is None else names[joint]
-            if own != key or size <= each.shown or (key, name) in named:
+            # At `farthest` no size that robots have would show: no number is said.
+            if sought != key or size <= effect.shown or (key, name) in named:
                 continue
-            if size >= each.farthest:
+            if size >= effect.farthest:
                 never.append(name or "")
                 continue
             revolute = joint is None or effects.model.joints[joint].is_revolute
-            text = each.text_of(size, None, revolute=revolute)
+            text = effect.text_of(size, None, revolute=revolute)
             sized.append(f"below {text}" + (f" at {name}" if name else ""))
         if never:
             sized.append("of any size" + (f" at {join_names(never)}" if any(never) else ""))
         if sized:
-            yield each.unseen(join_names(sized))
+            yield effect.unseen(join_names(sized))
 
 
 def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffect:
@@ -93,13 +95,13 @@ def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffe
     if not (found.in_model and isinstance(effect, DriveEffect)) or found.joint is None:
         return found
     k = result.joint_names.index(found.joint)
-    own = find_places(result.base, found.effect, k)
-    if not own.size:
+    places = find_places(result.base, found.effect, k)
+    if not places.size:
         return found
     return effect.found(
         found.joint,
-        result.estimates[own],
-        result.covariance[np.ix_(own, own)],
+        result.estimates[places],
+        result.covariance[np.ix_(places, places)],
         revolute=result.model.joints[k].is_revolute,
         in_model=True,
         torque=found.torque,
@@ -118,40 +120,47 @@ def describe_stated(
     """
     if not drive.terms:
         return
+    # Same objective as in the search: what others' motion and CAD's quadratic form say.
     information, estimate = fit.information, fit.estimate
     prior = with_drive_scale(build_cad_prior(fit.model, fit.base.drive), information)
     P = design_effect(information, estimate) * prior_information(information, prior)
     toward = P @ fit.base.regrouping @ prior.parameters
     groups = group_different_motions(information, estimate.weights)
+    # With too few groups for folds the error is that of the fit itself.
     folds = list(divide_into_folds(information, groups)) or [(information, information)]
 
     def error(left_out: Indices) -> float:
         kept, shares = np.setdiff1d(np.arange(information.base.n_base), left_out), []
         for training, held in folds:
             factor = training.stacked(estimate.weights)
+            # The last row and column of the Gram matrix are the torque's.
             normal = (factor.T @ factor)[np.ix_(kept, np.append(kept, -1))]
             beta = np.zeros(information.base.n_base)
             beta[kept] = np.linalg.solve(
                 normal[:, :-1] + P[np.ix_(kept, kept)], normal[:, -1] + toward[kept]
             )
             shares.append(held.residual_energy(beta).sum() / held.torque_energy.sum())
+        # Geometric mean over groups, as in the selection: no group of large torques outweighs the
+        # rest.
         return float(np.exp(0.5 * np.mean(np.log(shares))))
 
     after = error(np.zeros(0, dtype=np.int64))
     for term in drive.terms:
         effect = EFFECTS.get(term.key)
         for k, joint in enumerate(result.joint_names if effect else ()):
-            own = find_places(information.base, term.key, k)
-            if effect is None or not own.size:
+            places = find_places(information.base, term.key, k)
+            if effect is None or not places.size:
                 continue
-            acts = np.isin(information.support[k], own)
-            added = information.joint_factors[k][:, :-1][:, acts] @ estimate.beta[own]
+            acts = np.isin(information.support[k], places)
+            # The columns hold the square root of the information: their length is the torque's
+            # energy.
+            added = information.joint_factors[k][:, :-1][:, acts] @ estimate.beta[places]
             yield effect.found(
                 joint,
-                result.estimates[own],
-                result.covariance[np.ix_(own, own)],
+                result.estimates[places],
+                result.covariance[np.ix_(places, places)],
                 revolute=result.model.joints[k].is_revolute,
                 in_model=True,
                 torque=float(np.linalg.norm(added)) / np.sqrt(information.n_samples),
-                errors=(error(own), after),
+                errors=(error(places), after),
             )

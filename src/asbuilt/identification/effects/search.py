@@ -76,6 +76,11 @@ class Effects:
     unseen: Mapping[At, float] = field(default_factory=dict)
     problem: str = ""
 
+    def without(self, places: Collection[tuple[str, str]]) -> Effects:
+        """Return these without effects of some keys at some joints."""
+        kept = [each for each in self.found if (each.effect, each.joint) not in places]
+        return replace(self, found=tuple(kept))
+
     def beside_plateaus(self, joints: Collection[str]) -> Effects:
         """Return these without errors of the log at joints whose torque is known to saturate."""
         kept = [
@@ -131,6 +136,7 @@ def find_effects(
     try:
         with use_one_blas_thread():
             return search.run()
+    # A search that fails is said in a finding; what a user states must not vanish in one.
     except (AsbuiltError, np.linalg.LinAlgError) as problem:
         if stated:
             raise
@@ -154,6 +160,7 @@ class _Search:
         self.kept = kept
         self.wanted, self.applied, self.stated = wanted, applied, stated
         self.impossible: set[At] = set()
+        # Without masses CAD holds no bodies, so that held-out motion alone decides.
         self.held = model.has_masses
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
@@ -163,11 +170,15 @@ class _Search:
         start = self._take_out_stated if self.stated else self._take_out_factor
         removed, selection = start(self._begin_selection(()))
         path = _select_further(selection, removed)
+        # Bodies that the data tear away from CAD are no witness for effects: ask again without
+        # them.
         if self.held and selection.refutes_cad():
             self.held = selection.held = False
             path = _select_further(selection, removed)
+        # One at a time: what is taken out moves the linearisation point of all others.
         while (first := self._next_removed(path, removed)) is not None:
             own, settled = first.candidate, list[Trial]()
+            # A tilt becomes the model's gravity: it must hold without effects that are only named.
             if not own.effect.in_model or selection.holds(own):
                 new = replace(first, values=_expand_values(first.values, own, selection))
                 settled, further = self._settle([*removed, new])
@@ -175,20 +186,24 @@ class _Search:
             if settled and own.effect.is_possible(settled[-1].values, own.joint, robot):
                 removed, selection = settled, further
             else:
+                # Not asked again, else the loop would not end.
                 self.impossible.add(own.at)
             path = _select_further(selection, removed)
         removed = [_conclude(_advance_values(each, selection), selection) for each in removed]
         added = [each.candidate for each in path if each.candidate.effect.key in self.applied]
+        # Errors of the log stay in the samples: only what a model can have turns the robot.
         turned, _ = self._take_out(
             [each for each in removed if each.candidate.effect.key in self.applied]
         )
         drive, fitted, undetermined = self._fit_terms(turned, added)
+        # With an error of the log found, what it leaves at single joints would be named as effects.
         right = not any(each.candidate.effect.of_log for each in removed)
         found = tuple(
             self._describe_found(each, selection)
             for each in (*removed, *path)
             if each.candidate.at not in undetermined and self._matters(each, selection, right)
         )
+        # Taken but not in the model: these bias the fit to first order.
         out = [each for each in selection.taken if each not in added]
         known = {each.candidate.at: _select_acting(each, selection) for each in removed}
         unseen = {
@@ -220,6 +235,7 @@ class _Search:
         log, what that leaves would be named.
         """
         (before, after), effect = trial.errors, trial.candidate.effect
+        # `named` is of squared errors, these are their roots.
         falls = after < (1.0 - 0.5 * RULES.named) * before
         asked = trial.candidate.joint is not None and (right or effect.of_log)
         # What is taken out of robot or log has no relief.
@@ -243,9 +259,11 @@ class _Search:
         found, without = self._settle([Trial(each, np.zeros(len(each.places))) for each in stated])
         errors = selection.held_out_error([]), without.held_out_error(without.taken)
         kept = [replace(each, errors=errors) for each in found if self._is_sure(each, without)]
+        # Effects that are not sure go back into the robot, and the rest is settled without them.
         return (kept, without) if len(kept) == len(found) else self._settle(kept)
 
     def _is_sure(self, removed: Trial, selection: Selection) -> bool:
+        # Chi-square of the values by their own covariance: a tilt has two, about both axes.
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
         own = selection.own(removed.candidate.at)
         values, covariance = _select_acting(removed, selection), selection.values_of([own])[1]
@@ -268,6 +286,7 @@ class _Search:
             )
         except (AsbuiltError, np.linalg.LinAlgError):
             return [], selection
+        # A factor that predicts other motion worse has only found another imitation.
         before, after = selection.held_out_error([]), without.held_out_error(without.taken)
         possible = EFFECTS[key].is_possible(found.values, None, selection.equations.robot)
         if not possible or after > before:
@@ -283,11 +302,13 @@ class _Search:
         def left(samples: Sequence[Samples]) -> float:
             seen = accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
             sigma = fit_least_squares(seen, weights="joint", prior=np.zeros(base.n_base)).sigma
+            # The logarithm, so that joints of small torques count as much as others.
             return float(np.mean(np.log(sigma[np.isfinite(sigma)])))
 
         tried = [
             (left(each.without(self.model, few, None, np.array([start]))[1]), each.key, start)
             for each in self.wanted
+            # Logged velocities bound the clock: factors beyond are not tried.
             for start in each.starts
             if abs(start) <= bound
         ]
@@ -307,6 +328,7 @@ class _Search:
         for _ in range(LIMITS.rounds):
             own, selection = nearer, self._begin_selection(nearer)
             nearer = [_advance_values(each, selection) for each in own]
+            # About these values the equations are made; the step left is below `settled`.
             if all(
                 np.linalg.norm(new.values - old.values) < old.candidate.effect.settled
                 for new, old in zip(nearer, own, strict=True)
@@ -330,6 +352,7 @@ class _Search:
         drive = with_terms(self.drive, taken, n)
         if drive.is_linear or not any(each.term and each.term.nonlinear for each in taken):
             return drive, (), set()
+        # Nonlinear parameters are searched where there are any: the others follow linearly.
         fit = fit_nonlinear(model, drive, self.samples)
         undetermined = {
             each.at
@@ -339,6 +362,7 @@ class _Search:
             and each.joint is not None
             and not own.determined[each.joint]
         }
+        # A form whose parameter is undetermined would be in the model at an arbitrary value.
         drive = with_terms(self.drive, [each for each in taken if each.at not in undetermined], n)
         for own in fit.nonlinear:
             term = next((each for each in drive.terms if each.key == own.term), None)
@@ -354,6 +378,7 @@ class _Search:
         seen = accumulate_stream(model, base, samples, block_seconds=self.seconds, kept=self.kept)
         fit = fit_consistent(seen, prior)
         groups = group_different_motions(seen, fit.weights)
+        # Held-out errors of fewer groups have no usable standard error.
         if len(groups) < LIMITS.fewest_groups:
             raise IdentifiabilityError(
                 f"{len(groups)} groups of motion of {model.name} are too few"
@@ -361,10 +386,12 @@ class _Search:
         effect = design_effect(seen, fit)
         robot = _describe_robot(model, self.drive, fit.standard, samples)
         equations = gather_equations(robot, base, samples, self.wanted, self.seconds, self.kept)
+        # CAD counts once per independent sample, as the data do.
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
         selection = Selection(equations, cad, fit.weights, groups, self.applied)
+        # Columns of what is taken out stay free: they take what the linearisation left.
         selection.taken = [selection.candidate(each.candidate.at) for each in removed]
         selection.impossible, selection.held = self.impossible, self.held
         return selection
@@ -391,6 +418,7 @@ def _select_further(selection: Selection, removed: Sequence[Trial]) -> list[Tria
     selection.taken = [selection.candidate(each.candidate.at) for each in removed]
     given, path = list(selection.taken), selection.run()
     added = [each.candidate for each in path]
+    # Errors before and after each, in the order taken, as a reader adds them up.
     steps = [selection.held_out_error([*given, *added[:k]]) for k in range(len(added) + 1)]
     return [replace(each, errors=both) for each, both in zip(path, pairwise(steps), strict=True)]
 
@@ -401,6 +429,7 @@ def _advance_values(removed: Trial, selection: Selection) -> Trial:
     step = _expand_values(selection.values()[own.places], own, selection)
     found = replace(removed, values=effect.advanced(removed.values, step))
     if effect.in_model and np.linalg.norm(found.values) > effect.farthest:
+        # The message states the limit in the unit of the effect, degrees for a tilt.
         most, _, unit = effect.size(np.array([effect.farthest]), np.zeros((1, 1)), revolute=True)
         raise IdentifiabilityError(
             f"the {effect.title} of {selection.equations.robot.model.name} is more than {most:.0f}"
@@ -421,6 +450,7 @@ def _conclude(removed: Trial, selection: Selection) -> Trial:
     own = selection.own(removed.candidate.at)
     covariance = np.zeros((len(removed.values),) * 2)
     acts = np.flatnonzero(_expand_values(np.ones(len(own.places)), own, selection))
+    # A share is a factor 1 + v of which the columns are the logarithm: errors scale by it.
     slope = 1.0 + float(removed.values[0]) if own.effect.of_shares else 1.0
     covariance[np.ix_(acts, acts)] = slope**2 * selection.values_of([own])[1]
     return Trial(
@@ -458,7 +488,9 @@ def _describe_robot(
 
 def _thin_samples(samples: Sequence[Samples], most: int) -> list[Samples]:
     """Return spans of all recordings with at most about so many samples."""
+    # Ceiling division: at most `most` samples stay.
     every = -(-sum(each.n_samples for each in samples) // most)
     if every <= 1:
         return list(samples)
+    # Whole spans, not single samples: derivatives and blocks need neighbours.
     return [each.select((each.t - each.t[0]) // LIMITS.span % every == 0.0) for each in samples]

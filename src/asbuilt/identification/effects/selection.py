@@ -11,6 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
 from asbuilt.identification.statistics import exceeds
+from asbuilt.scaled import Scaled
 
 
 class Selection(Trials):
@@ -31,24 +32,31 @@ class Selection(Trials):
         self.applied = applied
         self.impossible: Collection[At] = ()
         """Effects that turned out to have no size that robots have."""
+        self.given_up = set[At]()
+        """Effects that were taken, and are not sure next to all others."""
         self.unsure: list[Trial] = []
         """Effects that are sure, but do not lower the error on other motion."""
 
     def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
         path, before, swapped = list[Trial](), list[Trial](), False
+        self.given_up.clear()
         while True:
-            busy = {slot for each in self.taken for slot in each.busy}
+            busy = {slot for candidate in self.taken for slot in candidate.busy}
             left = [
-                each
-                for each in self.equations.candidates
-                if each.slot not in busy
-                and each.at not in self.impossible
-                and (not each.effect.of_log or self._is_shown(each))
+                candidate
+                for candidate in self.equations.candidates
+                if candidate.slot not in busy
+                # Bodies that CAD lacks imitate an error of the log: the data alone must show one.
+                and candidate.at not in self.impossible
+                and candidate.at not in self.given_up
+                and (not candidate.effect.of_log or self._is_shown(candidate))
             ]
-            n, robot = len({each.at for each in left}), self.equations.robot
-            sure = [each for each in self.trials(left) if each.is_sure(n, robot)]
-            trials = [each for each in sure if each.is_taken(n, robot, self.held)]
+            # Forms and trial values of an effect at a joint count as one question.
+            n, robot = len({candidate.at for candidate in left}), self.equations.robot
+            sure = [trial for trial in self.trials(left) if trial.is_sure(n, robot)]
+            trials = [trial for trial in sure if trial.is_taken(n, robot, self.held)]
+            # Only now it shows which others the last effect has made needless.
             if path:
                 path[-1] = _add_alternatives(path[-1], before, trials)
             if trials and len(path) < RULES.most:
@@ -56,11 +64,61 @@ class Selection(Trials):
                 path.append(best)
                 self.taken.append(best.candidate)
                 before = trials
-            elif swapped or not self._swap_forms(path):
+            # Once: a second exchange could undo the first without end. After one, other effects
+            # can be worth their torque that were not before.
+            elif not swapped and self._swap_forms(path):
+                swapped = True
+            elif weak := self._find_weakest(path):
+                # What is given up may not come back, or the path would never end.
+                self.given_up.add(weak.candidate.at)
+                path.remove(weak)
+                self.taken = [each for each in self.taken if each is not weak.candidate]
+            else:
                 self.unsure = sure
                 return path
-            else:
-                swapped = True
+
+    def _find_weakest(self, path: Sequence[Trial]) -> Trial | None:
+        """Return the least sure effect of the path that is not sure next to all others, or None.
+
+        In a model an effect needs two standard errors, the direction that the whole log has in each
+        half of it, and less error on left-out motion than without it.
+        """
+        weak = [
+            (sureness, k)
+            for k, each in enumerate(path)
+            if each.candidate.effect.key in self.applied
+            for sureness in (self._measure_sureness(each.candidate),)
+            if sureness < RULES.two_errors or not self._is_in_halves(each.candidate)
+        ]
+        if weak:
+            return path[min(weak)[1]]
+        error = self.held_out_error(self.taken)
+        for each in path:
+            others = [own for own in self.taken if own is not each.candidate]
+            if each.candidate.effect.key in self.applied and self.held_out_error(others) < error:
+                return each
+        return None
+
+    def _measure_sureness(self, candidate: Candidate) -> float:
+        """Return how many standard errors an effect is from none, next to all others.
+
+        That a term in place of another one is zero is no question.
+        """
+        if candidate.replaces.size:
+            return np.inf
+        values, covariance = self.values_of([candidate])
+        return float(np.sqrt(Scaled(covariance).square(values) / len(values)))
+
+    def _is_in_halves(self, candidate: Candidate) -> bool:
+        """Return whether each half of the log has an effect in the direction of the whole."""
+        if candidate.replaces.size:
+            return True
+        whole = self.values_of([candidate])[0]
+        scale = self._size[candidate.places]
+        return all(
+            float((half * scale) @ (whole * scale)) > 0.0
+            for half in self.values_in_halves(candidate)
+        )
 
     def _swap_forms(self, path: list[Trial]) -> bool:
         """Give effects of the path up for others of their kind that predict other motion better.
@@ -69,6 +127,7 @@ class Selection(Trials):
         Selection in Regression, 2002, section 3.4). Returns whether any was.
         """
         changed = False
+        # Each is asked next to what the others have become, not to what they were.
         for k, old in enumerate(path):
             best = self._find_best_of_kind(old.candidate)
             if best is not None:
@@ -80,31 +139,37 @@ class Selection(Trials):
     def _find_best_of_kind(self, own: Candidate) -> Trial | None:
         """Return what of an effect's kind predicts other motion best and surely better, or None."""
         alike = [
-            each
-            for each in self.equations.candidates
-            if each.slot == own.slot
-            and each.at not in self.impossible
-            and (each.effect.key in self.applied) >= (own.effect.key in self.applied)
-            and not each.has_trial_values
+            candidate
+            for candidate in self.equations.candidates
+            if candidate.slot == own.slot
+            and candidate.at not in self.impossible
+            # What is in the model gives way only to what may be in it, too.
+            and (candidate.effect.key in self.applied) >= (own.effect.key in self.applied)
+            # Values on a grid are not fitted: their errors on other motion do not compare.
+            and not candidate.has_trial_values
         ]
-        if own.has_trial_values or len({each.at for each in alike}) < 2:
+        if own.has_trial_values or len({candidate.at for candidate in alike}) < 2:
             return None
-        trials = self._try_with([each for each in self.taken if each is not own], alike)
+        trials = self._try_with(
+            [candidate for candidate in self.taken if candidate is not own], alike
+        )
         n, robot = self.n_asked, self.equations.robot
         now = next(
             (
-                each
-                for each in trials
-                if each.candidate.at == own.at and np.array_equal(each.candidate.places, own.places)
+                trial
+                for trial in trials
+                if trial.candidate.at == own.at
+                and np.array_equal(trial.candidate.places, own.places)
             ),
             None,
         )
         taken = [
-            each
-            for each in trials
-            if each.candidate.at != own.at and each.is_taken(n, robot, self.held)
+            trial
+            for trial in trials
+            if trial.candidate.at != own.at and trial.is_taken(n, robot, self.held)
         ]
         best = max(taken, key=_predicts, default=None)
+        # Without a trial of its own the present form has no gain next to the others.
         return best if now is None else _find_better(taken, now, RULES.certain)
 
     @property
@@ -120,8 +185,10 @@ class Selection(Trials):
         Computation 4, 1992, eq. 4.8).
         """
         inside, base = self._list_inside(self.taken), self.equations.base
+        # Standard parameters below 10 n_links are of bodies, the rest of drives.
         links = np.flatnonzero(base.columns[inside[inside < base.n_base]] < 10 * base.n_links)
         A, P = self._build_normal(self._total, inside)
+        # tr((A + P)^-1 P) counts the parameters that the prior rather than the data determines.
         free = float(np.trace(np.linalg.solve(A, P)[np.ix_(links, links)]))
         distance = self._measure_distance(self._fit(self._total, inside).residual)
         return distance / self.prior.effect > len(links) - free
@@ -135,20 +202,24 @@ class Selection(Trials):
         """
         others = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
         trials = self._try_with(others, [candidate])
-        return any(each.is_taken(self.n_asked, self.equations.robot, self.held) for each in trials)
+        return any(
+            trial.is_taken(self.n_asked, self.equations.robot, self.held) for trial in trials
+        )
 
     def _try_with(self, taken: list[Candidate], candidates: Iterable[Candidate]) -> list[Trial]:
         """Try candidates with other effects in place of the ones taken."""
-        own, self.taken = self.taken, taken
+        # Trials are against `taken`: it is set for the call and put back.
+        before, self.taken = self.taken, taken
         trials = self.trials(candidates)
-        self.taken = own
+        self.taken = before
         return trials
 
     def _prefer(self, best: Trial, trials: Sequence[Trial]) -> Trial:
         """Return the best form at its joint, or a look-alike where the model may not have it."""
         best = _find_best_form(best, trials)
-        own = [each for each in trials if each.candidate.effect.key in self.applied]
-        alike = [each for each in own if _is_alike(best, each)]
+        own = [trial for trial in trials if trial.candidate.effect.key in self.applied]
+        alike = [trial for trial in own if _is_alike(best, trial)]
+        # A named look-alike is preferred as the model can have it, though it is worth less.
         if best in own or not alike:
             return best
         return max(alike, key=lambda each: each.worth)
@@ -156,13 +227,13 @@ class Selection(Trials):
 
 def _find_best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     """Return the trial of the same kind and joint that surely predicts other motion better."""
-    forms = (each for each in trials if each.candidate.slot == best.candidate.slot)
+    forms = (trial for trial in trials if trial.candidate.slot == best.candidate.slot)
     return _find_better(forms, best, RULES.form) or best
 
 
 def _find_better(trials: Iterable[Trial], present: Trial, standard_errors: float) -> Trial | None:
     """Return the trial that predicts other motion best, by so many standard errors better."""
-    better = (each for each in trials if exceeds(each.relief - present.relief, standard_errors))
+    better = (trial for trial in trials if exceeds(trial.relief - present.relief, standard_errors))
     return max(better, key=_predicts, default=None)
 
 
@@ -185,11 +256,12 @@ def _add_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Tri
 
     Another form at the same joint is one unless it predicts worse by as much as chooses a form.
     """
+    # What is sure still is not explained by the effect taken.
     still = {taken.candidate.at, *(each.candidate.at for each in after)}
-    found: dict[At, Candidate] = {}
-    for each in before:
-        own = each.candidate
-        margin = RULES.form if own.slot == taken.candidate.slot else 1.0
-        if own.at not in still and _is_alike(taken, each, margin):
-            found.setdefault(own.at, own)
-    return replace(taken, alternatives=tuple(found.values()))
+    alike: dict[At, Candidate] = {}
+    for trial in before:
+        candidate = trial.candidate
+        margin = RULES.form if candidate.slot == taken.candidate.slot else 1.0
+        if candidate.at not in still and _is_alike(taken, trial, margin):
+            alike.setdefault(candidate.at, candidate)
+    return replace(taken, alternatives=tuple(alike.values()))

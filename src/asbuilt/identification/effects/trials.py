@@ -35,6 +35,8 @@ class SelectionRules:
     torque error."""
     sure: float = 2.0
     """Fall of the cost for each column, in half squares of independent standard errors: two."""
+    two_errors: float = 2.0
+    """Standard errors next to all others below which an effect is not in a model."""
     felt: float = 1e-3
     """Share of the torque of some joint below which nothing is worth a term: models of arms are
     not more exact."""
@@ -164,9 +166,13 @@ class Trials:
     ) -> None:
         """Take the equations, the prior, weights of the joints (n,), and groups of blocks."""
         self.equations, self.prior, self.weights = equations, prior, weights
+        # A fit is the coefficients (-values, 1) of its residual: every square is a form in this
+        # matrix.
         self._total = equations.stacked(weights)
         length = np.diag(self._total)
+        # Relative to the largest column, as units of effects differ.
         self._size, self._acts = np.sqrt(length), length > RULES.acting * length.max(initial=0.0)
+        # The training equations are the total less the group's: leaving out costs no pass.
         self._without = [self._total - equations.stacked(weights, group) for group in groups]
         self._of_joints = [
             [
@@ -175,7 +181,9 @@ class Trials:
             ]
             for group in groups
         ]
-        self._torque = np.array([[own[-1, -1] for _, own in each] for each in self._of_joints])
+        self._torque = np.array(
+            [[gram[-1, -1] for _, gram in joints] for joints in self._of_joints]
+        )
         """Squared torque of each held-out group and joint."""
         every = np.arange(equations.n_parameters + 1)
         blocks = range(len(equations.counts))
@@ -184,7 +192,8 @@ class Trials:
         for place, support in zip(self._place, equations.support, strict=True):
             place[support] = np.arange(len(support))
         self._n_samples = max(int(equations.counts.sum()), 1)
-        rms = np.sqrt(np.array([own[-1, -1] for own in equations.of_joints]) / self._n_samples)
+        rms = np.sqrt(np.array([gram[-1, -1] for gram in equations.of_joints]) / self._n_samples)
+        # A joint without torque would divide by zero; below rounding of the others it has none.
         least = max(float(rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
         self._rms = np.maximum(rms, least)
         self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
@@ -193,11 +202,13 @@ class Trials:
     @cached_property
     def _apart(self) -> Array:
         """Squared part of each column outside the model's own, in its length, (P,)."""
-        gram, own = self._total[:-1, :-1], self._list_inside(())
+        gram, model = self._total[:-1, :-1], self._list_inside(())
+        # Unit columns, so that the tolerance is a share.
         size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
         scaled = gram / np.outer(size, size)
-        inverse = np.linalg.pinv(scaled[np.ix_(own, own)], rcond=RULES.separate, hermitian=True)
-        across = scaled[own]
+        inverse = np.linalg.pinv(scaled[np.ix_(model, model)], rcond=RULES.separate, hermitian=True)
+        across = scaled[model]
+        # Schur complement of a unit column: 1 - g^T G^+ g.
         return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
 
     def _is_shown(self, candidate: Candidate) -> bool:
@@ -206,7 +217,7 @@ class Trials:
 
     def own(self, at: At) -> Candidate:
         """Return the effect at a joint that is taken."""
-        return next(each for each in self.taken if each.at == at)
+        return next(candidate for candidate in self.taken if candidate.at == at)
 
     def every_place(self, candidate: Candidate) -> Indices:
         """Return the positions of all parameters of a candidate, whether they act or not."""
@@ -214,7 +225,9 @@ class Trials:
 
     def candidate(self, at: At) -> Candidate:
         """Return the first candidate of an effect at a joint, with what acts of it."""
-        return self.acting(next(each for each in self.equations.candidates if each.at == at))
+        return self.acting(
+            next(candidate for candidate in self.equations.candidates if candidate.at == at)
+        )
 
     def acting(self, candidate: Candidate) -> Candidate:
         """Return a candidate with the parameters of it that act on this robot."""
@@ -226,8 +239,10 @@ class Trials:
         So a group that the others hardly determine counts no more than others.
         """
         error, torque = (
-            each.sum(axis=1) for each in (self._leave_out(self._list_inside(taken)), self._torque)
+            squares.sum(axis=1)
+            for squares in (self._leave_out(self._list_inside(taken)), self._torque)
         )
+        # Exact fits of simulations have no logarithm.
         there, least = torque > 0.0, float(np.finfo(np.float64).eps) ** 2
         squares = np.maximum(error[there] / torque[there], least)
         return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares.size else 0.0
@@ -241,26 +256,44 @@ class Trials:
 
         The covariance is that by the scatter of time blocks.
         """
-        others = [each for each in self.taken if all(each is not own for own in candidates)]
-        places = np.concatenate([each.places for each in candidates])
+        others = [
+            other for other in self.taken if all(other is not candidate for candidate in candidates)
+        ]
+        places = np.concatenate([candidate.places for candidate in candidates])
         whole = self._fit(self._total, self._list_inside(others), places)
         d = np.asarray(np.linalg.solve(whole.schur, whole.score))
         both = np.column_stack([whole.residual, whole.moves])
+        # Scores of a block are its columns times its residual; they sum to zero at the fit.
         blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
-        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
+        left = np.array([-block[:, 0] - block[:, 1:] @ d for block in blocks])
         return d, _estimate_scatter(whole.schur, left, d)[0]
+
+    def values_in_halves(self, candidate: Candidate) -> list[Array]:
+        """Return the values of a candidate next to all others in each half of the blocks."""
+        others = [each for each in self.taken if each is not candidate]
+        inside, blocks = self._list_inside(others), np.arange(len(self.equations.counts))
+        found = []
+        for half in np.array_split(blocks, 2):
+            gram = self.equations.stacked(self.weights, half)
+            fit = self._fit(gram, inside, candidate.places)
+            found.append(np.asarray(np.linalg.lstsq(fit.schur, fit.score, rcond=1e-9)[0]))
+            self._factored.pop((id(gram), inside.tobytes()))
+        return found
 
     def smallest_seen(self, candidate: Candidate) -> float:
         """Return the value from which on one parameter would be sure, infinite if none would."""
-        own = self.acting(candidate)
-        if not own.places.size:
+        acting = self.acting(candidate)
+        if not acting.places.size:
             return 0.0
-        if not self._is_shown(own):
+        # Bodies take the place of a column that lies within the model's: no size would show.
+        if not self._is_shown(acting):
             return np.inf
-        fit = self._fit(self._total, self._list_inside(self.taken), own.places)
+        fit = self._fit(self._total, self._list_inside(self.taken), acting.places)
         n = int(np.sum(self.weights > 0.0))
+        # A fall of `named` in the mean of n logarithms is n times that at the one joint it acts at.
         of_joint = float(fit.residual @ self._total @ fit.residual) / n
         felt = of_joint * np.expm1(n * RULES.named)
+        # A value x lowers the cost by S x^2, S the Schur complement: what of the two needs more.
         return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
 
     def torque_of(self, trial: Trial) -> float:
@@ -271,8 +304,8 @@ class Trials:
         """Return the RMS torque (n,) of a candidate with these values."""
         energy = np.zeros(len(self.equations.support))
         for k, gram in enumerate(self.equations.of_joints):
-            own = self._place[k, candidate.places]
-            at, x = own[own >= 0], values[own >= 0]
+            columns = self._place[k, candidate.places]
+            at, x = columns[columns >= 0], values[columns >= 0]
             energy[k] = x @ gram[np.ix_(at, at)] @ x
         return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
 
@@ -282,41 +315,49 @@ class Trials:
         Those that do not lower the cost surely have no trial.
         """
         groups: dict[tuple[int, ...], list[Candidate]] = {}
-        for each in candidates:
-            groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
+        for candidate in candidates:
+            # Candidates that replace the same parameters share factors and held-out fits.
+            groups.setdefault(tuple(candidate.replaces.tolist()), []).append(candidate)
+        # Parameters inside change with every effect taken: older factors are of no use.
         self._factored.clear()
         before = self._list_inside(self.taken)
         x = self._fit(self._total, before).residual
         start = self._leave_out(before), float(x @ self._total @ x), self._measure_distance(x)
-        return [trial for own in groups.values() for trial in self._try_candidates(own, start)]
+        return [trial for alike in groups.values() for trial in self._try_candidates(alike, start)]
 
     def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
         left = np.setdiff1d(
             np.arange(self.equations.n_base),
             np.concatenate([np.zeros(0), *(c.replaces for c in taken)]),
         )
-        return np.concatenate([left, *(each.places for each in taken)]).astype(np.int64)
+        return np.concatenate([left, *(candidate.places for candidate in taken)]).astype(np.int64)
 
     def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
         P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
+        # The right side is W^T tau + P beta_0.
         if key not in self._factored:
             factor, b = cho_factor(self._build_normal(gram, inside)[0]), gram[inside, -1].copy()
-            own = np.flatnonzero(inside < self.equations.n_base)
-            b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
+            model = np.flatnonzero(inside < self.equations.n_base)
+            b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
             self._factored[key] = factor, cho_solve(factor, b)
         factor, solution = self._factored[key]
         residual, moves = np.zeros(P + 1), np.zeros((P + 1, len(columns)))
+        # tau - W x: minus the values, and one for the torque.
         residual[inside], residual[-1] = -solution, 1.0
         moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
+        # Moves end with the column itself: what of it the parameters inside do not follow.
         moves[columns, np.arange(len(columns))] -= 1.0
+        # Schur complement and score of the columns given the parameters inside.
         return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
 
     def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        own, prior = np.flatnonzero(inside < self.equations.n_base), np.zeros((len(inside),) * 2)
-        prior[np.ix_(own, own)] = self.prior.information[np.ix_(inside[own], inside[own])]
+        model, prior = np.flatnonzero(inside < self.equations.n_base), np.zeros((len(inside),) * 2)
+        prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
         A = gram[np.ix_(inside, inside)] + prior
+        # On the diagonal relative to it, so that units do not matter; prior-free columns stay
+        # regular.
         A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
         return A, prior
 
@@ -327,6 +368,7 @@ class Trials:
         return np.array([_expand_squares(fit, joints)[0] for fit, joints in both])
 
     def _measure_distance(self, residual: Array) -> float:
+        # The residual holds minus the values.
         away = -residual[: self.equations.n_base] - self.prior.mean
         return float(away @ self.prior.information @ away)
 
@@ -342,7 +384,7 @@ class Trials:
         gaining = self._find_gaining(candidates, inside, error_before + distance_before)
         if not gaining:
             return []
-        columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
+        columns = np.unique(np.concatenate([candidate.places for candidate, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
         # All other parameters are zero, and stay so.
         moving = np.zeros(self.equations.n_parameters + 1, dtype=np.bool_)
@@ -350,32 +392,38 @@ class Trials:
         _, scores, slopes = _expand_squares(whole, self._blocks, moving)
         held_out = [
             (fit, _expand_squares(fit, joints, moving))
+            # One fit a group, shared by all its joints.
             for without, joints in zip(self._without, self._of_joints, strict=True)
+            # Exact torques of a simulation leave squares of 0, of which the ratio would be
+            # undefined.
             for fit in (self._fit(without, inside, columns),)
         ]
         floor = np.finfo(np.float64).eps * self._torque + np.finfo(np.float64).tiny
-        found = []
-        for each, gain in gaining:
-            c = np.searchsorted(columns, each.places)
-            own = whole.schur[np.ix_(c, c)]
-            d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
+        trials = []
+        for candidate, gain in gaining:
+            c = np.searchsorted(columns, candidate.places)
+            schur = whole.schur[np.ix_(c, c)]
+            d: Array = np.asarray(np.linalg.solve(schur, whole.score[c]), dtype=np.float64)
+            # Scores of the blocks at the fit with the candidate: their scatter is its covariance.
             left = -scores[:, c] - slopes[:, c][:, :, c] @ d
-            covariance, p_value = _estimate_scatter(own, left, d)
-            felt = float(np.max(self._measure_torques(each, d) / self._rms))
-            if len(each.replaces):
+            covariance, p_value = _estimate_scatter(schur, left, d)
+            felt = float(np.max(self._measure_torques(candidate, d) / self._rms))
+            if len(candidate.replaces):
                 # That a term in place of another one is zero is no question: its gain is one. And
                 # nearly all of its torque is the torque of what it replaces.
-                p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
+                p_value = float(chdtrc(max(len(c) - len(candidate.replaces), 0) + 1, 2.0 * gain))
                 fall = 2.0 * self.prior.effect * max(gain, 0.0)
                 felt = float(np.sqrt(fall / self._total[-1, -1]))
-            size = self._size[each.places]
+            size = self._size[candidate.places]
             held_after = np.array([_score_left_out(*part, c, size) for part in held_out])
             ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
+            # Joints without weight are not in the fit, so that they say nothing about it.
             relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
+            # Half squares of independent standard errors, the unit of the gain.
             distance = self._measure_distance(whole.residual + whole.moves[:, c] @ d)
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
-            found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
-        return found
+            trials.append(Trial(candidate, d, covariance, p_value, relief, gain, nearer, felt))
+        return trials
 
     def _find_gaining(
         self, candidates: Sequence[Candidate], inside: Indices, cost: float
@@ -385,26 +433,30 @@ class Trials:
         Without what they replace the cost is another one; a column with score s and Schur
         complement S lowers it by `s^T S^-1 s`.
         """
-        acting = [each for each in map(self.acting, candidates) if each.places.size]
+        acting = [candidate for candidate in map(self.acting, candidates) if candidate.places.size]
         if not acting:
             return []
-        columns = np.unique(np.concatenate([each.places for each in acting]))
+        columns = np.unique(np.concatenate([candidate.places for candidate in acting]))
         fit = self._fit(self._total, inside, columns)
         x = fit.residual
+        # What is lost without the parameters replaced, before the new columns win it back.
         lost = float(x @ self._total @ x) + self._measure_distance(x) - cost
-        found = []
-        for each in acting:
-            c = np.searchsorted(columns, each.places)
-            own, scale = fit.schur[np.ix_(c, c)], self._size[each.places]
-            if np.linalg.eigvalsh(own / np.outer(scale, scale))[0] < RULES.separate:
+        gaining = []
+        for candidate in acting:
+            c = np.searchsorted(columns, candidate.places)
+            schur, scale = fit.schur[np.ix_(c, c)], self._size[candidate.places]
+            # A column within the others up to rounding would have any value.
+            if np.linalg.eigvalsh(schur / np.outer(scale, scale))[0] < RULES.separate:
                 continue
-            fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
+            fall = float(fit.score[c] @ np.linalg.solve(schur, fit.score[c])) - lost
             # The logarithm: what an effect explains is no noise of the fit with it.
             left = max(1.0 - fall / cost, np.finfo(np.float64).eps) if cost > 0.0 else 1.0
             gain = -0.5 * cost / self.prior.effect * float(np.log(left))
+            # Chance takes half a square for each column; twice that is asked here, Bonferroni
+            # later.
             if gain >= RULES.sure * len(c):
-                found.append((each, gain))
-        return found
+                gaining.append((candidate, gain))
+        return gaining
 
 
 def evaluate_worth(gain: float, n_columns: int) -> float:
@@ -418,12 +470,15 @@ def _estimate_scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     Hotelling's T^2 of m values with B - 1 degrees of freedom.
     """
     B, m = left.shape
+    # Sandwich: the inverse, the scatter of the scores, the inverse; B / (B - 1) for their mean.
     inverse = np.linalg.inv(own)
     covariance = inverse @ (left.T @ left * B / max(B - 1, 1)) @ inverse
     try:
         square = float(d @ np.linalg.solve(covariance, d))
+    # More columns than blocks leave a singular scatter, that tells nothing.
     except np.linalg.LinAlgError:
         return covariance, 1.0
+    # F = T^2 (B - m) / (m (B - 1)).
     freedom = max(B - m, 1)
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
@@ -437,14 +492,15 @@ def _expand_squares(
     (g, c) and (g, c, c). Parameters that are not `moving`, whose coefficients are zero, are passed
     over.
     """
-    found = []
+    squares = []
     for places, gram in grams:
         kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
-        at, own = places[kept], gram[np.ix_(kept, kept)]
+        # Rows of zero coefficients are most of a block, and cost nothing when passed over.
+        at, part = places[kept], gram[np.ix_(kept, kept)]
         r, M = fit.residual[at], fit.moves[at]
-        felt = M.T @ own
-        found.append((r @ own @ r, felt @ r, felt @ M))
-    value, slope, curvature = map(np.array, zip(*found, strict=True))
+        felt = M.T @ part
+        squares.append((r @ part @ r, felt @ r, felt @ M))
+    value, slope, curvature = map(np.array, zip(*squares, strict=True))
     return value, slope, curvature
 
 
@@ -453,6 +509,7 @@ def _score_left_out(
 ) -> Array:
     """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
     value, slope, curvature = squares
-    own = fit.schur[np.ix_(c, c)]
-    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), fit.score[c])
+    schur = fit.schur[np.ix_(c, c)]
+    # The value refits with the training equations: the held-out group only judges it.
+    d = np.linalg.solve(schur + RULES.ridge * np.diag(size**2), fit.score[c])
     return np.asarray(value + 2.0 * slope[:, c] @ d + curvature[:, c][:, :, c] @ d @ d)

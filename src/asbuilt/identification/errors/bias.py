@@ -62,11 +62,12 @@ def shrink_effects(effects: Array, covariance: Array, size: Array) -> tuple[Arra
     Association 70, 1975).
 
     >>> mean, spread = shrink_effects(np.array([2.0]), np.array([[1.0]]), np.array([1.0]))
-    >>> mean.tolist(), spread.tolist()
+    >>> mean.round(12).tolist(), spread.round(12).tolist()
     ([1.0], [[0.5]])
     """
     T = np.diag(size**2)
     gain = covariance @ Scaled(covariance + T).pseudo_inverse
+    # What is taken off is T (V + T)^-1's complement: an effect far beyond its error stays whole.
     spread = covariance - gain @ covariance
     return np.asarray(effects - gain @ effects), np.asarray(0.5 * (spread + spread.T))
 
@@ -94,6 +95,7 @@ def position_noise_bias(
     weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny) ** 2
     normal = np.zeros((base.n_base, base.n_base))
     for samples, variance in zip(training, noise, strict=True):
+        # W_k is linear in the accelerations: one unit of each joint in turn gives its derivative.
         # States of a recording over which W_k is averaged; it depends on the positions alone.
         q = samples.q[:: max(1, -(-len(samples.q) // 400))]
         still = np.zeros_like(q)
@@ -106,6 +108,7 @@ def position_noise_bias(
             unit[:, k] = 1.0
             rows = evaluate(unit) - rest
             weighted = rows * np.tile(weights, len(q))[:, None]
+            # Recordings count by their samples, whichever states they were averaged over.
             normal += variance[k] * len(samples.q) / total * (rows.T @ weighted) / len(q)
     normal *= result.n_samples
     return np.asarray(-result.textbook_covariance @ normal @ result.estimates)
@@ -124,11 +127,11 @@ def report_position_noise(
     n = result.model.n_joints
     if cutoff is None or len(densities) < len(training):
         return ()
-    bands = [each.parallel.cutoff if each.parallel else cutoff for each in training]
+    bands = [batch.parallel.cutoff if batch.parallel else cutoff for batch in training]
     # Noise of the accelerations: the integral of (2 pi f)^4 over the band is (2 pi)^4 band^5 / 5.
     noise = [
-        np.array(each if len(each) == n else [0.0] * n) * (2.0 * np.pi) ** 4 * band**5 / 5.0
-        for band, each in zip(bands, densities, strict=False)
+        np.array(spectrum if len(spectrum) == n else [0.0] * n) * (2.0 * np.pi) ** 4 * band**5 / 5.0
+        for band, spectrum in zip(bands, densities, strict=False)
     ]
     if not np.any(noise):
         return ()
@@ -138,17 +141,17 @@ def report_position_noise(
         return ()
     errors = np.sqrt(np.diag(result.covariance))
     share = np.divide(np.abs(bias), errors, out=np.zeros_like(bias), where=errors > 0.0)
-    found = np.flatnonzero(share > TOO_MUCH)
-    if not found.size:
+    biased = np.flatnonzero(share > TOO_MUCH)
+    if not biased.size:
         return ()
     # Parameters named in the message.
-    worst = found[np.argsort(-share[found])][:3].tolist()
+    worst = biased[np.argsort(-share[biased])][:3].tolist()
     named = [f"{result.base.names[k]} by {share[k]:.2g}" for k in worst]
     return (
         Finding(
             "position_noise_bias",
             "warning",
-            f"Noise of the positions biases {found.size} of {len(bias)} parameters by more than"
+            f"Noise of the positions biases {biased.size} of {len(bias)} parameters by more than"
             f" {TOO_MUCH:g} standard errors ({join_names(named)} standard errors): their"
             " intervals are"
             " too narrow",

@@ -100,6 +100,7 @@ class ErrorBasis:
 
 
 def _pack_matrix(matrix: Array) -> dict[str, object]:
+    # Little-endian on every machine, so that a result reads the same elsewhere.
     text = base64.b64encode(np.ascontiguousarray(matrix, dtype="<f8").tobytes()).decode("ascii")
     return {"shape": list(matrix.shape), "values": text}
 
@@ -153,6 +154,7 @@ class BlockScatter:
     @classmethod
     def of(cls, moves: Array, degrees_alone: Array, common_variance: float) -> BlockScatter:
         """Return the scatter of any number of blocks in at most `MOST_GROUPS` groups."""
+        # Neighbours go together, as residuals outlast a block.
         group = np.arange(len(moves)) * min(MOST_GROUPS, len(moves)) // max(len(moves), 1)
         return cls(
             np.add.reduceat(moves, np.flatnonzero(np.diff(group, prepend=-1)), axis=0),
@@ -170,8 +172,8 @@ class BlockScatter:
 
         If they include the square of a bias (p,), that is one move; the others are independent.
         """
-        own = np.zeros_like(covariance) if bias is None else np.outer(bias, bias)
-        moves = [self.moves, Scaled(covariance - own).root]
+        square = np.zeros_like(covariance) if bias is None else np.outer(bias, bias)
+        moves = [self.moves, Scaled(covariance - square).root]
         if bias is not None:
             moves.append(bias[None])
         return BlockScatter(np.vstack(moves), self.degrees_alone, self.common_variance, bias)
@@ -187,6 +189,7 @@ def widening(degrees_of_freedom: Array) -> Array:
     """
     freedom = np.maximum(np.asarray(degrees_of_freedom, dtype=np.float64), FEWEST_DEGREES)
     finite = np.isfinite(freedom)
+    # The quantile function takes no infinity.
     quantile = stdtrit(np.where(finite, freedom, 1e9), COVERED)
     return np.where(finite, quantile / ndtri(COVERED), 1.0)
 
@@ -300,6 +303,7 @@ def estimate_common_growth(
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
     after = _find_successive(data.blocks)
+    # A pair counts under one of three reasons only.
     again = np.triu(_extend_to_successors(find_repetitions(data), after), 1) & ~after
     alike = _pair_like_motion(data.alike, len(moves)) & ~after & ~again
     products, taken, spreads = _add_pairs(moves, absorbed, leverage, (after, again, alike))
@@ -309,9 +313,11 @@ def estimate_common_growth(
     # few motions it absorbs almost all.
     left = np.maximum(1.0 - taken[1:], 0.3)
     x, v = parts[1:] / left, spreads[1:] / rank / left**2
+    # An excess x of variance v is shrunk by its chance part: below its error nothing is left.
     beyond = x - np.divide(v, x, out=np.zeros_like(x), where=x > 0.0)
     along = of_noise + float(np.maximum(beyond, 0.0).sum())
     share = leverage / max(data.n_rows, 1)
+    # Design effect of the moves: their squares over what independent residuals have.
     seen = float(np.sum(moves**2)) / (moves.shape[1] * data.variance)
     grown, steep = _evaluate_absorption(share, along * seen)
     spread = spreads.sum() / rank / along**2
@@ -329,13 +335,15 @@ def effective_rank(moves: Array) -> float:
     2010).
     """
     products, n = moves @ moves.T, len(moves)
-    own, trace = np.diag(products), float(np.trace(products))
-    across = float((products**2).sum() - (own**2).sum()) * n / max(n - 1, 1)
+    squares, trace = np.diag(products), float(np.trace(products))
+    # Pairs of different blocks only; n / (n - 1) makes up for those left out.
+    across = float((products**2).sum() - (squares**2).sum()) * n / max(n - 1, 1)
     return float(np.clip(trace**2 / max(across, 1e-12 * trace**2), 1.0, moves.shape[1]))
 
 
 def _evaluate_absorption(share: float, seen: float) -> tuple[float, float]:
     """Return the factor for absorbed residuals, and its slope: d log D / d log D_moves."""
+    # Discriminant of D (1 - s D) = D_moves (1 - s), s = p / N: the smaller root is D.
     left = 1.0 - 4.0 * share * seen * (1.0 - share)
     if share <= 0.0 or left >= 1.0:
         return 1.0, 1.0
@@ -353,6 +361,7 @@ def find_repetitions(data: BlockScores) -> Mask:
     features = (data.grams / samples[:, None, None]).reshape(len(samples), -1)
     products = features @ features.T
     total = np.add.outer(np.diag(products), np.diag(products))
+    # |a - b|^2 by products: the features of all pairs do not fit memory.
     apart = np.maximum(total - 2.0 * products, 0.0)
     # Relative distance of the information per sample below which blocks repeat a motion: 0.01 to
     # 0.05 in one motion recorded twice, over 0.18 between other blocks of six real robots.
@@ -380,12 +389,14 @@ def _add_pairs(
 
 def _find_successive(blocks: Sequence[TimeBlock]) -> Mask:
     """Return which pairs of blocks are successive, the first lower."""
-    found = np.zeros((len(blocks),) * 2, dtype=np.bool_)
+    successive = np.zeros((len(blocks),) * 2, dtype=np.bool_)
     for b, (block, other) in enumerate(pairwise(blocks)):
-        found[b, b + 1] = block.source == other.source and 0.0 <= other.start - block.stop < 0.5 * (
-            block.stop - block.start
+        # A gap of half a block ends what residuals share.
+        successive[b, b + 1] = (
+            block.source == other.source
+            and 0.0 <= other.start - block.stop < 0.5 * (block.stop - block.start)
         )
-    return found
+    return successive
 
 
 def _extend_to_successors(repeated: Mask, after: Mask) -> Mask:
@@ -394,9 +405,9 @@ def _extend_to_successors(repeated: Mask, after: Mask) -> Mask:
     What successive blocks share in one recording is shared across repetitions too.
     """
     both = repeated | repeated.T
-    found = both.copy()
-    found[:, 1:] |= both[:, :-1] & np.diag(after, 1)
-    return found | found.T
+    pairs = both.copy()
+    pairs[:, 1:] |= both[:, :-1] & np.diag(after, 1)
+    return pairs | pairs.T
 
 
 def _pair_like_motion(groups: Sequence[Indices], n_blocks: int) -> Mask:

@@ -108,7 +108,9 @@ def _step_estimates(
     root = estimate.solution.inverse_root
     gram, score = block_scores(information, estimate)
     estimates = []
+    # Times drawn beyond once: an undisturbed block changes nothing.
     for extra in counts - 1.0:
+        # 1 + sum (c_b - 1) M_b: its eigenvalues are the information left along each direction.
         values, axes = np.linalg.eigh(np.eye(root.shape[1]) + np.tensordot(extra, gram, axes=1))
         if values.min(initial=1.0) >= DRAWS.least_information:
             estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
@@ -118,10 +120,12 @@ def _step_estimates(
 def _refit_draws(
     information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]
 ) -> list[Array]:
+    # Factors once: each draw stacks them again, times the root of how often a block was drawn.
     blocks = [information.stacked(weights, b) for b in range(information.n_blocks)]
     estimates = []
     for times in counts:
         rows = [np.sqrt(c) * block for c, block in zip(times, blocks, strict=True) if c]
+        # A draw that fails is refused, and counted by its absence.
         with suppress(AsbuiltError):
             estimates.append(refit(triangular_factor(np.vstack(rows))))
     return estimates
@@ -147,6 +151,7 @@ def estimate_bootstrap_uncertainty(
     still = np.flatnonzero(determined & (np.diag(covariance) == 0.0))
     covariance[still, still] = textbook[still]
     drawn_variance = np.maximum(np.diag(covariance), np.finfo(np.float64).tiny)
+    # Only upwards: no draw makes an error smaller than independent residuals would.
     swell = np.sqrt(np.maximum(textbook / drawn_variance, 1.0)) * determined
     covariance = covariance * np.outer(swell, swell)
     ratio = np.diag(covariance)[determined] / textbook[determined]

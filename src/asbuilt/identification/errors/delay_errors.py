@@ -86,30 +86,32 @@ class DelayColumns:
         absorb residuals too and that residuals outlast a block. The base parameters follow by
         `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
         """
-        found, m = self._solved(shares), shares.shape[-1]
-        inverse = found.root @ found.root.T
-        if found.free.size and not textbook and len(self.blocks) >= FEWEST_BLOCKS:
-            swell = np.sqrt(np.maximum(self._variance(found) / np.diag(inverse), 1.0))
+        fit, m = self._solved(shares), shares.shape[-1]
+        inverse = fit.root @ fit.root.T
+        if fit.free.size and not textbook and len(self.blocks) >= FEWEST_BLOCKS:
+            # Correlations stay those of the fit; few blocks determine variances alone.
+            swell = np.sqrt(np.maximum(self._variance(fit) / np.diag(inverse), 1.0))
             inverse = inverse * np.outer(swell, swell)
         covariance = np.diag(np.full(m, np.inf))
-        covariance[np.ix_(found.free, found.free)] = inverse
+        covariance[np.ix_(fit.free, fit.free)] = inverse
         follows = np.zeros((len(self.root), m))
-        follows[:, found.free] = -self.root @ found.moved
-        return DelaySolution(found.increments(m), covariance, follows, len(self.blocks))
+        follows[:, fit.free] = -self.root @ fit.moved
+        return DelaySolution(fit.increments(m), covariance, follows, len(self.blocks))
 
     def _solved(self, shares: Array) -> _Solved:
         """Return the fit of base parameters and delays together, by elimination."""
         spread = shares[self.place]
         r, grams = self.root.shape[1], self.grams
         # Contiguous, by which the order of sums in `einsum` does not depend on the other parts.
-        across, own, late = map(
+        across, between, late = map(
             np.ascontiguousarray,
             (self.normal[:, :r, r:-1], self.normal[:, r:-1, r:-1], self.normal[:, r:-1, -1]),
         )
         A = np.einsum("brk,bkm->brm", across, spread)
-        D = np.einsum("bkl,bkj,bjm->blm", spread, own, spread, optimize=True)
+        D = np.einsum("bkl,bkj,bjm->blm", spread, between, spread, optimize=True)
         of_delay = np.einsum("bkm,bk->bm", spread, late)
         moved, whole = self._known.solve(A.sum(axis=0)), D.sum(axis=0)
+        # Schur complement: what of the columns of delays the base parameters cannot imitate.
         left = whole - moved.T @ grams.sum(axis=0) @ moved
         # Squared part of a delay's column outside all others below which it is undetermined.
         free = np.flatnonzero(
@@ -127,9 +129,10 @@ class DelayColumns:
 
     def _variance(self, found: _Solved) -> Array:
         """Return the variances of delays from time blocks."""
-        own = self._known.inverse_root
-        m, r = found.free.size, own.shape[1]
-        whole = np.block([[own, -found.moved @ found.root], [np.zeros((m, r)), found.root]])
+        whitened = self._known.inverse_root
+        m, r = found.free.size, whitened.shape[1]
+        # Inverse root of base parameters and delays together: lower right that of the delays.
+        whole = np.block([[whitened, -found.moved @ found.root], [np.zeros((m, r)), found.root]])
         data = BlockScores(
             whole.T @ found.grams @ whole,
             (found.scores - found.grams @ found.solution) @ whole,
@@ -158,9 +161,9 @@ class _Solved:
 
     def increments(self, m: int) -> Array:
         """Return all m delays, those that are not free 0."""
-        found = np.zeros(m)
-        found[self.free] = self.solution[len(self.moved) :]
-        return found
+        every = np.zeros(m)
+        every[self.free] = self.solution[len(self.moved) :]
+        return every
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,16 +196,18 @@ def estimate_delay_errors(
         return None
     shares = np.zeros((len(samples), 2 * n, len(free)))
     for place, (r, k) in enumerate(free):
+        # One delay belongs to all joints of its recording; several are one a joint.
         joints = slice(n) if len(samples[r].delay_errors) == 1 else slice(k, k + 1)
         shares[r, joints, place] = 1.0
     columns = build_delay_columns(model, base, estimate, samples, block_seconds=block_seconds)
     solved = columns.solve(shares, textbook=textbook)
     known = np.array([samples[r].delay_errors[k] for r, k in free])
-    found = np.isfinite(np.diag(solved.covariance))
-    swell = np.maximum(known[found] / np.sqrt(np.diag(solved.covariance)[found]), 1.0)
-    V = solved.covariance[np.ix_(found, found)] * np.outer(swell, swell)
-    follows = solved.follows[:, found]
-    delays = np.array([samples[r].delay[k] for r, k in free])[found]
+    determined = np.isfinite(np.diag(solved.covariance))
+    # Where the delay was estimated otherwise with a larger error, that one counts.
+    swell = np.maximum(known[determined] / np.sqrt(np.diag(solved.covariance)[determined]), 1.0)
+    V = solved.covariance[np.ix_(determined, determined)] * np.outer(swell, swell)
+    follows = solved.follows[:, determined]
+    delays = np.array([samples[r].delay[k] for r, k in free])[determined]
     return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(-follows @ delays))
 
 
@@ -232,12 +237,14 @@ def build_delay_columns(
             normal = np.zeros((r + 2 * n + 1,) * 2)
             block, grams = next(every)
             for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
-                own = weights[k] * root[support].T
+                turned = weights[k] * root[support].T
+                # A torque logged late lacks its rate: minus.
                 c = -weights[k] * late[:, k]
                 e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
+                # Columns r + k and r + n + k; the stop leaves out the residual's.
                 both = slice(r + k, -1, n)
-                normal[:r, :r] += own @ grams[k] @ own.T
-                normal[:r, [r + k, r + n + k, -1]] += own @ (columns[:-1] @ np.vstack([c, e]).T)
+                normal[:r, :r] += turned @ grams[k] @ turned.T
+                normal[:r, [r + k, r + n + k, -1]] += turned @ (columns[:-1] @ np.vstack([c, e]).T)
                 normal[both, both] += c @ c.T
                 normal[both, -1] += c @ e
             every_normal.append(normal)
@@ -262,6 +269,7 @@ def _derive_torque_rates(
     for span, *parts in predict_in_spans(model, base, beta, samples):
         rigid[span], torque[span] = parts
     rates = np.zeros((2, *torque.shape))
+    # Differences do not cross gaps.
     for a, b in samples.segments:
         if b - a > 1:
             for rate, part in zip(rates, (torque, torque - rigid), strict=True):

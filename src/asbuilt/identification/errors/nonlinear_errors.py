@@ -58,7 +58,7 @@ class NonlinearErrors:
             parts.setdefault(f"{place.parameter} of {place.term}", []).append(
                 f"{joint_names[place.joint]} {shown}"
             )
-        listed = "; ".join(f"{what} {', '.join(each)}" for what, each in parts.items())
+        listed = "; ".join(f"{what} {', '.join(values)}" for what, values in parts.items())
         return f"Standard errors include errors of the fitted nonlinear parameters: {listed}."
 
 
@@ -99,6 +99,7 @@ def estimate_nonlinear_errors(
                 seen = np.vstack(
                     [
                         root[plan.support[k]].T @ rows[:p_k],
+                        # Only the parameters of this joint have a column here.
                         *(rows[None, p_k + first[i]] for i in at[k]),
                         error,
                     ]
@@ -108,21 +109,24 @@ def estimate_nonlinear_errors(
         blocks.append(gram)
     together = np.sum(blocks, axis=0)
     known, across = together[:r, :r], together[:r, r : r + m]
-    own, moved = together[r : r + m, r : r + m], Scaled(known).solve(across)
-    left = own - moved.T @ across
+    alone, moved = together[r : r + m, r : r + m], Scaled(known).solve(across)
+    left = alone - moved.T @ across
     # Squared part of that derivative outside all linear columns below which it is undetermined.
-    determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(own)).tolist()
+    determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(alone)).tolist()
     terms = {term.key: term for term in base.drive.terms}
     values = np.array([terms[p.term].at(p.joint).value(p.parameter) for p in places])
     errors = np.full(m, np.nan)
     if not determined:
         return NonlinearErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
     inverse = np.linalg.inv(left[np.ix_(determined, determined)])
+    # Residual variance of the joint in the weighted rows: 1 where weights are 1 / sigma.
     noise = np.array(
         [estimate.sigma[places[i].joint] * estimate.weights[places[i].joint] for i in determined]
     )
     V = inverse * np.outer(noise, noise)
     if not textbook and len(blocks) >= FEWEST_BLOCKS:
+        # Scores about the columns projected off the linear ones, as the residual is orthogonal to
+        # both.
         own_rows = [r + i for i in determined]
         scores = np.array(
             [gram[own_rows, -1] - moved[:, determined].T @ gram[:r, -1] for gram in blocks]
@@ -151,6 +155,7 @@ def _derive_changes(
     for key, name in nonlinear:
         term = terms[key]
         at = np.array([term.at(k).value(name) for k in range(n)])
+        # Relative steps, as a velocity or a width has no other scale.
         sides = [
             DriveSet((term.with_nonlinear({name: tuple((at * (1.0 + step)).tolist())}),))
             for step in (STEP, -STEP)
@@ -162,11 +167,11 @@ def _derive_changes(
         load = inverse_dynamics(model, *state) if base.drive.needs_load else None
         return [
             (
-                drive_torque(ahead, own, *state, load=load)
-                - drive_torque(behind, own, *state, load=load)
+                drive_torque(ahead, theta, *state, load=load)
+                - drive_torque(behind, theta, *state, load=load)
             )
             / step
-            for (ahead, behind), own, step in moved
+            for (ahead, behind), theta, step in moved
         ]
 
     return changes

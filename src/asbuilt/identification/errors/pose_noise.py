@@ -56,30 +56,32 @@ class ExpectedScores:
 
     def of_parameters(self, k: int, names: Sequence[str]) -> Array:
         """Return the part of joint k that belongs to these parameters, 0 for others."""
-        found = dict(zip(self.names[k], self.means[k].tolist(), strict=False))
-        return np.array([found.get(name, 0.0) for name in names])
+        by_name = dict(zip(self.names[k], self.means[k].tolist(), strict=False))
+        return np.array([by_name.get(name, 0.0) for name in names])
 
     def torques(self, information: SquareRootInformation) -> tuple[Array, ...]:
         """Return parameters x_k (p_k,) of each joint with `W_k^T W_k x_k` = the sum of its scores.
 
         Least squares of `tau_k - W_k x_k` has scores of mean zero.
         """
-        found = []
+        solutions = []
         for k, (support, factor) in enumerate(
             zip(information.support, information.joint_factors, strict=True)
         ):
             score = information.n_samples * self.of_parameters(
                 k, [information.base.names[j] for j in support]
             )
+            # Unit columns, so that the rank does not depend on units.
             scale = np.linalg.norm(factor[:-1, :-1], axis=0)
             scale[scale == 0.0] = 1.0
             _, values, axes = np.linalg.svd(factor[:-1, :-1] / scale)
             # Singular value of scaled columns, relative to the largest, below which a direction is
             # empty.
             there = values > 1e-7 * values[0]
+            # A direction without information has no score either, and keeps the parameter 0.
             turned = axes[there] @ (score / scale) / values[there] ** 2
-            found.append(axes[there].T @ turned / scale)
-        return tuple(found)
+            solutions.append(axes[there].T @ turned / scale)
+        return tuple(solutions)
 
     def doubt(self, information: SquareRootInformation, estimate: Estimate) -> Array:
         """Return the covariance (p, p) of an estimate by the error of what was taken away."""
@@ -139,14 +141,15 @@ def expect_pose_noise(
     prior = design_values(model, base)
     estimate = fit_least_squares(information, weights="joint", prior=prior)
     uncorrected = PoseNoise(estimate.beta, None, np.ones(base.n_base))
-    if not any(any(each.pose_noise) for each in samples):
+    if not any(any(batch.pose_noise) for batch in samples):
         return uncorrected
-    total = sum(len(each.q) for each in samples)
-    shares = [len(each.q) / total * _average_noise(model, base, each) for each in samples]
+    total = sum(len(batch.q) for batch in samples)
+    shares = [len(batch.q) / total * _average_noise(model, base, batch) for batch in samples]
     grams = np.sum(shares, axis=0)
-    names = tuple(tuple(base.names[j] for j in own) for own in information.support)
+    names = tuple(tuple(base.names[j] for j in support) for support in information.support)
     squares = np.einsum("n,npr->pr", estimate.weights**2, grams) * information.n_samples
     root = estimate.solution.inverse_root
+    # In whitened parameters the noise's part of the information of each direction.
     share, axes = np.linalg.eigh(root.T @ squares @ root)
     if np.abs(share).max() > RULES.possible:
         return uncorrected
@@ -154,14 +157,20 @@ def expect_pose_noise(
     share = np.maximum(share, 0.0)
     kept = 1.0 / np.maximum(share, 1.0)
     along, of = root @ axes, axes.T @ np.linalg.pinv(root)
+    # Directions with more noise than observed signal get as much as was observed.
     grams = grams @ (np.eye(base.n_base) + (along * (kept - 1.0)) @ of)
+    # Each pass adds a power of the share: the series of (1 - share)^-1, cut off.
     taken = sum(((kept * share) ** k for k in range(1, RULES.passes + 1)), np.zeros(len(share)))
-    own, grown = (np.linalg.norm(each, axis=1) for each in (along, along * (1.0 + taken)))
-    growth = np.divide(grown, own, out=np.ones(base.n_base), where=own > 0.0)
+    before, grown = (
+        np.linalg.norm(directions, axis=1) for directions in (along, along * (1.0 + taken))
+    )
+    growth = np.divide(grown, before, out=np.ones(base.n_base), where=before > 0.0)
     expected: ExpectedScores | None = None
     for _ in range(RULES.passes):
         pairs = zip(grams, information.support, strict=True)
-        expected = ExpectedScores(names, tuple(-(gram @ estimate.beta)[own] for gram, own in pairs))
+        expected = ExpectedScores(
+            names, tuple(-(gram @ estimate.beta)[support] for gram, support in pairs)
+        )
         estimate = fit_least_squares(
             information.less(expected.torques(information)), weights=estimate.weights, prior=prior
         )
@@ -170,9 +179,9 @@ def expect_pose_noise(
 
 def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) -> Array:
     """Return the mean `E[dW_k^T dW_k]` (n, p, p) over the states of samples."""
-    found = np.zeros((model.n_joints, base.n_base, base.n_base))
+    squares = np.zeros((model.n_joints, base.n_base, base.n_base))
     if not samples.pose_noise or samples.contact is None:
-        return found
+        return squares
     step = max(1, -(-len(samples.q) // RULES.states))
     q, contact = samples.q[::step], samples.contact[::step]
     still = np.zeros_like(q)
@@ -185,10 +194,13 @@ def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) ->
     rest = rows(still)
     noise = samples.pose_noise[: model.n_floating]
     for unit, variance in zip(np.eye(model.n_joints), noise, strict=False):
+        # W is linear in the accelerations, so that a unit gives dW, in units of the equation's
+        # noise.
         moved = (rows(still + unit) - rest).reshape(len(q), len(scale), -1) / scale[:, None]
+        # P dW: what forces at contacts take is taken from the noise as well.
         moved -= np.einsum("mns,mks,skp->snp", basis, basis, moved, optimize=True)
-        found += variance / len(q) * np.einsum("snp,snr->npr", moved, moved, optimize=True)
-    return found
+        squares += variance / len(q) * np.einsum("snp,snr->npr", moved, moved, optimize=True)
+    return squares
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,11 +226,11 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
     The noise is relative to the noise of the driven joints. Samples of robots without contacts are
     returned as they are.
     """
-    if not model.contacts or any(each.contact is None for each in samples):
+    if not model.contacts or any(batch.contact is None for batch in samples):
         return tuple(samples)
     base = find_base_parameters(model, choose_usual_drive(model, samples[0].torque_source))
     seen = accumulate_stream(model, base, samples)
-    shares = np.mean([_average_squared_projection(model, each) for each in samples], axis=0)
+    shares = np.mean([_average_squared_projection(model, batch) for batch in samples], axis=0)
     # Forces and moments on the base, and torques of the driven joints.
     group = np.array([int(joint.is_revolute) for joint in model.joints])
     group[model.n_floating :] = 2
@@ -228,8 +240,9 @@ def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[
         beta = expect_pose_noise(model, base, weighted, information).beta
         squares = seen.residual_energy(beta) / seen.n_samples
         variances = solve_equation_variances(shares @ np.eye(3)[group], squares)
+        # Relative to the driven joints, whose weights the fit finds itself.
         noise = tuple(np.sqrt(variances / variances[2])[group].tolist())
-        weighted = tuple(replace(each, noise=noise) for each in samples)
+        weighted = tuple(replace(batch, noise=noise) for batch in samples)
     return weighted
 
 
@@ -243,6 +256,7 @@ def solve_equation_variances(shares: Array, squares: Array) -> Array:
     >>> solve_equation_variances(np.array([[1.0, 0.0], [0.5, 0.5]]), np.array([4.0, 2.5])).round(2)
     array([4., 1.])
     """
+    # A row with no residual would take the whole weight.
     squares = np.maximum(squares, squares.max() / EQUATIONS.largest_ratio**2)
     x = np.full(shares.shape[1], float(squares.mean()))
     for _ in range(EQUATIONS.updates):
@@ -256,5 +270,6 @@ def _average_squared_projection(model: RobotModel, samples: Samples) -> Array:
     assert samples.contact is not None
     at = np.linspace(0, samples.t.size - 1, min(EQUATIONS.samples, samples.t.size)).astype(np.int64)
     basis = contact_basis(model, samples.q[at], samples.contact[at])
+    # P = 1 - Q^T Q with an orthonormal basis Q of what contacts act on.
     P = np.eye(model.n_joints) - np.einsum("ikn,ijn->nkj", basis, basis)
     return np.asarray(np.mean(P**2, axis=0))

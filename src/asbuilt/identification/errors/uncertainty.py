@@ -93,21 +93,22 @@ def estimate_block_uncertainty(
         information.n_rows,
         unit_variance(estimate),
     )
-    found = estimate_scatter(data, estimate.solution.inverse_root)
+    scattered = estimate_scatter(data, estimate.solution.inverse_root)
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     swell = np.ones_like(textbook)
-    variance = np.maximum(found.variance, textbook)[determined]
+    variance = np.maximum(scattered.variance, textbook)[determined]
     # Dropped and undetermined parameters have no textbook variance to grow.
     swell[determined] = grown = np.sqrt(variance / textbook[determined])
+    # Geometric mean of variance ratios, so that no parameter dominates.
     shrinkage = float(np.exp(-2.0 * np.mean(np.log(grown)))) if grown.size else 1.0
     growth = float(np.median(grown)) if grown.size else None
     return Uncertainty(
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
         replace(choose_error_basis(information, "blocks"), growth=growth),
-        found.scatter,
-        found.common.factor / found.common.of_noise,
+        scattered.scatter,
+        scattered.common.factor / scattered.common.of_noise,
     )
 
 
@@ -128,6 +129,7 @@ def estimate_scatter(data: BlockScores, root: Array) -> Scattered:
     """
     moves, absorbed, leverage, freedom = correct_moves(data.grams, data.scores, root)
     determined = np.any(root, axis=1)
+    # One typical number: the common growth belongs to no single parameter.
     typical = float(np.median(freedom[determined])) if determined.any() else 1.0
     common = estimate_common_growth(data, moves, absorbed, leverage, typical)
     parts = np.sqrt(common.factor) * moves @ root.T
@@ -157,6 +159,8 @@ def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Arra
     weight = np.empty((len(grams), root.shape[0]))
     for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
         leverage, axes = np.linalg.eigh(gram)
+        # One block can have all information of a direction: its residual is then zero, and says
+        # nothing.
         leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
         moves[b] = axes @ ((axes.T @ score_b) / np.sqrt(1.0 - leverage))
         turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
@@ -185,6 +189,7 @@ def choose_error_basis(
 ) -> ErrorBasis:
     """Return the basis of errors from this information."""
     lengths = [
+        # n samples span n - 1 steps; the block lasts n.
         (block.stop - block.start) * block.n_samples / max(block.n_samples - 1, 1)
         for block in information.blocks
     ]
@@ -197,12 +202,12 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
 
     e is the weighted residual, S the inverse root.
     """
-    residual, found = np.append(-estimate.beta, 1.0), []
+    residual, products = np.append(-estimate.beta, 1.0), []
     for b in range(information.n_blocks):
         factor = information.stacked(estimate.weights, b)
         whitened = factor[:, :-1] @ estimate.solution.inverse_root
-        found.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
-    grams, scores = map(np.array, zip(*found, strict=True))
+        products.append((whitened.T @ whitened, whitened.T @ (factor @ residual)))
+    grams, scores = map(np.array, zip(*products, strict=True))
     return grams, scores
 
 
@@ -213,10 +218,12 @@ def _estimate_degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     (1 - M_b)^(-1/2) S^T`, `weight` (n_blocks, p) the diagonal of `S (1 - M_b)^(-1/2) M_b (1 -
     M_b)^(-1/2) S^T`.
     """
-    own = np.einsum("brp,brp->bp", leverages, leverages)
-    trace = np.sum(weight - own, axis=0)
-    across = np.array([np.sum((each @ each.T) ** 2) for each in np.moveaxis(leverages, 2, 0)])
-    square = np.sum(weight**2 - 2.0 * weight * own, axis=0) + across
+    squares = np.einsum("brp,brp->bp", leverages, leverages)
+    trace = np.sum(weight - squares, axis=0)
+    across = np.array([np.sum((along @ along.T) ** 2) for along in np.moveaxis(leverages, 2, 0)])
+    # tr(G^2) with G = diag(weight) - L L^T, multiplied out.
+    square = np.sum(weight**2 - 2.0 * weight * squares, axis=0) + across
+    # Without leverage the variance has the freedom of so many independent blocks.
     most = np.full(len(square), float(len(leverages) - 1))
     return np.asarray(np.divide(trace**2, square, out=most, where=square > 0))
 
@@ -235,7 +242,9 @@ def estimate_recording_variances(information: SquareRootInformation, estimate: E
     if len(members) < FEWEST_RECORDINGS or estimate.rank == 0:
         return np.zeros(len(estimate.beta))
     of_blocks, root = block_scores(information, estimate), estimate.solution.inverse_root
-    grams, scores = (np.array([each[own].sum(axis=0) for own in members]) for each in of_blocks)
+    grams, scores = (
+        np.array([of_all[chosen].sum(axis=0) for chosen in members]) for of_all in of_blocks
+    )
     moves, _, _, freedom = correct_moves(grams, scores, root)
     return np.asarray(np.sum((moves @ root.T) ** 2, axis=0) * widening(freedom) ** 2)
 
@@ -291,6 +300,7 @@ def fit_free_values(
     uncertainty = estimate_block_uncertainty(information, fitted)
     if further is not None:
         uncertainty = uncertainty.with_further(further, bias)
+    # Rounding leaves the product slightly off symmetry.
     covariance = 0.5 * (uncertainty.covariance + uncertainty.covariance.T)
     return FreeValues(
         fitted.beta, covariance, fitted.std_errors, fitted.determined, uncertainty.scatter

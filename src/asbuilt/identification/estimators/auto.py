@@ -168,6 +168,7 @@ def _choose_closest_to_cad(
     """Return the chosen candidate, why it was chosen, and notes."""
     information = free.information or data.information
     prior = with_drive_scale(build_cad_prior(data.model, data.base.drive), information)
+    # All candidates have one prior of the drives, so that they differ by CAD of the links alone.
     free = _with_drive_prior(information, free, prior)
     try:
         consistent = fit_consistent(information, prior)
@@ -175,7 +176,7 @@ def _choose_closest_to_cad(
         return free, f"{free.method}: the consistent fit failed ({problem})", ()
     effect = design_effect(information, consistent)
     masses = data.model.has_masses
-    weights = [effect * each for each in RULES.beliefs] if masses else []
+    weights = [effect * belief for belief in RULES.beliefs] if masses else []
     folds = divide_into_folds(information, group_different_motions(information, consistent.weights))
     parts = [(used.together(), held.together()) for used, held in folds]
     if len(parts) < RULES.fewest_folds:
@@ -239,11 +240,13 @@ def design_effect(information: SquareRootInformation, estimate: Estimate) -> flo
 
 def prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
     """Return the information (p, p) of CAD on base parameters: `(K M^-1 K^T)^-1`, M its metric."""
+    # K M^-1 K^T of the links, and of the drives, whose metric is diagonal.
     regrouping, inertial = information.base.regrouping, 10 * prior.n_links
     links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)
     covariance = np.einsum("pia,iab,qib->pq", links, np.linalg.inv(prior.metric), links)
     drives = regrouping[:, inertial:] * prior.drive_scale
     covariance += drives @ drives.T / prior.drive_weight
+    # Unit diagonal before the inverse: units of parameters differ by many decades.
     size = np.sqrt(np.diag(covariance))
     return np.asarray(np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size))
 
@@ -261,14 +264,14 @@ def _fit_candidates(
     rough: dict[float, Array] = {}
 
     def select_trainings() -> Iterator[SquareRootInformation]:
-        for each, _ in parts:
-            refuse_few_rows(each)
-            yield each
+        for training, _ in parts:
+            refuse_few_rows(training)
+            yield training
 
     if weights:
         path = EntropicPath(prior, information.base, bound_with_certainty(prior))
         factors = np.array(
-            [each.stacked(of_joints) for each in (*(t for t, _ in parts), information)]
+            [part.stacked(of_joints) for part in (*(t for t, _ in parts), information)]
         )
         rough, weights = _fit_supported_weights(
             path,
@@ -280,6 +283,7 @@ def _fit_candidates(
         name = f"entropic (weight {weight:.3g})"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
         if weight in rough:
+            # The last row is the fit to all blocks, and no held-out one.
             candidates.known.append(Candidate(name, weight, rough[weight][:-1] @ K.T, fit=fit))
         else:
             candidates.failed.append(name)
@@ -297,6 +301,7 @@ def _fit_candidates(
             [_with_drive_rows(each, of_joints, prior).x for each in select_trainings()]
         ),
         lambda: free,
+        # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
     return candidates
@@ -314,6 +319,7 @@ def _fit_supported_weights(
     weight supports give way to it; the weakest always stays. At weaker weights model errors take
     links further from CAD than its tolerance does.
     """
+    # The weights are beliefs times the design effect, the last belief being the weakest.
     effect = weights[-1] / RULES.beliefs[-1]
     rough = path.fit_descending(factors, weights)
     fitted = [weight for weight in weights if weight in rough]
@@ -335,7 +341,9 @@ def _choose_converging(
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
+    # A fit to all blocks can fail where the rough ones did not: the next best takes its place.
     fit: Estimate | None = None
+    # Least squares is the last candidate, and is always said for comparison.
     while fit is None:
         if not candidates.known:
             return free, f"{free.method}: no other fit converged", candidates.note
@@ -404,6 +412,7 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         findings=(*free.findings, *fit.findings),
     )
     energy, n = information.residual_energy(free.beta), information.n_samples
+    # The parameters are shared evenly, as no joint has its own count here.
     noise = np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0))
     sigma = np.maximum(noise, quietest_noise(information))
     ratio = (information.residual_energy(fit.beta) / n / sigma**2)[information.has_torque]
@@ -423,5 +432,6 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
 
 def _is_consistent(base: BaseParameters, estimate: Estimate) -> bool:
     """Return whether an estimate is physically consistent; True if that cannot be decided."""
+    # What cannot be decided is not held against an estimate.
     passive = not non_passive_drives(base, estimate.beta)
     return passive and decide_consistency(base, estimate.beta)[1] is not False

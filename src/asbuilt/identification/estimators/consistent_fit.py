@@ -132,6 +132,7 @@ def fit_consistent(
     problem = ConicProblem(prior, information.base.regrouping, limits)
     w, rounds = _fit_joint_weights(information, problem, weights)
     fit = _estimate("consistent", information, prior, w, problem.fit, TINY_WEIGHT, rounds)
+    # An interior-point solution comes near its active bounds and never touches them.
     near = np.flatnonzero(limits.slack(fit.standard) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
     active = join_names([limits.labels[j] for j in near], 8) if len(near) else "none"
     note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
@@ -186,6 +187,7 @@ def quietest_noise(information: SquareRootInformation) -> Array:
     """
     rms = np.sqrt(information.torque_energy / information.n_samples)
     least = np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
+    # Weights are 1 / noise: infinite noise leaves a joint out.
     return np.where(information.has_torque, least, np.inf)
 
 
@@ -196,6 +198,7 @@ def _fit_joint_weights(
     if weights is not None:
         return np.where(information.has_torque, weights, 0.0), 0
     quietest, base = quietest_noise(information), information.base
+    # Only the residuals count here, so that undetermined directions may have any value.
     free = fit_least_squares(information, weights="joint", prior=np.zeros(base.n_base))
     w = 1.0 / np.maximum(free.sigma, quietest)
     for _ in range(REWEIGHTINGS):
@@ -227,6 +230,7 @@ def _estimate(
     free = fit_least_squares(information, weights=weights, prior=base.regrouping @ prior.parameters)
     factor = information.stacked(weights)
     chi = fit(factor)
+    # A tiny weight only holds undetermined directions: their errors need CAD's weakest belief.
     beta = base.regrouping @ chi
     belief, root = _estimate_belief_and_root(
         information,
@@ -241,6 +245,8 @@ def _estimate(
     known = "CAD" if np.any(prior.strength == 1.0) else "the bodies assumed"
     return ConsistentEstimate(
         method=method,
+        # Weights are 1 / sigma, so that the ratio is 1 where they are right; errors are not shrunk
+        # below.
         beta=beta,
         covariance=max(energy / max(information.n_rows - free.rank, 1), 1.0) * root @ root.T,
         sigma=residual_deviation(information, beta, root, weights),
@@ -267,9 +273,10 @@ def _estimate(
 
 def _weigh_known_masses(prior: CadPrior) -> Array:
     """Return rows (k, n_standard) over standard deviations of masses known within two limits."""
-    known = [each for each in prior.mass_ranges if np.isfinite(each[2])]
+    known = [limits for limits in prior.mass_ranges if np.isfinite(limits[2])]
     rows = np.zeros((len(known), len(prior.parameters)))
     for row, (links, lower, upper) in zip(rows, known, strict=True):
+        # Standard deviation of a uniform distribution between limits: their distance over sqrt(12).
         row[[10 * link + 9 for link in links]] = np.sqrt(12.0) / (upper - lower)
     return rows
 
@@ -292,6 +299,7 @@ def _stack_rows(
     coordinates = Coordinates.of(information.base)
     free = np.hstack([coordinates.kept, coordinates.dependent])
     inertial = 10 * prior.n_links
+    # Halfway between CAD and estimate, where the quadratic form is nearest to the divergence.
     halfway = 0.5 * (prior.parameters[:inertial] + chi[:inertial])
     roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
@@ -307,6 +315,7 @@ def _stack_rows(
 
 def _invert_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
     """Return the inverse of the triangular root of the information."""
+    # QR of the stacked rows: the information itself would square their condition.
     triangle, _, _, _ = lapack.dgeqrf(
         np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, others])), overwrite_a=True
     )
@@ -318,6 +327,7 @@ def _estimate_weight(
     data: Array, bodies: Array, others: Array, prior: CadPrior, chi: Array, weight: float
 ) -> float:
     """Return the weight of CAD that the distance of `chi` supports."""
+    # |pulled|^2 = tr(weight M H^-1): the parameters that CAD rather than the data determines.
     pulled = np.sqrt(weight) * bodies @ _invert_root(data, bodies, others, weight)
     determined = len(bodies) - float(np.sum(pulled**2))
     moved = 2.0 * float(prior.strength @ prior.divergence(chi))
@@ -333,5 +343,6 @@ def _estimate_belief_and_root(
         weight, STRONGEST_BELIEF, _estimate_weight(data, bodies, others, prior, chi, weight)
     )
     wide = _invert_root(data, bodies, others, belief)[: information.base.n_base]
+    # A second QR makes the root of beta's covariance square.
     triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
     return belief, np.asarray(np.triu(triangle[: len(wide)]).T)

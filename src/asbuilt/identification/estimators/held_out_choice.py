@@ -69,8 +69,10 @@ def choose_weight(
         errors[row] = np.sum(residuals**2, axis=1) / (np.array(counts) * information.n_joints)
     means = errors.mean(axis=1)
     best = int(np.argmin(means))
+    # Paired with the best group by group: hard groups are hard for every weight.
     excess = errors - errors[best]
     standard_error = excess.std(axis=1, ddof=1) / np.sqrt(n_groups)
+    # Weights descend, so that the first one within a standard error is the largest.
     chosen = int(np.flatnonzero(excess.mean(axis=1) <= standard_error)[0])
     if chosen == best:
         why = f"the least error, {means[best]:.3g}, on {n_groups} groups of held-out time blocks"
@@ -89,6 +91,7 @@ def _without_each(factors: Array) -> Array:
     def join(one: Array, other: Array) -> Array:
         return triangular_factor(np.vstack([one, other]))
 
+    # Of prefixes and suffixes each factor without one group is a single join: 3 m instead of m^2.
     before, after = [*accumulate(factors[:-1], join)], [*accumulate(factors[:0:-1], join)][::-1]
     between = [join(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
     return np.array([after[0], *between, before[-1]])
@@ -180,20 +183,21 @@ def choose_candidate(
         [
             [
                 float(np.sum(held.residual_energy(beta) * joint_weights**2)) / (held.n_samples * n)
-                for beta, (_, held) in zip(each.betas, parts, strict=True)
+                for beta, (_, held) in zip(candidate.betas, parts, strict=True)
             ]
-            for each in candidates
+            for candidate in candidates
         ]
     )
     root = information.stacked(joint_weights)[:-1, :-1]
+    # Only rows^T rows count: a triangle has the same, and p rows.
     random_rows = triangular_factor(random_motion) / np.sqrt(len(random_motion))
     random_rows, whole = _project_determined(random_rows, root), root.T @ root
     roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
-    used = [each.T @ each for each in roots]
+    used = [factor.T @ factor for factor in roots]
     held_rows = [
         held.stacked(joint_weights)[:-1, :-1] / np.sqrt(held.n_samples * n) for _, held in parts
     ]
-    priors = [each.weight * prior_information for each in candidates]
+    priors = [candidate.weight * prior_information for candidate in candidates]
     on_groups = np.array(
         [
             [
@@ -209,7 +213,8 @@ def choose_candidate(
     own = _evaluate_leverage(root / np.sqrt(information.n_samples * n), whole, priors[-1])
     held_out = max(float(on_groups[-1]), np.finfo(np.float64).tiny)
     totals = errors + beyond[:, None]
-    consistent = [c for c, each in enumerate(candidates) if each.certain]
+    consistent = [c for c, candidate in enumerate(candidates) if candidate.certain]
+    # Without consistent candidates the first one, closest to CAD, is what is compared.
     best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))] if consistent else 0
     # Probability by which physically inconsistent values that predict no better are chosen.
     surely = float(stdtrit(max(len(parts) - 1, 1), 1.0 - 0.05))
@@ -220,6 +225,7 @@ def choose_candidate(
         c
         for c in range(len(candidates))
         if c == best or (c in consistent and not exceeds(totals[c] - totals[best], 1.0))
+        # In order from CAD: the first as good as the best ends the search.
     )
     return MotionChoice(
         tuple(candidates),
@@ -236,15 +242,17 @@ def choose_candidate(
 
 
 def _project_determined(rows: Array, root: Array) -> Array:
+    # Without units, in which the axes are orthonormal and the projection means something.
     """Return rows without what they have in directions that no block excites."""
-    own = Scaled(root.T @ root)
-    return np.asarray(((rows / own.size) @ own.axes) @ own.axes.T * own.size)
+    seen = Scaled(root.T @ root)
+    return np.asarray(((rows / seen.size) @ seen.axes) @ seen.axes.T * seen.size)
 
 
 def _evaluate_leverage(rows: Array, gram: Array, prior: Array) -> float:
     """Return the trace of `rows (gram + prior)^-1 rows^T`."""
-    own = Scaled(gram + prior)
+    total = Scaled(gram + prior)
     if np.any(prior):
-        scaled, seen = own.matrix / np.outer(own.size, own.size), rows / own.size
+        # With a prior the matrix is positive definite; else only what is determined has a leverage.
+        scaled, seen = total.matrix / np.outer(total.size, total.size), rows / total.size
         return float(np.sum(seen.T * cho_solve(cho_factor(scaled), seen.T)))
-    return float(np.sum(own.whiten(rows.T) ** 2))
+    return float(np.sum(total.whiten(rows.T) ** 2))

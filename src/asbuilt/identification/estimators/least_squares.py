@@ -90,9 +90,12 @@ def fit_least_squares(
         converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
         if converged or iterations > MOST_ITERATIONS:
             break
+        # In logarithms, so that an extrapolated weight stays positive.
         image = np.log(renewed[seen])
         tried = ahead.advance(np.log(w[seen]), image)
+        # Without an extrapolation the weights are taken as they are, not through a logarithm.
         w[seen] = renewed[seen] if tried is image else np.exp(tried)
+    # The iteration solves without a decision on the rank; the result makes it once.
     solution = solve_factor(information.stacked(w), rows, toward)
     sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
@@ -101,6 +104,7 @@ def fit_least_squares(
         method="ols" if weights is None else "wls",
         beta=solution.x,
         covariance=(solution.residual_energy / max(rows - solution.rank, 1))
+        # Of ordinary least squares too: the energy is that of the weighted rows.
         * solution.inverse_root
         @ solution.inverse_root.T,
         sigma=sigma,
@@ -147,6 +151,7 @@ def format_combination(direction: Array, names: tuple[str, ...]) -> str:
     order: list[int] = np.argsort(-np.abs(direction), kind="stable").tolist()
     lead = direction[order[0]]
     shown = [j for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
+    # Divided by the largest coefficient, whose sign then is plus.
     text = names[shown[0]]
     for j in shown[1:MOST_TERMS]:
         factor = direction[j] / lead
@@ -160,7 +165,7 @@ def _name_directions(
 ) -> tuple[str, ...]:
     """Return the undetermined directions as text."""
     names = information.base.names
-    return tuple(format_combination(each, names) for each in solution.open_directions)
+    return tuple(format_combination(direction, names) for direction in solution.open_directions)
 
 
 def _make_refusal(

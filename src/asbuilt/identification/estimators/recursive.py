@@ -89,6 +89,7 @@ class RecursiveIdentification:
         self.model, self.base, self.forgetting = model, base, float(forgetting)
         self._weights, self._prior, self._strength = w, toward, float(prior_strength)
         self._plan = RegressorPlan.of(model, base.drive, base.columns)
+        # Column-major, so that LAPACK overwrites the rows in place.
         self._rows = np.zeros((p + 1 + n, p + 1), order="F")
         self._counted = 0.0
 
@@ -115,10 +116,12 @@ class RecursiveIdentification:
             raise IdentifiabilityError("a sample holds NaN or infinite values; leave it out")
         stack = self._plan.stack(*arrays[:3]).reshape(-1, n, p)
         for columns, torque in zip(stack, arrays[3], strict=True):
+            # The square of the factor is the information: it forgets by f.
             self._rows[: p + 1] *= np.sqrt(self.forgetting)
             self._rows[p + 1 :, :p] = self._weights[:, None] * columns
             self._rows[p + 1 :, p] = self._weights * torque
             self._rows, _, _, _ = lapack.dgeqrf(self._rows, overwrite_a=True)
+            # Below the diagonal LAPACK leaves the reflections.
             self._rows[:] = np.triu(self._rows)
             self._counted = self.forgetting * self._counted + 1.0
         return self.estimate()
@@ -141,8 +144,11 @@ class RecursiveIdentification:
         """Return the least-squares solution behind the estimate."""
         p, factor = self.base.n_base, self.factor
         if self._strength > 0.0:
+            # The mean length of a column per sample is what one sample says about its parameter.
             length = np.linalg.norm(factor[:, :p], axis=0) / np.sqrt(max(self._counted, 1.0))
-            own = np.sqrt(self._strength) * np.where(length > 0, length, 1.0)
-            rows = np.vstack([factor, np.column_stack([np.diag(own), own * self._prior])])
+            # A column that was never excited has no length; any positive one holds its parameter.
+            pull = np.sqrt(self._strength) * np.where(length > 0, length, 1.0)
+            # Stacked for the answer alone: a prior in the kept factor would be forgotten with it.
+            rows = np.vstack([factor, np.column_stack([np.diag(pull), pull * self._prior])])
             factor = np.triu(np.asarray(lapack.dgeqrf(rows)[0])[: p + 1])
         return solve_factor(factor, max(1, round(self._counted)) * self.model.n_joints, self._prior)

@@ -139,19 +139,23 @@ def reweight(
         if scale is None and iterations < ROBUST.scale_iterations:
             medians = np.array([np.median(np.abs(_drop_uncounted(e))) for e in residuals])
             sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
+            # An infinite scale is a weight of 0.
             sigma[~information.has_torque] = np.inf
         gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
-        sums = [np.zeros((own.size, own.size + 1)) for own in support]
+        sums = [np.zeros((places.size, places.size + 1)) for places in support]
         for b, rows in enumerate(parts()):
             for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
+                # Least squares of weights rho'(r) / r about the present residuals: a Newton-like
+                # step in beta.
                 weighted = columns[:-1] * (loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2)
                 total[:, :-1] += weighted @ columns[:-1].T
                 total[:, -1] += weighted @ residuals[k][b]
-        for own, total in zip(support, sums, strict=True):
-            gram += root[own].T @ total[:, :-1] @ root[own]
-            score += root[own].T @ total[:, -1]
+        for places, total in zip(support, sums, strict=True):
+            gram += root[places].T @ total[:, :-1] @ root[places]
+            score += root[places].T @ total[:, -1]
         step = Scaled(gram).solve(score)
         beta = beta + root @ step
+        # In units of the information: the length is in standard errors of all parameters together.
         converged = bool(step @ gram @ step <= ROBUST.step**2)
         iterations += 1
     return Reweighted(beta, sigma, iterations, converged)
@@ -167,6 +171,7 @@ def _fit_robust(
     root = start.solution.inverse_root / start.weights.max()
     residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
     standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
+    # A redescending loss with most rows beyond its threshold would have a slope of zero or less.
     slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
     slope = slope * _average_informed_slope(rows, residuals, sigma, slope, loss, root)
 
@@ -175,6 +180,7 @@ def _fit_robust(
             made = []
             for k, columns in enumerate(block.rows):
                 e = residuals[k][b]
+                # Pseudo-values: least squares of these torques has the M-estimate as its solution.
                 torque = columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]
                 made.append(np.vstack([columns[:-1], torque]))
             yield RowBlock(tuple(made), block.time, block.seconds)
@@ -214,16 +220,17 @@ def _average_informed_slope(
     if outliers are distributed evenly over the motion.
     """
     p = root.shape[1]
-    assumed, found = np.zeros((p, p)), np.zeros((p, p))
+    assumed, actual = np.zeros((p, p)), np.zeros((p, p))
     for b, block in enumerate(rows):
         for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
             seen = root[support].T @ columns[:-1] / sigma[k]
             assumed += slope[k] * seen @ seen.T
-            found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
+            actual += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
     turned = Scaled(assumed).inverse_root
     if not turned.size:
         return 1.0
-    parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), ROBUST.least_slope)
+    # Along a direction that outliers alone inform the slope may be negative.
+    parts = np.maximum(np.linalg.eigvalsh(turned.T @ actual @ turned), ROBUST.least_slope)
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
@@ -239,14 +246,18 @@ def _evaluate_residuals(
     parts: Iterable[tuple[Array, ...]], support: Sequence[Indices], beta: Array
 ) -> list[list[Array]]:
     """Return residuals per joint and part of the rows."""
-    found = [
-        [columns[-1] - beta[own] @ columns[:-1] for columns, own in zip(rows, support, strict=True)]
+    by_part = [
+        [
+            columns[-1] - beta[places] @ columns[:-1]
+            for columns, places in zip(rows, support, strict=True)
+        ]
         for rows in parts
     ]
-    return [list(joint) for joint in zip(*found, strict=True)]
+    return [list(joint) for joint in zip(*by_part, strict=True)]
 
 
 def _drop_uncounted(residuals: Sequence[Array]) -> Array:
     """Return the residuals of a joint without zeros, which are of rows that do not count."""
+    # A row that does not count is zero in every column, torque included.
     together = np.concatenate(residuals)
     return together[together != 0.0] if together.any() else together

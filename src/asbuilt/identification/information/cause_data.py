@@ -118,6 +118,7 @@ def gather_cause_data(
     IdentifiabilityError
         If no samples are left to fit, or none to hold out.
     """
+    # Gravity that a tilt has changed: the torque of the difference is the tilt's column.
     tilts = () if model.described_gravity is None else (TILT,)
     turning = model.with_gravity(model.gravity - model.as_described.gravity)
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=len(tilts) + 1)
@@ -132,6 +133,7 @@ def gather_cause_data(
         for chunk in part.chunks(
             plan, lambda span: [gravity_torque(turning, q[span]) for _ in tilts]
         ):
+            # Place 0 is fitted, 1 is held out; both share plan and columns.
             for own, rows in zip(growing[place], chunk, strict=True):
                 own.append(rows)
 
@@ -139,6 +141,7 @@ def gather_cause_data(
         sources[part.samples.source] = None
         add(1, part)
     for number, part in enumerate(divide_into_blocks(model, fitted, block_seconds)):
+        # The last of every three, so that the first block is fitted.
         add(int(not sources and number % HELD_BACK == HELD_BACK - 1), part)
     of_fitted, of_judged = (tuple(own.factor() for own in each) for each in growing)
     if not all(counts):

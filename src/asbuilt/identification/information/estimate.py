@@ -109,6 +109,7 @@ class Estimate:
             self,
             method=method,
             beta=found,
+            # As many degrees of freedom are spent as directions are determined.
             covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
             sigma=residual_deviation(information, found, solution.inverse_root, self.weights),
             solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
@@ -122,6 +123,7 @@ class Estimate:
 def noise_floor(information: SquareRootInformation) -> float:
     """Return the least noise: `SMALLEST_NOISE` of the largest torque RMS, 1 without torque."""
     largest = float(np.sqrt(information.torque_energy.max() / information.n_samples))
+    # Logs of zero torque alone still need a positive scale.
     return SMALLEST_NOISE * largest or 1.0
 
 
@@ -136,6 +138,7 @@ def residual_deviation(
     parts = [weight * factor[:-1, :-1] @ inverse_root[own] for own, factor, weight in roots]
     # Traces of each joint's part of the hat matrix; their sum is the rank.
     spent = np.array([np.sum(part * part) for part in parts])
+    # Joints without torque have infinite noise, and so no weight.
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
     if information.mixed:
         energy, spent = np.full_like(energy, energy.mean()), np.full_like(spent, spent.mean())

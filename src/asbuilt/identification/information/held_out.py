@@ -21,6 +21,7 @@ DIFFERENT_MOTIONS = 6
 def group_neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
     """Return the blocks in groups of neighbours, so that lasting residuals do not leak."""
     count = min(n_groups, n_blocks)
+    # Parts that differ by one block at most.
     number = np.arange(n_blocks) * count // max(n_blocks, 1)
     return [np.flatnonzero(number == group) for group in range(count)]
 
@@ -46,9 +47,12 @@ def group_motions(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS)
     if len(grams) <= 2:
         return group_neighbours(len(grams))
     length = np.sqrt(np.diag(grams.sum(axis=0)))
+    # Equal torque per parameter: a distance between informations then has no units.
     scale = np.where(length > 0.0, length, 1.0) / np.sqrt(n_samples.sum())
+    # A column that is never excited has no length, and stays zero.
     scaled = grams / np.outer(scale, scale)
     features = scaled[:, *np.triu_indices(len(scale))] / n_samples[:, None]
+    # Ward's linkage takes the square of the blocks in memory.
     every = -(-len(grams) // MOST_SORTED)
     group = fcluster(linkage(features[::every], "ward"), most, "maxclust")
     if every > 1:
@@ -63,6 +67,7 @@ def divide_into_folds(
     """Yield the blocks to train on and those held out, group by group; nothing for one group."""
     every = np.arange(information.n_blocks)
     groups = group_neighbours(information.n_blocks) if groups is None else groups
+    # Nothing is left to train on without another group.
     for group in groups if len(groups) > 1 else ():
         yield information.select(np.setdiff1d(every, group)), information.select(group)
 

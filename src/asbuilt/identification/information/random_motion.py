@@ -42,6 +42,7 @@ def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
     """Return positions (N, n) that are uniform within the limits."""
     limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in model.joints]).T
     far = np.array([np.pi if joint.is_revolute else 1.0 for joint in model.joints])
+    # Joints without limits count as a whole circle, or two metres of travel.
     low, high = np.where(np.isfinite(limits), limits, [-far, far])
     return np.asarray(rng.uniform(low, high, (RANDOM_STATES, model.n_joints)))
 
@@ -57,5 +58,6 @@ def measure_recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
         ]
         count, sums = count + len(rates[0]), sums + np.vstack(found)
     mean, square = sums / max(count, 1)
+    # Mean square less squared mean, in one pass; rounding can leave it below zero.
     velocity, acceleration = np.split(np.sqrt(np.maximum(square - mean**2, 0.0)), 2)
     return velocity, acceleration

@@ -58,6 +58,7 @@ class FurtherColumns:
     def add(self, products: Sequence[Array]) -> None:
         """Add the inner products of the next time block."""
         if not self.products:
+            # Sizes are known from the first block on.
             self.products = [np.zeros_like(each) for each in products]
         self.products = [a + b for a, b in zip(self.products, products, strict=True)]
 
@@ -107,15 +108,18 @@ class KeptRows:
 
         Rows at contacts depend on forces that are projected away, and are not kept.
         """
+        # Eight bytes a number, torque included.
         size = 8.0 * samples.n_filtered * sum(len(own) + 1 for own in plan.support)
         if samples.contact is not None or size > ROWS.most_held:
             return None
         with self._lock:  # blocks of one motion are asked for by several threads
             for entry in self._entries:
+                # Identity, not equality: comparing samples costs as much as the rows.
                 if entry[1] is samples and _same_columns(entry[0], plan):
                     return entry[2]
             rows = _evaluate_rows(plan, samples)
             self._entries.append((plan, samples, rows))
+            # The oldest go first: passes ask for the latest motions again.
             while sum(_count_bytes(each) for *_, each in self._entries) > ROWS.most_held:
                 del self._entries[0]
             return rows
@@ -133,6 +137,7 @@ def _same_columns(one: RegressorPlan, other: RegressorPlan) -> bool:
 
 def _evaluate_rows(plan: RegressorPlan, samples: Samples) -> dict[int, tuple[Array, ...]]:
     """Return the rows of whole segments, each by its start."""
+    # One spare row for the torque: further columns are inserted into copies.
     plan = RegressorPlan.of(plan.model, plan.drive, plan.columns, spare_rows=1)
     found = {}
     for start, stop in samples.segments:
@@ -141,6 +146,7 @@ def _evaluate_rows(plan: RegressorPlan, samples: Samples) -> dict[int, tuple[Arr
         if n < 1:
             continue
         whole = SampleBlock(samples, start, stop, 0, n, 0.0)
+        # A chunk is a view of the buffer that the next one overwrites.
         chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(plan)]
         found[start] = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
     return found
@@ -181,6 +187,7 @@ class SampleBlock:
         found = []
         for k, own in enumerate(rows):
             added = np.array([each[k] for each in filtered]).reshape(-1, own.shape[1])
+            # Rows of a resting joint are zero in every column, further ones too.
             if self.samples.slowest:
                 added[:, speed[k] < self.samples.slowest[k]] = 0.0
             found.append(np.concatenate([own[:-1], added, own[-1:]]))
@@ -190,6 +197,7 @@ class SampleBlock:
         """Return which filtered samples (n_outputs,) are of samples to `keep` (N,) alone."""
         parallel = self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        # Samples left out up to each place: a window has none if both its ends count the same.
         left_out = np.concatenate([[0], np.cumsum(~keep)])
         begin = self.start + step * np.arange(self.first, self.last)
         return np.asarray(left_out[begin + width] == left_out[begin])
@@ -201,6 +209,7 @@ class SampleBlock:
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        # The window of the filter reaches beyond the last output by its width.
         span = slice(self.start + self.first * step, self.start + (self.last - 1) * step + width)
         rows = self._filter(values(span))
         if samples.slowest:
@@ -226,6 +235,7 @@ class SampleBlock:
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        # Of decimated samples the windows overlap: fewer outputs fit a chunk.
         at_once = min(self.n_outputs, max(1, (ROWS.samples_at_once - width) // step + 1))
         known = None if self.kept is None else self.kept.find(plan, samples)
         if known is not None:
@@ -242,12 +252,14 @@ class SampleBlock:
             last = min(first + at_once, self.last)
             span = slice(self.start + first * step, self.start + (last - 1) * step + width)
             rows = plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)
+            # Further columns before the torque, filled from the last spare row back.
             last_rows = (*(further(span) if further else ()), samples.tau[span])
             for k, columns in enumerate(rows):
                 for place, values in enumerate(last_rows, start=-len(last_rows)):
                     columns[place] = values[:, k]
             if samples.contact is not None:
                 for k, noise in enumerate(samples.noise):
+                    # In units of their noise the projection loses nothing (Aitken).
                     np.divide(rows[k], noise, out=rows[k])
                 basis = contact_basis(
                     plan.model, samples.q[span], samples.contact[span], samples.noise
@@ -260,6 +272,8 @@ class SampleBlock:
             if samples.slowest:
                 speed = np.abs(self._filter(samples.qd[span]))
                 for columns, own, slowest in zip(filtered, speed, samples.slowest, strict=True):
+                    # Friction near reversals is no function of the velocity: these rows do not
+                    # count.
                     columns[:, own < slowest] = 0.0
             yield filtered
 
@@ -290,6 +304,7 @@ def divide_into_blocks(
             n = samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start
             if n < 1:
                 continue
+            # Equal blocks, rather than a short rest whose scores would scatter more.
             edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
             for first, last in pairwise(edges.tolist()):
                 yield SampleBlock(samples, start, stop, first, last, seconds, kept)
@@ -343,6 +358,7 @@ class Rows:
             or self._less
             or not all(map(_same_motion, tuple(self._samples), samples))
         ):
+            # Rows of another motion cannot take its torque.
             return False
         for part, block in zip(self._divide(samples), self._held, strict=True):
             torques = part.filtered(part.samples.tau.__getitem__)
@@ -372,6 +388,7 @@ class Rows:
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
         if self._parts is None:
+            # A pass over the rows keeps them if they are few.
             deque(self, maxlen=0)  # keeps them if they are few
             every = zip(*(each.rows for each in self._held or ()), strict=True)
             self._parts = [tuple(map(np.hstack, every))] if self._held else []
@@ -397,6 +414,7 @@ class Rows:
                 rows[-1] -= x @ rows[:-1]
             size += sum(rows.nbytes for rows in block.rows)
             # Rows of a long recording are not kept, but made again in every pass.
+            # Past the limit nothing is kept, not even the blocks before.
             kept = [*kept, block] if size <= ROWS.most_held else []
             yield block
         self._held = kept if size <= ROWS.most_held else None

@@ -117,6 +117,7 @@ class SquareRootInformation:
     @property
     def mixed(self) -> bool:
         """Whether every row has a part of every joint's equation, as without contact forces."""
+        # A single joint has every parameter without any mixing.
         whole = all(len(support) == self.base.n_base for support in self.support)
         return whole and self.n_joints > 1 and self.base.n_base > 0
 
@@ -135,6 +136,7 @@ class SquareRootInformation:
 
         Raises `IdentifiabilityError` without any.
         """
+        # Also of masks and negative numbers, as numpy indexes.
         chosen = np.arange(self.n_blocks)[np.asarray(blocks)]
         if chosen.size == 0:
             raise IdentifiabilityError(f"no block is selected; there are {self.n_blocks}")
@@ -163,6 +165,8 @@ class SquareRootInformation:
         factors = []
         for own, x in zip(self.factors, torques, strict=True):
             changed = own.copy()
+            # The torque column is replaced; R stays triangular but for that column, as every use
+            # allows.
             changed[:, :, -1] -= own[:, :, :-1] @ x
             factors.append(changed)
         return replace(self, factors=tuple(factors))
@@ -199,12 +203,14 @@ class SquareRootInformation:
         With `block` it is the factor of one time block.
         """
         w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
+        # By value: arrays of weights are made anew by each caller.
         known = block, w.tobytes()
         if known not in self._known:
             factors = self.joint_factors if block is None else [own[block] for own in self.factors]
             p = self.base.n_base
             growing = GrowingFactor(p + 1, sum(map(len, factors)))
             for support, factor, weight in zip(self.support, factors, w, strict=True):
+                # Factors go in as columns: rows are the innermost axis.
                 growing.append(weight * factor.T, np.append(support, p))
             if len(self._known) > 2 * MOST_BLOCKS:  # factors of every block with one set of weights
                 self._known.clear()
@@ -292,7 +298,10 @@ def accumulate_stream(
     with ThreadPoolExecutor(max_workers=workers) as pool:
         for part in divide_into_blocks(model, stream, block_seconds, kept):
             pending.append(pool.submit(_reduce_block, plan, part, further))
+            # The longest block decides which neighbours merge.
             gathered.seconds = max(gathered.seconds, part.seconds)
+            # Bounded, so that blocks wait in memory twice per thread at most; in order, so that
+            # sums agree.
             if len(pending) > 2 * workers:
                 gather_next()
         while pending:
@@ -343,9 +352,11 @@ def _reduce_block(
     for chunk in part.chunks(plan, columns):
         for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
+            # Products with the further columns, which stand before the torque in a chunk.
             products[k][:] += rows @ rows[-1 - m : -1].T
             growing[k].append(np.concatenate([rows[: -1 - m], rows[-1:]]) if m else rows)
     for each in products:
+        # Torque before further columns, the order that the products are read in.
         each[:] = np.concatenate([each[: -1 - m], each[-1:], each[-1 - m : -1]])
     return _Reduced(tuple(each.factor() for each in growing), torque_sum, part.time, products)
 

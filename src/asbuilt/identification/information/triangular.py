@@ -24,6 +24,7 @@ def triangular_factor(rows: Array) -> Array:
 def factor_distance(root: Array, beta: Array) -> Array:
     """Return the factor (p + 1, p + 1) of the distance `|R (x - beta)|^2` with the root R."""
     return triangular_factor(
+        # A zero row makes the stack square: the distance has no residual of its own.
         np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))])
     )
 
@@ -55,6 +56,7 @@ def unpack_triangle(text: str) -> Array:
     Raises ValueError if the text does not hold p (p + 1) / 2 numbers.
     """
     entries = np.frombuffer(base64.b64decode(text), dtype="<f8")
+    # p < sqrt(p (p + 1)) < p + 1, so that truncation gives p.
     p = int(np.sqrt(2 * len(entries)))
     triangle = np.zeros((p, p))
     triangle[np.triu_indices(p)] = entries
@@ -72,6 +74,7 @@ class GrowingFactor:
 
     def __init__(self, p: int, capacity: int = ROWS_AT_ONCE) -> None:
         self._p = p
+        # The factor so far stands before the new rows, and is reduced with them.
         self._rows = np.zeros((p, p + max(capacity, 1)))
         self._filled = p
 
@@ -96,6 +99,7 @@ class GrowingFactor:
         """Return R (p, p) of everything added so far."""
         self._reduce()
         r = self._rows[:, : self._p].T.copy()
+        # Householder's signs are arbitrary: the diagonal is made positive, so that factors compare.
         return np.asarray(r * np.where(np.diag(r) < 0, -1.0, 1.0)[:, None])
 
     def _reduce(self) -> None:
@@ -109,6 +113,7 @@ class GrowingFactor:
             # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
             # time.
             lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
+            # Below the diagonal the reflections are left, and go.
             self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p
 
@@ -167,12 +172,14 @@ def solve_factor(
     r, z = factor[:p, :p], factor[:p, p]
     length = np.linalg.norm(r, axis=0)
     present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
+    # A column of nothing but rounding would be scaled up to noise.
     scale = np.where(present, length, 1.0)
     u, every, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
     rank = int(np.sum(every > rank_tolerance(n_rows, p) * every.max(initial=0.0)))
     s, start = every[:rank], np.zeros(p) if toward is None else toward
     damped = np.sqrt(s**2 + ridge)
     inverse_root = (vt[:rank].T / damped) / scale[:, None]
+    # From `toward` on, so that directions without information keep it.
     x = start + inverse_root @ ((s / damped) * (u[:, :rank].T @ (z - r @ start)))
     error = factor @ np.append(-x, 1.0)
     return FactorSolution(
@@ -193,6 +200,7 @@ def solve_fast(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array,
     scale = np.linalg.norm(r, axis=0)
     if np.all(scale > 0.0):
         scaled = r / scale
+        # A singular value decomposition costs ten times as much as this inverse.
         inverse, singular = lapack.dtrtri(scaled)
         # Scaled condition number (Frobenius) up to which substitution is as good as singular
         # values.

@@ -221,6 +221,21 @@ def feasible_intervals(
     return tuple(_bound(each, allowed, chosen, cad) for each in found)
 
 
+def describe_condition(result: IdentificationResult) -> str:
+    """Return what intervals take as given beyond torques; empty for torques that were logged.
+
+    The torque of a servo is known up to its stiffness, which CAD gives a scale if nothing else
+    does: bodies of another scale, with a stiffness of that scale, move alike.
+    """
+    errors = result.servo_errors
+    if errors is None or all(each == "given" for each in errors.scale):
+        return ""
+    return (
+        "The stiffness of the servo is not given and takes its scale from CAD: all masses, inertias"
+        " and armatures may be larger or smaller by one common factor as well."
+    )
+
+
 def evaluate_quantities(
     result: IdentificationResult, quantities: Iterable[str], parameters: Array
 ) -> dict[str, float]:

@@ -9,6 +9,7 @@ from pathlib import PurePath
 
 import numpy as np
 
+from asbuilt.description.plausibility import explain_implausible_links
 from asbuilt.experiment.signal.hold_out import RECORDINGS
 from asbuilt.findings import Cure, Finding, rank_findings
 from asbuilt.identification.bodies.consistency import non_passive_drives
@@ -211,6 +212,8 @@ def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
     negative = ", ".join(non_passive_drives(result.base, result.estimates))
     inconsistent = f"NEGATIVE {negative}" if negative else "PHYSICALLY INCONSISTENT"
     late = ", ".join(dict.fromkeys(each.text for each in result.delay if each.delays))
+    absurd = len(explain_implausible_links(result.model))
+    consistent = f"OK, {absurd} links of CAD IMPLAUSIBLE" if absurd else "OK"
     condition = (
         f"{round_significant(result.condition_number)} (scaled"
         f" {round_significant(result.scaled_condition_number)})"
@@ -228,7 +231,9 @@ def _build_heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
         ),
         (
             "consistency",
-            {True: "OK", False: inconsistent, None: "not checked"}[result.physically_consistent],
+            {True: consistent, False: inconsistent, None: "not checked"}[
+                result.physically_consistent
+            ],
         ),
         *([("torque delay", late)] if late else []),
     )

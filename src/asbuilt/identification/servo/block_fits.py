@@ -33,6 +33,7 @@ def usual_variances(rows: ServoRows, joints: Indices) -> Array:
     for k in joints.tolist():
         variances = rows.variances(k, fit_robust_residual(rows, k))
         if np.any(np.isfinite(variances)):
+            # Exact simulations have residuals of zero, of which no ratio exists.
             usual[k] = max(float(np.nanmedian(variances)), 1e-300)
     return usual
 
@@ -41,13 +42,14 @@ def refine_minimum(
     costs: Callable[[float], Array], best: float, ratio: float, tolerance: float
 ) -> float:
     """Return the positive value of least cost within a ratio of the best that was tried."""
-    found = minimize_scalar(
+    minimum = minimize_scalar(
+        # The logarithm: widths, limits and stiffnesses have a size, and no sign.
         lambda x: float(np.sum(costs(float(np.exp(x))))),
         bounds=np.log(best) + np.log(ratio) * np.array([-1.0, 1.0]),
         method="bounded",
         options={"xatol": tolerance},
     )
-    return float(np.exp(found.x))
+    return float(np.exp(minimum.x))
 
 
 def logarithmic_error(costs: Callable[[float], Array], value: float, rows: ServoRows) -> float:
@@ -57,10 +59,13 @@ def logarithmic_error(costs: Callable[[float], Array], value: float, rows: Servo
     """
     step = 0.05
     up, here, down = (
-        np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0) for s in (1.0, 0.0, -1.0)
+        np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0)
+        for s in (1.0, 0.0, -1.0)
+        # Differences by the logarithm of the value: the error is relative.
     )
     scores = sum_clusters((up - down) / (2.0 * step), rows)
     curvature = float(np.sum(up + down - 2.0 * here)) / step**2
+    # Sandwich: scatter of the scores over the curvature of the cost.
     return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
 
 
@@ -69,11 +74,13 @@ def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
     left = rows.variances(k, residual)
     if np.all(np.isnan(left)):
         return np.ones(left.size)
+    # A block of too few rows weighs as the median one does: 1 / (1 + 1).
     return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
 
 
 def sum_clusters(scores: Array, rows: ServoRows) -> Array:
     """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
-    sources = np.array([each.source for each in rows.times])
+    sources = np.array([block.source for block in rows.times])
+    # A cluster ends with its recording: residuals of two are not correlated.
     firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
     return np.asarray(np.add.reduceat(scores, firsts))

@@ -122,19 +122,22 @@ def estimate_deadband(
     joints = np.flatnonzero(np.isnan(np.array(() if servo is None else servo.deadband)))
     if not joints.size:
         return 0.0, 0.0
-    rates = [motion.rate(each, late) for motion, each in zip(motions, recordings, strict=True)]
+    rates = [
+        motion.rate(recording, late) for motion, recording in zip(motions, recordings, strict=True)
+    ]
 
     def rows(width: float) -> ServoRows:
         driven = [
-            replace(each, servo=fill_unknown(each.servo, deadband=width))
-            for each in recordings
-            if each.servo is not None
+            replace(recording, servo=fill_unknown(recording.servo, deadband=width))
+            for recording in recordings
+            if recording.servo is not None
         ]
         return reduce_servo_recordings(motions, driven, late, rates)
 
     plain = rows(0.0)
     usual = usual_variances(plain, joints)
 
+    # The refinement asks again for what the search has tried.
     @cache
     def costs(width: float) -> Array:
         return _validate_halves(rows(width), plain, joints, usual)
@@ -142,9 +145,11 @@ def estimate_deadband(
     best, lowest = 0.0, float(np.sum(costs(0.0)))
     for width in _list_widths(plain, joints):
         cost = float(np.sum(costs(width)))
+        # The cost has one minimum over the width: the first rise ends the search.
         if not cost < lowest:
             break
         best, lowest = width, cost
+    # Tested before the refinement, which costs as much as the search, and after it again.
     if best == 0.0 or not _is_better_at_joints(costs(0.0) - costs(best), plain):
         return 0.0, 0.0
     width = refine_minimum(costs, best, DEADBAND.ratio, 2e-3)
@@ -165,21 +170,22 @@ def _list_widths(plain: ServoRows, joints: Indices) -> Iterator[float]:
 def _validate_halves(rows: ServoRows, plain: ServoRows, joints: Indices, usual: Array) -> Array:
     """Return the cost of each joint and block (n joints, B), fitted to the other half."""
     second = (np.arange(len(rows.times)) // DEADBAND.half) % 2 == 1
-    found = np.zeros((joints.size, len(rows.times)))
+    costs = np.zeros((joints.size, len(rows.times)))
     for row, k in enumerate(joints.tolist()):
         shrunk = max(rows.total(k)[-1, -1] / plain.total(k)[-1, -1], 1e-300)
+        # Blocks of one half are judged by the fit to the other, in stretches that share a pose.
         for here in (second, ~second):
             left = rows.variances(k, fit_robust_residual(rows, k, ~here)) / shrunk
             cost = np.nan_to_num(rows.counts[k] * np.log1p(left / usual[k]))
-            found[row, here] = cost[here]
-    return found
+            costs[row, here] = cost[here]
+    return costs
 
 
 def _is_better_at_joints(fall: Array, rows: ServoRows) -> bool:
     """Whether costs (n joints, B) fall significantly in all, and rise at no joint."""
-    each = np.array([_count_sigmas(sum_clusters(own, rows)) for own in fall])
+    sigmas = np.array([_count_sigmas(sum_clusters(joint_fall, rows)) for joint_fall in fall])
     return _count_sigmas(sum_clusters(fall.sum(axis=0), rows)) > DEADBAND.sigmas and bool(
-        np.all(each > -DEADBAND.worse)
+        np.all(sigmas > -DEADBAND.worse)
     )
 
 
@@ -187,6 +193,7 @@ def _count_sigmas(parts: Array) -> float:
     """Return the sum of independent parts in its standard errors."""
     if parts.size < 2:
         return 0.0
+    # Standard error of a sum: the root of n times the sample variance.
     spread = float(np.sqrt(np.sum((parts - parts.mean()) ** 2) * parts.size / (parts.size - 1)))
     return float(parts.sum()) / max(spread, 1e-300)
 
@@ -208,11 +215,12 @@ def average_limits(goals: Sequence[GoalLimit | None]) -> tuple[float, float]:
 
     Infinite and 0 if a recording shows none.
     """
-    found = [goal for goal in goals if goal is not None]
-    if not found or len(found) < len(goals):
+    shown = [goal for goal in goals if goal is not None]
+    # A servo has one limit: a recording that shows none refutes what others seem to show.
+    if not shown or len(shown) < len(goals):
         return np.inf, 0.0
-    weight = np.array([1.0 / goal.std_error**2 for goal in found])
-    mean = float(np.average([goal.acceleration for goal in found], weights=weight))
+    weight = np.array([1.0 / goal.std_error**2 for goal in shown])
+    mean = float(np.average([goal.acceleration for goal in shown], weights=weight))
     return mean, float(np.sum(weight) ** -0.5)
 
 
@@ -256,6 +264,7 @@ def find_goal_limit(
     sums: dict[float, float] = {}
     for limit in chain([first], visible):
         sums[limit] = float(np.sum(costs(limit) - without))
+        # Slower limits than two that are worse than none hinder the goal more still.
         if len(sums) > 1 and min([*sums.values()][-2:]) > 0.0:
             break
     best = min(sums, key=sums.__getitem__)
@@ -272,6 +281,7 @@ def _list_visible_limits(
     recording: Recording, servo: PositionServo, reached: Array, joints: Indices
 ) -> Iterator[float]:
     """Yield the limits in their range that change the goal beyond a delay, fastest first."""
+    # Without commands or joints of unknown limit nothing is asked.
     if not joints.size or recording.command is None:
         return
     largest = float(np.max(reached[joints]))
@@ -293,8 +303,10 @@ def _is_visible(recording: Recording, held: Array, rate: Array, joints: Indices)
     if not np.any(rows):
         return False
     moved, rate, error = moved[rows][:, joints], rate[rows][:, joints], error[rows][:, joints]
+    # A limit that only delays is no limit: what is proportional to the rate is taken off.
     late = np.sum(moved * rate, axis=0) / np.maximum(np.sum(rate**2, axis=0), 1e-300)
     size = np.max(np.abs(moved - late * rate), axis=0)
+    # The median of the error holds a load; only what varies compares with the goal's change.
     return bool(np.any(size > GOAL.visible * np.max(np.abs(error - np.median(error, 0)), axis=0)))
 
 
@@ -307,6 +319,7 @@ def _find_acting_blocks(fall: Array, rows: ServoRows) -> tuple[TimeBlock, ...]:
 
 def _is_significant(fall: Array, rows: ServoRows, joints: Indices) -> bool:
     """Whether a fall of the cost of blocks (B,) is significant, with one residual per cluster."""
+    # Residuals within a cluster are correlated, so that a cluster counts as one.
     share = (
         sum_clusters(fall, rows).size * joints.size / max(float(np.sum(rows.counts[joints])), 1.0)
     )

@@ -67,6 +67,8 @@ class ServoEstimate:
 
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
+        # A limit that was stated holds for every recording; one that was sought may act in some
+        # alone.
         limit, servo = _read_limit(self.goals[number]), self.servo
         found = np.where(self.errors.goal_sought, limit, servo.goal_acceleration)
         return replace(servo, goal_acceleration=tuple(found.tolist()))
@@ -146,15 +148,18 @@ def estimate_servo(
     _refuse_stiffness(model, stated, shared)
 
     filters = filters or MotionFilters()
-    driven = [drive_by_command(each, stated) for each in recordings]
-    samples = [filters.prepare(each, chain).samples() for each in driven]
+    driven = [drive_by_command(recording, stated) for recording in recordings]
+    samples = [filters.prepare(recording, chain).samples() for recording in driven]
+    # An unknown stiffness leaves the noise of the equations without a unit.
     noise = samples if unknown.any() else with_equation_noise(model, samples)
     motions = [
-        CommandedMotion(model, base, each, chain, holdout, filters, noise[0].noise)
-        for each in recordings
+        CommandedMotion(model, base, recording, chain, holdout, filters, noise[0].noise)
+        for recording in recordings
     ]
 
     def goal_of(motion: CommandedMotion, recording: Recording) -> GoalLimit | None:
+        # With no limit: the limited goal is what is searched, and the delay's column need not
+        # follow it.
         plain = replace(recording, servo=fill_unknown(stated, goal_acceleration=np.inf))
         rate = functools.cache(lambda: motion.rate(plain, late))
 
@@ -169,12 +174,13 @@ def estimate_servo(
     goals = tuple(map(goal_of, motions, recordings))
     with_goals = [fill_unknown(stated, goal_acceleration=_read_limit(goal)) for goal in goals]
     limited = [
-        replace(each, servo=servo) for each, servo in zip(recordings, with_goals, strict=True)
+        replace(recording, servo=servo)
+        for recording, servo in zip(recordings, with_goals, strict=True)
     ]
     dead, dead_error = estimate_deadband(motions, limited, late)
     driven = [
-        replace(each, servo=fill_unknown(servo, deadband=dead))
-        for each, servo in zip(recordings, with_goals, strict=True)
+        replace(recording, servo=fill_unknown(servo, deadband=dead))
+        for recording, servo in zip(recordings, with_goals, strict=True)
     ]
     at, replayed = _settle_servo(
         design,
@@ -201,7 +207,9 @@ def estimate_servo(
             scale=tuple(np.where(unknown, sources, "given").tolist()),
             kd_unknown=tuple(np.isnan(np.array(stated.kd)).tolist()),
         ),
-        tuple(block for block, own in zip(at.rows.times, excess, strict=True) if own > UNEXPLAINED),
+        tuple(
+            block for block, ratio in zip(at.rows.times, excess, strict=True) if ratio > UNEXPLAINED
+        ),
         goals,
         DelaySlopes.of(at.rows, base, (excess <= UNEXPLAINED).tolist(), at.kp),
         fit_logged_magnitude_laws(driven),
@@ -272,6 +280,7 @@ def _settle_servo(
     """
     motion, replayed = motions[0], None
     at = _alternate(design, motions, recordings, servo, late, None, free_delay, shared)
+    # Replays before the last only move the start: one pair of noise is enough for them.
     for last in (False,) * (ITERATIONS.replays - 1) + (True,):
         # Smallest eigenvalue of the inertia of a link that is replayed, in CAD's: own choice.
         links = design.made_consistent(at.found.parameters, 0.1)
@@ -286,6 +295,7 @@ def _settle_servo(
             roughly=not last,
         )
         if replayed is None:
+            # A robot that diverges under its own commands measures nothing; the last fit stands.
             break
         late = at.servo.delay or 0.0
         at = _alternate(design, motions, recordings, servo, late, replayed, free_delay, shared)
@@ -311,24 +321,29 @@ def _alternate(
         rows = reduce_servo_recordings(motions, recordings, late)
         kp, scale = np.array(servo.kp), None
         if np.any(unknown):
+            # The scale is that of the links: drives are free columns of their own.
             links = design.parameters.copy()
             links[10 * model.n_links :] = 0.0
+            # Signals at contacts are multiplied by their gains already, before the projection.
             own_kd = (1.0,) * unknown.size if model.contacts else servo.kd
             scale = find_scale(rows, base, links, own_kd, unknown, shared=shared)
+            # An undetermined stiffness has an infinite error; any finite value lets the fit go on.
             kp = np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), kp)
-        own = kp.tolist(), kd
+        gains = kp.tolist(), kd
         if model.contacts:
-            own = np.where(unknown, kp, 1.0).tolist(), [1.0] * len(kd)
-        found = fit_delay(rows, base, design, *own, replayed)
+            gains = np.where(unknown, kp, 1.0).tolist(), [1.0] * len(kd)
+        found = fit_delay(rows, base, design, *gains, replayed)
         if not free_delay:
             break
+        # The fit is linear about this delay, and is made again where it leads.
         step, error = _take_secant_step(late, found.step, before), found.std_error
         before = late, found.step
         late = float(np.clip(late + step, -ITERATIONS.longest, ITERATIONS.longest))
+        # Closer than a twentieth of its own error no delay is known.
         if abs(step) < max(ITERATIONS.convergence, 0.05 * error):
             break
     settled = replace(servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
-    return _Settled(settled, error, rows, scale, found, tuple(own[0]))
+    return _Settled(settled, error, rows, scale, found, tuple(gains[0]))
 
 
 def _take_secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:
@@ -339,5 +354,6 @@ def _take_secant_step(late: float, step: float, before: tuple[float, float] | No
     """
     if before is None or late == before[0]:
         return step
+    # Secant on step(delay): the best delay is where the step vanishes.
     slope = (step - before[1]) / (late - before[0])
     return -step / slope if -USUAL_SLOPES[1] < slope < -USUAL_SLOPES[0] else step

@@ -104,11 +104,13 @@ def find_scale(
     if pooled and np.any(good):
         weight = np.where(good, 1.0 / V, 0.0)
         mean = float(np.sum(weight[good] * c[good]) / np.sum(weight))
+        # Joints that scatter beyond their errors raise the error of their mean (ratio of Birge).
         spread = np.sum(weight[good] * (c[good] - mean) ** 2) / max(np.count_nonzero(good) - 1, 1)
         c[unknown], V[unknown] = mean, max(spread, 1.0) / np.sum(weight)
     with np.errstate(divide="ignore", invalid="ignore"):
         kp = np.where(c > 0, 1.0 / c, np.nan)
         relative = np.where(c > 0, np.sqrt(V) / c, np.inf)
+    # The scale of CAD is an error that all joints share, whatever the recording says.
     errors = kp * np.sqrt(relative**2 + SCALE.cad**2)
     return ServoScale(kp, errors, pooled, tuple(source))  # type: ignore[arg-type]
 
@@ -117,34 +119,41 @@ def _estimate_own_scale(
     rows: ServoRows, base: BaseParameters, design: Array, kd: float, k: int
 ) -> tuple[float, float, Scale]:
     """Return c of a joint, its variance from time blocks, and what gives it."""
-    own = rows.support[k]
-    K = base.regrouping[own]
+    support = rows.support[k]
+    K = base.regrouping[support]
     drives = K[:, 10 * base.n_links :][:, _find_varying_columns(base)]
+    # Of the ten of a link gravity acts by first moments and mass; the six inertias do the rest.
     parts = {
         "gravity": np.where(np.arange(base.n_standard) % 10 >= 6, design, 0.0),
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
     }
-    T = np.zeros((own.size + 3, 1 + drives.shape[1]))
-    T[: own.size, 0], T[: own.size, 1:] = K @ design, drives
-    T[own.size, 0] = np.nan_to_num(kd)
+    T = np.zeros((support.size + 3, 1 + drives.shape[1]))
+    T[: support.size, 0], T[: support.size, 1:] = K @ design, drives
+    # Unknown damping stays in the viscous friction.
+    T[support.size, 0] = np.nan_to_num(kd)
+    # A joint has no columns of the drives of others.
     T = T[:, [0, *(1 + np.flatnonzero(np.any(drives != 0.0, axis=0)))]]
     weight = np.ones(len(rows.times))
     for _ in range(SCALE.passes):
         gram = rows.total(k, weight)
         normal = T.T @ gram @ T
         x = Scaled(normal).solve(T.T @ gram[:, -1])
+        # The residual (u - q) - T x as a combination of the joint's rows.
         a = -T @ x
         a[-1] += 1.0
         weight = block_weights(rows, k, a)
     inverse = Scaled(normal).pseudo_inverse
+    # Scores of the blocks along the row of the inverse that belongs to c.
     scores = sum_clusters(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
     rest, size = Scaled(normal[1:, 1:]).pseudo_inverse, {}
     for name, part in parts.items():
-        t = np.zeros(own.size + 3)
-        t[: own.size] = K @ part
+        t = np.zeros(support.size + 3)
+        t[: support.size] = K @ part
+        # What of gravity or inertia the free drive terms cannot imitate.
         across = T[:, 1:].T @ gram @ t
         size[name] = float(t @ gram @ t - across @ rest @ across)
     source: Scale = "gravity" if size["gravity"] >= size["inertia"] else "inertia"
+    # Schur complement of c: without a part of its own the rows show no stiffness.
     alone = normal[0, 0] - normal[0, 1:] @ rest @ normal[1:, 0]
     if alone <= 1e-9 * normal[0, 0]:
         return float("nan"), float("inf"), source
@@ -202,8 +211,10 @@ def estimate_servo_delay_errors(
     base = information.base
     place = {name: j for j, name in enumerate(base.names)}
     side = np.zeros(base.n_base)
+    # The right side is summed per sample, as the rows here and of the estimate differ in number.
     for names, mean, weight in zip(slopes.names, slopes.means, estimate.weights, strict=True):
         for name, value in zip(names, mean, strict=True):
+            # Parameters that the estimate has not regrouped alike cannot follow.
             if name in place:
                 side[place[name]] += weight**2 * value * information.n_samples
     root = estimate.solution.inverse_root
@@ -267,6 +278,7 @@ def fit_delay(
     n, p = len(rows.support), base.n_standard
     prior, links = np.eye(p + 1) / DELAY.drives**2, slice(10 * base.n_links)
     prior[links, links] = DELAY.links * block_diag(*design.metric)
+    # Nothing is known of the delay beforehand.
     prior[p, p] = 0.0
     start, lower = np.zeros(p + 1), np.full(p + 1, -np.inf)
     start[links], lower[design.non_negative] = design.parameters[links], 0.0
@@ -282,14 +294,17 @@ def fit_delay(
             normal[np.ix_(at, at)] += weighted @ J
             right[at] += weighted @ torque
             if replayed is not None:
+                # What the replay leaves in the scores of an exact model is no sign of the robot.
                 right[at] -= float(weight[k] @ lengths) * (J[:-1].T @ replayed.weighted[k])
         x, free = _solve_bounded(normal, right, lower, free)
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):
+            # Noise variances of joints and weights of blocks follow from the residual in turn.
             own = block_weights(rows, k, residual)
             energy = float(residual @ rows.total(k, own) @ residual)
             scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
             weight[k] = own * scale[k]
+    # The row of the delay, given everything that is not at a bound.
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
     scores, along, by_joint, taken = np.zeros(len(rows.times)), [], [], 0.0
     for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True)):
@@ -301,16 +316,20 @@ def fit_delay(
         scores += own
         by_joint.append(float(np.sum(own)))
     variance, together = float(inverse[-1]), sum_clusters(scores, rows)
+    # With fewer blocks their scatter says nothing about its own size.
     if together.size >= FEWEST_BLOCKS:
         least = variance
         if replayed is not None and replayed.sees_noise:
-            least = replayed.variance([scale[k] * each for k, each in enumerate(along)])
+            least = replayed.variance([scale[k] * follows for k, follows in enumerate(along)])
         variance = max(least, float(together @ together) * together.size / (together.size - 1))
     if replayed is None:
+        # Without a replay the joints' disagreement is the one sign of what does not average out.
         variance = max(variance, float(np.square(by_joint).sum()))
     variance += (DOUBT * taken) ** 2
     left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
-    usual = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.inf for each in left])
+    usual = np.array(
+        [np.nanmedian(variances) if np.isfinite(variances).any() else np.inf for variances in left]
+    )
     excess = np.sqrt(np.max(np.nan_to_num(left / usual[:, None]), axis=0))
     return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess, x[:-1])
 
@@ -319,12 +338,13 @@ def _build_coefficients(
     rows: ServoRows, base: BaseParameters, k: int, kp: float, kd: float
 ) -> tuple[Array, Array]:
     """Return a joint's rows in terms of parameters and delay, and its torque, as coefficients."""
-    own = rows.support[k]
-    J = np.zeros((own.size + 3, base.n_standard + 1))
-    J[: own.size, :-1] = base.regrouping[own]
-    J[own.size + 1, -1] = kp
-    torque = np.zeros(own.size + 3)
-    torque[own.size], torque[own.size + 2] = -kd, kp
+    support = rows.support[k]
+    J = np.zeros((support.size + 3, base.n_standard + 1))
+    J[: support.size, :-1] = base.regrouping[support]
+    # Rows are [W_k, qd, du/dt, u - q]: of du/dt and u - q the gains are coefficients.
+    J[support.size + 1, -1] = kp
+    torque = np.zeros(support.size + 3)
+    torque[support.size], torque[support.size + 2] = -kd, kp
     return J, torque
 
 
@@ -336,13 +356,16 @@ def _solve_bounded(
     `near` is what was not at a bound for similar equations: if it still is not, and all else has
     the gradient that holds it there, that is the solution. Bounds are zero.
     """
+    # Unit diagonal: links and drives differ by many decades.
     scale = 1.0 / np.sqrt(np.diag(normal))
     scaled, aim = normal * np.outer(scale, scale), right * scale
     x, held = np.zeros(len(aim)), np.ones(len(aim), dtype=np.bool_)
+    # Most calls keep their active bounds: one Cholesky then verifies what bvls would search.
     x[near], held[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near]), False
     if np.all(x[near] > lower[near]) and np.all((scaled @ x - aim)[held] >= 0.0):
         return x * scale, near
+    # In the root the normal equations are a plain least-squares problem.
     root = np.linalg.cholesky(scaled).T
     target = solve_triangular(root, aim, trans="T")
-    found = lsq_linear(root, target, bounds=(lower, np.inf), method="bvls")
-    return found.x * scale, np.flatnonzero(found.active_mask == 0)
+    bounded = lsq_linear(root, target, bounds=(lower, np.inf), method="bvls")
+    return bounded.x * scale, np.flatnonzero(bounded.active_mask == 0)

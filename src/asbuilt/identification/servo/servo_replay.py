@@ -125,38 +125,44 @@ def replay(
     roughly
         With one pair of noise and its negative alone.
     """
+    # A free base falls otherwise after a second: no replay stays near the recording.
     if model.n_floating:
         return None
-    total = sum(each.n_samples for each in recordings)
+    total = sum(recording.n_samples for recording in recordings)
     pairs = 1 if roughly else min(max(round(RULES.samples / (2 * total)), 1), RULES.most_pairs)
+    # A fixed seed: the same recordings have the same errors.
     rng, beta = np.random.default_rng(0), base.values(parameters)
     copies: list[list[_Copy]] = []
     for recording in recordings:
-        had, own = recording.servo, servo
+        had, acting = recording.servo, servo
         if had is not None:
-            own = replace(servo, goal_acceleration=had.goal_acceleration, goal_speed=had.goal_speed)
-        clean = replay_recording(model, base, recording, own, parameters)
+            acting = replace(
+                servo, goal_acceleration=had.goal_acceleration, goal_speed=had.goal_speed
+            )
+        clean = replay_recording(model, base, recording, acting, parameters)
         if clean is None:
             return None
-        driven = [drive_by_command(each, own) for each in _add_noise(recording, clean, pairs, rng)]
+        driven = [
+            drive_by_command(noisy, acting) for noisy in _add_noise(recording, clean, pairs, rng)
+        ]
         late = servo.delay or 0.0
         try:
             rows = [
                 reduce_servo_recordings(
-                    [CommandedMotion(model, base, each, chain, holdout)], [each], late
+                    [CommandedMotion(model, base, motion, chain, holdout)], [motion], late
                 )
-                for each in driven
+                for motion in driven
             ]
         except RecordingError:
             return None
-        copies.append([_Copy.of(each, beta, servo) for each in rows])
-    every = [copy for own in copies for copy in own]
+        copies.append([_Copy.of(reduced, beta, servo) for reduced in rows])
+    every = [copy for pair in copies for copy in pair]
     names = tuple(tuple(base.names[j] for j in support) for support in every[0].rows.support)
     joints = range(model.n_joints)
     return Replay(
         ExpectedScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
         tuple(_average_scores(every, k, weighted=True) for k in joints),
-        tuple(np.concatenate([_measure_noise_changes(own, k) for own in copies]) for k in joints),
+        tuple(np.concatenate([_measure_noise_changes(pair, k) for pair in copies]) for k in joints),
         2 * pairs,
     )
 
@@ -181,12 +187,14 @@ def replay_recording(
     for number, rows in enumerate(runs):
         # A log begins at rest; after a gap the robot moves already.
         step = recording.t[rows[1]] - recording.t[rows[0]]
+        # Speeds by one difference: a better one needs the filter whose effect is measured.
         speed = (recording.q[rows[1]] - recording.q[rows[0]]) / step if number else 0.0
         state = recording.q[rows[:1]], np.full((1, model.n_joints), speed)
         t = recording.t[rows]
         for fine, q in _simulate_spans(engine, robot, driving, t, state, links):
             if not np.all(np.isfinite(q)):
                 return None
+            # The simulation has its own steps; the log samples it at its own times.
             at = rows[(t >= fine[0]) & (t <= fine[-1])]
             for k in range(model.n_joints):
                 out[at, k] = np.interp(recording.t[at], fine, q[:, k])
@@ -220,6 +228,7 @@ def _simulate_spans(
         )
         motion = engine.simulate(robot, windows, links)
         yield np.asarray(start + RULES.step * np.arange(steps + 1)), np.asarray(motion.q[0])
+        # The state is handed on, so that the spans are one motion.
         q, v = motion.q[:, -1], motion.v[:, -1]
 
 
@@ -249,7 +258,9 @@ def estimate_position_noise(recording: Recording) -> Array:
         return np.zeros(recording.q.shape[1])
     from scipy.signal import welch  # noqa: PLC0415 - light start
 
+    # At a sampling rate of 2 the density of white noise over [0, 1] is its variance.
     spectra = [welch(recording.q[rows], 2.0, nperseg=RULES.window, axis=0) for rows in runs]
+    # High frequencies, where no robot moves: what is left there is noise.
     parts = [np.mean(density[at > RULES.above], axis=0) for at, density in spectra]
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
@@ -262,6 +273,7 @@ def _add_noise(
     noise = estimate_position_noise(recording)
     for _ in range(pairs):
         added = noise * rng.standard_normal(clean.shape)
+        # Either sign: what is linear in the noise cancels in their mean.
         for sign in (1.0, -1.0):
             yield replace(recording, q=clean + sign * added, qd=None, qdd=None, extra={})
 
@@ -281,8 +293,9 @@ class _Copy:
     def of(cls, rows: ServoRows, beta: Array, servo: PositionServo) -> _Copy:
         """Return the scores `[W_k, qd, du/dt]^T e_k` of the robot with these base parameters."""
         scores, weights = [], []
-        for k, own in enumerate(rows.support):
-            e = np.concatenate([-beta[own], [-servo.kd[k], 0.0, servo.kp[k]]])
+        for k, support in enumerate(rows.support):
+            # e = kp (u - q) - kd qd - W beta as a combination of the rows.
+            e = np.concatenate([-beta[support], [-servo.kd[k], 0.0, servo.kp[k]]])
             scores.append((rows.grams[k] @ e)[:, :-1])
             weights.append(block_weights(rows, k, e))
         return cls(rows, tuple(scores), np.array(weights))
@@ -301,6 +314,7 @@ def _measure_noise_changes(copies: Sequence[_Copy], k: int) -> Array:
 
     Empty if the copies have other blocks each, since some rest where others move.
     """
+    # Blocks that differ cannot be compared one by one.
     if len({len(copy.rows.times) for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
     sums = np.array([sum_clusters(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])

@@ -76,6 +76,7 @@ class ServoRows:
         """Return the mean square in each block of a combination of the rows (B,), NaN if few."""
         energy = np.einsum("i,bij,j->b", residual, self.grams[joint], residual)
         count = self.counts[joint]
+        # The mean of few rows is mostly their fit.
         return np.where(
             count >= BLOCKS.fewest, np.maximum(energy, 0.0) / np.maximum(count, 1), np.nan
         )
@@ -147,7 +148,7 @@ class CommandedMotion:
             error = recording.servo.acting(error)
         both = (rate or self.rate(recording, delay), self._filter(self._gains[0] * error))
         for run in self._list_runs():
-            signals = np.stack([run.whole.filtered(each.tau.__getitem__) for each in both])
+            signals = np.stack([run.whole.filtered(samples.tau.__getitem__) for samples in both])
             for b, (block, span) in enumerate(zip(run.blocks, run.spans, strict=True)):
                 joined = tuple(
                     _join_gram(gram, rows[:, span], signals[:, k, span])
@@ -177,10 +178,12 @@ class CommandedMotion:
     @cached_property
     def motion(self) -> PreparedMotion:
         """The filtered motion, with velocities in place of the torque."""
+        # NaN where no command is known, so that these samples go through the filter as gaps.
         finite = 0.0 * hold_command(replace(self.recording, servo=None), curve=self._curve)
         speed = self._gains[1] * differentiate_logged_positions(self.recording)
         return self.filters.prepare(replace(self.recording, tau=speed + finite), self.chain)
 
+    # Unprojected: damping acts on velocities alone.
     @cached_property
     def _velocity(self) -> Samples:
         """Samples whose torques are velocities; rows count where their direction is known."""
@@ -207,6 +210,7 @@ class CommandedMotion:
     def _blocks(self) -> tuple[tuple[SampleBlock, ...], ...]:
         """Neighbouring time blocks of a segment, `BLOCKS.run` at a time."""
         every = divide_into_blocks(self.model, [self._velocity], BLOCKS.block)
+        # Blocks of a segment share their start; over a gap no rows are made together.
         segments = [tuple(same) for _, same in groupby(every, key=lambda block: block.start)]
         return tuple(
             blocks[first : first + BLOCKS.run]
@@ -218,18 +222,25 @@ class CommandedMotion:
     def _kept(self) -> tuple[_Run, ...] | None:
         """The rows of all blocks; None if they are too many to keep."""
         outputs = sum(block.n_outputs for blocks in self._blocks for block in blocks)
-        rows = sum(own.size + 1 for own in self.support)
+        rows = sum(support.size + 1 for support in self.support)
+        # Eight bytes a number.
         few = 8.0 * outputs * rows <= BLOCKS.most_held
         return tuple(map(self._reduce_run, self._blocks)) if few else None
 
     def _reduce_run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
         whole = replace(blocks[0], last=blocks[-1].last)
+        # Chunks are views of a buffer that the next one overwrites.
         chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(self._plan)]
         rows = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
-        spans = tuple(slice(each.first - whole.first, each.last - whole.first) for each in blocks)
-        grams = tuple(tuple(own[:, at] @ own[:, at].T for own in rows) for at in spans)
+        spans = tuple(
+            slice(block.first - whole.first, block.last - whole.first) for block in blocks
+        )
+        grams = tuple(
+            tuple(joint_rows[:, at] @ joint_rows[:, at].T for joint_rows in rows) for at in spans
+        )
         counts = [
-            [np.count_nonzero(np.any(own[:, at] != 0.0, axis=0)) for own in rows] for at in spans
+            [np.count_nonzero(np.any(joint_rows[:, at] != 0.0, axis=0)) for joint_rows in rows]
+            for at in spans
         ]
         return _Run(whole, blocks, spans, rows, grams, np.array(counts))
 
@@ -261,16 +272,16 @@ def reduce_servo_recordings(
             file=recordings[0].source,
         )
     times, grams, counts = zip(*blocks, strict=True)
-    joints = tuple(np.array(own) for own in zip(*grams, strict=True))
+    joints = tuple(np.array(gram) for gram in zip(*grams, strict=True))
     return ServoRows(motions[0].support, joints, np.transpose(counts).astype(np.float64), times)
 
 
 def _join_gram(gram: Array, rows: Array, signals: Array) -> Array:
     """Return the Gram matrix (p + 2, p + 2) of rows (p, m), whose own is given, and signals."""
     p = len(gram)
-    found = np.empty((p + len(signals), p + len(signals)))
-    found[:p, :p] = gram
-    found[p:, :p] = signals @ rows.T
-    found[:p, p:] = found[p:, :p].T
-    found[p:, p:] = signals @ signals.T
-    return found
+    joined = np.empty((p + len(signals), p + len(signals)))
+    joined[:p, :p] = gram
+    joined[p:, :p] = signals @ rows.T
+    joined[:p, p:] = joined[p:, :p].T
+    joined[p:, p:] = signals @ signals.T
+    return joined

@@ -69,15 +69,21 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
         )
     by_design = result.cad_values if cad is None else derive_cad_values(result, cad)
     bodies = _estimate_bodies(result, cad or result.model, by_design)
+    # Parameters without a CAD value count as zero: all of them is change.
     values = np.nan_to_num(by_design)
     changes = _list_changes(result, values, bodies)
     e, y, torque = _predict_torques(result, data, values, changes)
     left = e - sum(y.values(), np.zeros_like(e))
+    # A joint without error has no shares; dividing by infinity leaves zero.
     energy = np.sum(e**2, axis=1)
     energy = np.where(energy > 0.0, energy, np.inf)
-    parts = {key: np.sum(own * (e + left), axis=1) / energy for key, own in y.items()}
+    # Shapley's value of a sum of torques: y . (e + r) / |e|^2.
+    parts = {
+        key: np.sum(torque_of_effect * (e + left), axis=1) / energy
+        for key, torque_of_effect in y.items()
+    }
     sure = _find_significant(result, values, changes, bodies)
-    added = {str(k): _regroup_body(result, each) for k, each in enumerate(bodies.bodies)}
+    added = {str(k): _regroup_body(result, body) for k, body in enumerate(bodies.bodies)}
     _, separate, _ = _predict_torques(result, data, values, added)
     single = bound_effects(
         result, _find_single_bodies(result, bodies, separate, left, torque, data.n_judged)
@@ -101,9 +107,13 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
         rms_chosen=_evaluate_rms(left, data.n_judged),
         shares=tuple(sorted(shares, key=lambda each: -float(each.share @ np.sum(e**2, axis=1)))),
         unexplained=np.sum(left**2, axis=1) / energy,
-        payload=next((each for each in single if each.effect == Payload.key), None),
-        masses=tuple(each for each in single if each.effect == LinkMass.key),
-        effects=tuple(each for each in result.effects if each.effect not in BODIES),
+        payload=next(
+            (body_effect for body_effect in single if body_effect.effect == Payload.key), None
+        ),
+        masses=tuple(body_effect for body_effect in single if body_effect.effect == LinkMass.key),
+        effects=tuple(
+            other_effect for other_effect in result.effects if other_effect.effect not in BODIES
+        ),
     )
 
 
@@ -114,18 +124,20 @@ def _predict_torques(
 
     They are rotated by the factors of held-out data, which leaves sums of squares as they are.
     """
+    # The tilt's column is not among the base parameters.
     tilts = [TILT] * (TILT in data.names)
     places = data.places([*result.base.names, *tilts])
     terms = block_diag(np.column_stack([values, *changes.values()]), np.eye(len(tilts)))
     terms[len(values) :, 0] = -1.0  # columns of links hold under the gravity of the tilt
     rows = data.whole(data.judged)
     both = np.zeros((1 + terms.shape[1], len(rows), max(map(len, rows))))
-    for k, each in enumerate(rows):
-        both[0, k, : len(each)] = each[:, -1]
-        both[1:, k, : len(each)] = (each[:, places] @ terms).T
+    for k, factor in enumerate(rows):
+        both[0, k, : len(factor)] = factor[:, -1]
+        both[1:, k, : len(factor)] = (factor[:, places] @ terms).T
     return both[0] - both[1], dict(zip([*changes, *tilts], both[2:], strict=True)), both[0]
 
 
+# Of sums of squares: rotated rows have no samples of their own.
 def _evaluate_rms(torque: Array, n: int) -> Array:
     return np.asarray(np.linalg.norm(torque, axis=-1) / np.sqrt(n))
 
@@ -135,11 +147,12 @@ def _estimate_bodies(
 ) -> BodyDifference:
     """Return what the bodies have beyond CAD, by estimates without regularisation."""
     free = select_tested_values(result)
+    # Dropped and undetermined values say nothing of bodies.
     known = free.determined & ~free.dropped & (free.std_errors > 0.0)
     difference = np.where(known, free.estimates - by_design, np.nan)
-    wrong = any(EFFECTS[each.effect].of_log for each in result.effects)
+    wrong = any(EFFECTS[other_effect.effect].of_log for other_effect in result.effects)
     found = explain_bodies(cad, result.base, difference, free.covariance, right_log=not wrong)
-    named = tuple(each for each in found.bodies if _is_supported(result, cad, each))
+    named = tuple(body for body in found.bodies if _is_supported(result, cad, body))
     return replace(found, bodies=named, links_differ=found.links_differ or named != found.bodies)
 
 
@@ -161,17 +174,18 @@ def _list_changes(
     for k in range(base.n_joints):
         for key, places in locate_drive_parameters(base, k).items():
             found.setdefault(key, np.zeros(base.n_base))[places] = change[places]
-    for each in bodies.bodies:
-        own = _regroup_body(result, each)
-        found[each.key] = found.get(each.key, 0.0) + own
-        found[LINKS] -= own
-    return {key: each for key, each in found.items() if each.any()}
+    for body in bodies.bodies:
+        regrouped = _regroup_body(result, body)
+        found[body.key] = found.get(body.key, 0.0) + regrouped
+        # What a single body explains is no longer the links'.
+        found[LINKS] -= regrouped
+    return {key: changed for key, changed in found.items() if changed.any()}
 
 
 def _regroup_body(result: IdentificationResult, body: Body) -> Array:
     """Return what a body adds to the base parameters, (p,)."""
-    own = slice(10 * body.link, 10 * body.link + 10)
-    return np.asarray(result.base.regrouping[:, own] @ body.parameters)
+    body_columns = slice(10 * body.link, 10 * body.link + 10)
+    return np.asarray(result.base.regrouping[:, body_columns] @ body.parameters)
 
 
 def _find_significant(
@@ -186,9 +200,11 @@ def _find_significant(
         key: tested.test_against(np.where(change != 0.0, values, np.nan)).probability
         for key, change in changes.items()
         if key not in (LINKS, *BODIES)
+        # Over drives alone: bodies have been tested against each other already.
     }
     sure = (holm(list(p.values())) <= FALSE_DISCOVERY_RATE).tolist() if p else []
     return {
+        # Bodies and tilts were tested when they were found.
         **dict.fromkeys(BODIES, True),
         LINKS: bodies.links_differ,
         TILT: True,
@@ -207,18 +223,19 @@ def _find_single_bodies(
     """Return bodies of these torques, next to what the model leaves of the torque of n samples."""
     names, joints = result.joint_names, result.base.link_joints
     found = []
-    for k, each in enumerate(bodies.bodies):
-        family, y = EFFECTS[each.key], torques[str(k)]
-        joint = None if each.key == Payload.key else names[joints[each.link]]
+    for k, body in enumerate(bodies.bodies):
+        family, y = EFFECTS[body.key], torques[str(k)]
+        joint = None if body.key == Payload.key else names[joints[body.link]]
         before, after = (
-            float(np.linalg.norm(own) / np.linalg.norm(torque)) for own in (left + y, left)
+            float(np.linalg.norm(residual) / np.linalg.norm(torque))
+            for residual in (left + y, left)
         )
-        others = [f"{key} at {names[joints[link]]}" for key, link in each.alike]
+        others = [f"{key} at {names[joints[link]]}" for key, link in body.alike]
         found.append(
             family.found(
                 joint,
-                each.parameters,
-                each.covariance,
+                body.parameters,
+                body.covariance,
                 revolute=True,
                 in_model=True,
                 torque=float(np.linalg.norm(y) / np.sqrt(n)),
@@ -235,11 +252,15 @@ def _word_sizes(
     """Return the parameters of an effect at each joint as text, as changes from CAD."""
     n = result.model.n_joints
     if key in BODIES:
-        masses = [each for each in bodies if each.effect == key]
-        texts = [format_size(each) for each in masses]
+        masses = [body for body in bodies if body.effect == key]
+        texts = [format_size(body) for body in masses]
         return (join_names(texts),) * n
     if key in (LINKS, TILT):
-        texts = [each.text for each in result.effects if each.effect == key and each.in_model]
+        texts = [
+            other_effect.text
+            for other_effect in result.effects
+            if other_effect.effect == key and other_effect.in_model
+        ]
         return ("".join(texts).partition(":")[0].removeprefix(name_group(key)).strip(),) * n
     words = {
         symbol: term.title.removesuffix(" friction") if key == "friction" else ""
@@ -249,10 +270,12 @@ def _word_sizes(
     }
 
     def word(j: int) -> str:
-        own = result.parameters[j]
-        change = format_plus_minus(own.estimate - float(values[j]), own.std_error)
+        parameter = result.parameters[j]
+        change = format_plus_minus(parameter.estimate - float(values[j]), parameter.std_error)
+        # A zero in CAD is no value to be more than.
         more = " more than in CAD" if values[j] else ""
-        return f"{words.get(own.name.rstrip('0123456789'), '')} {change} {own.unit}{more}".strip()
+        title = words.get(parameter.name.rstrip("0123456789"), "")
+        return f"{title} {change} {parameter.unit}{more}".strip()
 
-    own = (locate_drive_parameters(result.base, k).get(key, []) for k in range(n))
-    return tuple(", ".join(map(word, places)) for places in own)
+    drive_places = (locate_drive_parameters(result.base, k).get(key, []) for k in range(n))
+    return tuple(", ".join(map(word, places)) for places in drive_places)

@@ -80,7 +80,7 @@ class Attribution:
     @property
     def chosen(self) -> tuple[str, ...]:
         """The effects that are named."""
-        return tuple(each.effect for each in self.shares if each.named)
+        return tuple(effect_share.effect for effect_share in self.shares if effect_share.named)
 
     @property
     def bodies(self) -> tuple[FoundEffect, ...]:
@@ -92,6 +92,7 @@ class Attribution:
         """Fraction of the squared CAD error of all joints that the effects explain."""
         energy = self.rms_cad**2
         total = float(energy.sum())
+        # Without an error nothing is to be explained.
         return 1.0 - float(self.unexplained @ energy) / total if total else 0.0
 
     @property
@@ -105,18 +106,18 @@ class Attribution:
                 else ""
             )
             lines.append(f"The robot carries a {self.payload.text}{caveat}.")
-        lines += [f"In this result: {each.text}." for each in self.masses]
-        for each in self.effects:
-            if not each.in_model:
+        lines += [f"In this result: {mass.text}." for mass in self.masses]
+        for effect in self.effects:
+            if not effect.in_model:
                 where = "Not in the model, so that others may hold what it explains"
-                lines.append(f"{where}: {each.text}.")
-            elif each.effect in EFFECTS and EFFECTS[each.effect].removable:
-                lines.append(f"Corrected in this result: {each.text}.")
+                lines.append(f"{where}: {effect.text}.")
+            elif effect.effect in EFFECTS and EFFECTS[effect.effect].removable:
+                lines.append(f"Corrected in this result: {effect.text}.")
         lines += [
-            f"This recording cannot separate {each.text.partition(':')[0]} from"
-            f" {join_names(each.alternatives)}."
-            for each in self.effects
-            if each.alternatives
+            f"This recording cannot separate {effect.text.partition(':')[0]} from"
+            f" {join_names(effect.alternatives)}."
+            for effect in self.effects
+            if effect.alternatives
         ]
         missing = [title for key, title in GROUPS.items() if key not in self.chosen]
         missing += ["payload"] if self.payload is None else []
@@ -151,7 +152,7 @@ class Attribution:
 
     def share_table(self) -> Table:
         """Return the share of every effect in the squared CAD error, joint by joint."""
-        parts = {each.effect: each.share for each in self.shares}
+        parts = {effect_share.effect: effect_share.share for effect_share in self.shares}
         parts["unexplained"] = self.unexplained
         rows = (
             (*start, *(Shown(float(x[k]), percentage(float(x[k]), 0)) for x in parts.values()))
@@ -171,6 +172,7 @@ class Attribution:
     @property
     def _heads(self) -> tuple[Column, ...]:
         """The heads of joints, of their units if these differ, and of RMS values."""
+        # One unit stands in the heads; several have a column.
         unit = self.units[0] if len(set(self.units)) == 1 else ""
         rms = (Column(name, unit, "decimal") for name in ("torque", "CAD error", "as built"))
         return (Column("joint", width=20), *([] if unit else [Column("unit")]), *rms)
@@ -209,32 +211,34 @@ class Attribution:
 
 def _word_shares(shown: Sequence[EffectShare], k: int) -> str:
     """Return the largest effects with their share; all where some work against the others."""
-    if all(each.share[k] > 0 for each in shown):
+    if all(effect.share[k] > 0 for effect in shown):
         named = [(e.effect.replace("_", " "), float(e.share[k])) for e in shown[: SHOWN.brief]]
         return ", ".join(f"{name} {percentage(share, 0)}" for name, share in named)
-    total = sum(float(each.share[k]) for each in shown)
-    return f"{percentage(total, 0)} {join_names([each.effect for each in shown])}"
+    total = sum(float(effect.share[k]) for effect in shown)
+    return f"{percentage(total, 0)} {join_names([effect.effect for effect in shown])}"
 
 
 def describe_joint_effects(found: Attribution, k: int, *, brief: bool = False) -> str:
     """Return the effects of joint k's CAD error with share and size, the largest first."""
     left = float(found.unexplained[k])
     shown = [e for e in found.shares if e.named and abs(e.share[k]) >= SHOWN.share]
+    # Against the others an effect counts by its size.
     shown.sort(key=lambda each: -abs(float(each.share[k])))
-    if not any(each.share[k] > 0 for each in shown) or left > SHOWN.left:
+    if not any(effect.share[k] > 0 for effect in shown) or left > SHOWN.left:
         whole = "it" if left > 1.0 - SHOWN.share else "most of it"
         return "unexplained" if brief else f"nothing explains {whole}"
     if brief:
         return _word_shares(shown, k)
     with_it, against = (
         [
-            f"{percentage(float(each.share[k]), 0)} {name_group(each.effect)}"
-            f"{f' ({each.sizes[k]})' if each.sizes[k] else ''}"
-            for each in shown
-            if sign * each.share[k] > 0
+            f"{percentage(float(effect.share[k]), 0)} {name_group(effect.effect)}"
+            f"{f' ({effect.sizes[k]})' if effect.sizes[k] else ''}"
+            for effect in shown
+            if sign * effect.share[k] > 0
         ]
         for sign in (1, -1)
     )
+    # Only the first says what its percentage is of.
     with_it[0] = with_it[0].replace(" % ", " % of the squared error is ", 1)
     opposed = [f"against that, {', '.join(against)}"] if against else []
     return "; ".join([", ".join(with_it), *opposed, f"{percentage(left, 0)} unexplained"])

@@ -96,21 +96,28 @@ def explain_bodies(
         Whether no error of the log was found: a wrong gain looks like a heavier link, so that no
         mass of a link is named if there is one.
     """
+    # Base parameters of drives have no body in them.
     used = np.flatnonzero((base.columns < 10 * model.n_links) & np.isfinite(difference))
     K = base.regrouping[used]
+    # Combinations that rotors and unknown links do not enter.
     seen = null_space(_select_open_columns(model, base)[used].T)
     if not seen.shape[1]:
         return BodyDifference()
     d, C = seen.T @ difference[used], seen.T @ covariance[np.ix_(used, used)] @ seen
     M = seen.T @ CadTolerance().covariance(model, base)[np.ix_(used, used)] @ seen
     K = (seen.T @ K)[:, : 10 * model.n_links].reshape(len(d), -1, 10)
-    left = [each for each in _list_candidates(model) if right_log or each.key == Payload.key]
+    left = [
+        candidate
+        for candidate in _list_candidates(model)
+        if right_log or candidate.key == Payload.key
+    ]
     found = list[Body]()
     while True:
+        # C grows with each body found, so that the rest is scaled anew.
         scale = _Scale.of(d, C, M)
         alone = scale.fit(np.zeros((len(d), 1)))
-        fits = [(each, scale.fit(K[:, each.link] @ each.root)) for each in left]
-        fits = [(each, fit) for each, fit in fits if each.is_possible(fit)]
+        fits = [(candidate, scale.fit(K[:, candidate.link] @ candidate.root)) for candidate in left]
+        fits = [(candidate, fit) for candidate, fit in fits if candidate.is_possible(fit)]
         if not fits:
             break
         best, fit = min(fits, key=lambda each: each[1].least)
@@ -119,14 +126,16 @@ def explain_bodies(
         if _evaluate_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level:
             break
         alike = {
-            (each.key, each.link): None
-            for each, own in fits
-            if each.link != best.link and alone.least - own.least > RULES.alike * gain
+            (candidate.key, candidate.link): None
+            for candidate, other_fit in fits
+            if candidate.link != best.link and alone.least - other_fit.least > RULES.alike * gain
         }
         mean, spread = fit.mean(best.root), fit.covariance(best.root)
         found.append(Body(best.key, best.link, mean, spread, tuple(alike)))
-        own = K[:, best.link] @ best.root * fit.amount
-        C, left = C + own @ own.T, [each for each in left if each.link != best.link]
+        added = K[:, best.link] @ best.root * fit.amount
+        # What is explained becomes part of the errors: others are tested next to it.
+        C, left = C + added @ added.T, [each for each in left if each.link != best.link]
+    # Without the prior of the scatter: do the data alone ask for one?
     by_data = alone.deviance - DOUBT[:, None]
     ratio = by_data[0].min() - by_data.min()
     return BodyDifference(tuple(found), float(chdtrc(1, max(ratio, 0.0))) < RULES.level)
@@ -139,7 +148,7 @@ def _select_open_columns(model: RobotModel, base: BaseParameters) -> Array:
     mass that a vertical slide carries.
     """
     unknown = np.repeat([not link.has_mass for link in model.links], 10)
-    symbols = [s for each in base.drive.terms if each.key != "offset" for s in each.symbols]
+    symbols = [s for term in base.drive.terms if term.key != "offset" for s in term.symbols]
     drives = [name.rstrip("0123456789") in symbols for name in base.standard_names[len(unknown) :]]
     columns = base.regrouping[:, np.concatenate([unknown, np.array(drives, dtype=np.bool_)])]
     return np.asarray(columns[:, np.abs(columns).max(axis=0, initial=0.0) > 0.0])
@@ -159,6 +168,7 @@ class _Candidate:
 
         What is heavier carries something, as a heavier tool link does.
         """
+        # Ten parameters end with the mass.
         z = fit.mean(self.root)
         if self.key == Payload.key:
             heavy = z[9] > RULES.sure * np.sqrt(fit.covariance(self.root)[9, 9])
@@ -170,12 +180,13 @@ class _Candidate:
 def _list_candidates(model: RobotModel) -> Iterator[_Candidate]:
     """Yield payloads of some sizes r, with variances of `1, r^2, r^4`, and links made heavier."""
     for size in BODIES.sizes:
-        own = np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
-        yield _Candidate(Payload.key, model.tool_link, own)
+        link_root = np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
+        yield _Candidate(Payload.key, model.tool_link, link_root)
     for k, link in enumerate(model.links):
         if link.has_mass:
-            own = link.inertia.parameters[:, None]
-            yield _Candidate(LinkMass.key, k, own, k == model.tool_link)
+            link_root = link.inertia.parameters[:, None]
+            # At the tool link what is heavier is a payload.
+            yield _Candidate(LinkMass.key, k, link_root, k == model.tool_link)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,6 +218,7 @@ class _Fit:
     def covariance(self, root: Array) -> Array:
         """Return their covariance (10, 10)."""
         away = self.means - self._weights @ self.means
+        # Covariance within scatters, and between their means.
         inner = np.einsum("s,smn->mn", self._weights, self.covariances)
         between = np.einsum("s,sm,sn->mn", self._weights, away, away)
         return np.asarray(root @ (inner + between) @ root.T)
@@ -214,8 +226,8 @@ class _Fit:
     @property
     def _weights(self) -> Array:
         """Probabilities of the scatters: one that is taken as certain understates errors."""
-        own = np.exp(-0.5 * (self.deviance.min(axis=1) - self.least))
-        return np.asarray(own / own.sum())
+        likelihood = np.exp(-0.5 * (self.deviance.min(axis=1) - self.least))
+        return np.asarray(likelihood / likelihood.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,9 +241,11 @@ class _Scale:
     @classmethod
     def of(cls, d: Array, C: Array, M: Array) -> _Scale:
         """Return the difference of covariance `C + s^2 M`."""
+        # Whitened by the errors, then turned so that CAD's scatter is diagonal.
         white = Scaled(C).raised(BODIES.weakest**2).inverse_root
         spread, own = np.linalg.eigh(white.T @ M @ white)
         turn = (white @ own).T
+        # Rounding leaves eigenvalues just below zero.
         return cls(turn, turn @ d, np.maximum(spread, 0.0))
 
     def fit(self, columns: Array) -> _Fit:
@@ -247,7 +261,9 @@ class _Scale:
         g = AMOUNTS[:, None] ** 2 * w[:, None] ** 2
         kept = 1.0 / (1.0 + g)
         explained = ((1.0 - kept) @ along[..., None] ** 2)[..., 0]
+        # -2 log L without the body: log determinant, and squares.
         unexplained = DOUBT[:, None] + (2.0 * np.log(root) + y**2).sum(axis=1, keepdims=True)
+        # A body that is there for sure has the largest amount: a wide prior.
         largest, left = AMOUNTS[-1] ** 2, kept[:, -1]
         means = np.einsum("sm,smn->sn", largest * left * w * along, Vt)
         inner = np.eye(columns.shape[1]) + np.einsum("smk,sm,smn->skn", Vt, left - 1.0, Vt)
@@ -257,4 +273,5 @@ class _Scale:
 def _evaluate_chance(ratio: float, count: int) -> float:
     """Return the probability of a likelihood ratio by chance, by F: the scatter is estimated."""
     freedom = max(count - 1, 1)
+    # The ratio of variances by F, as the scatter is estimated from as few numbers.
     return float(fdtrc(1, freedom, np.expm1(max(ratio, 0.0) / max(count, 1)) * freedom))

@@ -68,6 +68,7 @@ class CadTolerance:
             ]
         except ValueError:
             values = []
+        # A number above 1 is a percentage without its sign.
         if len(values) not in (1, 3) or any(value >= 1.0 for value in values):
             raise UsageError(
                 "a tolerance of CAD is one fraction below 1, such as 5% or 0.05, or three for"
@@ -79,6 +80,7 @@ class CadTolerance:
         """Return the covariance (p, p) of the base parameters by design for independent links."""
         spread = np.zeros((base.n_standard, base.n_standard))
         for i, link in enumerate(model.links):
+            # Links without mass have no tolerance: CAD says nothing of them.
             if link.inertia.mass > 0:
                 own = slice(10 * i, 10 * i + 10)
                 spread[own, own] = self._mean_square(link.inertia)
@@ -92,11 +94,13 @@ class CadTolerance:
         three Gauss-Hermite nodes are exact; the inertia about the centre adds its own.
         """
         moment = float(np.trace(inertia.inertia_about_com))
+        # Radius of gyration from the trace of the inertia about the centre.
         gyration = np.sqrt(max(moment, 0.0) / (2.0 * inertia.mass))
         places, weights = (
             np.array(list(product(*[axis] * 4))) for axis in zip(*NODES, strict=True)
         )
         mass = inertia.mass * (1.0 + self.mass * places[:, 0])
+        # Nodes of mass and three coordinates of the centre.
         centre = inertia.com + self.centre * gyration * places[:, 1:]
         about_origin = np.einsum("s,sc,sc->s", mass, centre, centre)[:, None, None] * np.eye(
             3
@@ -104,10 +108,12 @@ class CadTolerance:
         about_origin += inertia.inertia_about_com
         upper = np.triu_indices(3)
         moved = (
+            # Parallel axes: the inertia about the origin changes with mass and centre.
             np.column_stack([about_origin[:, upper[0], upper[1]], mass[:, None] * centre, mass])
             - inertia.parameters
         )
         found = moved.T @ (weights.prod(axis=1)[:, None] * moved)
+        # Moments alone: axes of the inertia are taken as CAD's.
         found[range(6), range(6)] += (self.inertia * moment / 3.0) ** 2
         return np.asarray(found)
 
@@ -136,6 +142,7 @@ def check_tolerance(
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
     freedom = np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
+    # Variances as estimated, before the widening for few blocks.
     wide = widening(freedom)
     sampled = np.asarray(covariance, dtype=np.float64)[own] / np.outer(wide, wide)
 
@@ -144,6 +151,7 @@ def check_tolerance(
 
     def degrees_of(whole: Array) -> Array:
         own, known = np.diag(sampled), np.diag(whole) - np.diag(sampled)
+        # Tolerances are known, so that they have no end of freedom.
         return sum_degrees((own, freedom), (known, np.full(len(d), np.inf)))
 
     def together(factor: float) -> ChiSquare:
@@ -162,5 +170,6 @@ def check_tolerance(
 
 
 def _find_widening(excess: Callable[[float], float]) -> float | None:
+    # Where even the widest does not cover there is no factor.
     """Return the factor from 1 to `WIDEST` at which the excess is zero, or None."""
     return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None

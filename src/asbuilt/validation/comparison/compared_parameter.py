@@ -96,6 +96,7 @@ def _show_std_error(parameter: ComparedParameter) -> Cell:
 def _show_outcome(parameter: ComparedParameter) -> Cell:
     """Return the verdict, or the standard errors by which a parameter that agrees is off."""
     agreeing = format_deviation(parameter.sigmas, np.inf)
+    # Agreement is said by its distance: no verdict hides a near miss.
     outcome = {"differs": "DIFFERS", "agrees": agreeing}.get(parameter.verdict, parameter.verdict)
     return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
 
@@ -124,6 +125,7 @@ TORQUE_COLUMNS = (
         "right",
         partial(format_share, digits=0),
         detail=True,
+        # A change without torque has no part of its own.
         of=lambda p: p.torque_own / p.torque_total if p.torque_total else None,
     ),
     Column(

@@ -87,9 +87,9 @@ class Comparison:
     def n_mattering(self) -> int | None:
         """Number of parameters that differ and matter to the torque; None if that is unknown."""
         known = [
-            each.matters and each.verdict == "differs"
-            for each in self.parameters
-            if each.matters is not None
+            parameter.matters and parameter.verdict == "differs"
+            for parameter in self.parameters
+            if parameter.matters is not None
         ]
         return sum(known) if known else None
 
@@ -273,6 +273,7 @@ def compare(
         sigmas, p_value, false_discovery, familywise = make_plain(tests[:, j])
         verdict: Verdict = "no CAD value" if determined[j] else "not determined"
         if tested[j]:
+            # Significant and large: many samples make any difference significant.
             beyond = abs(difference[j]) > RESOLUTION * abs(values[j])
             verdict = "differs" if false_discovery <= level and beyond else "agrees"
         elif parameter.dropped:
@@ -293,6 +294,7 @@ def compare(
             verdict=verdict,
             degrees_of_freedom=make_plain(freedom[j]) if tested[j] else None,
         )
+        # Without a CAD value there is no difference whose torque could matter.
         if cause_data is not None and found.cad is not None:
             found = replace(
                 found,
@@ -396,6 +398,7 @@ def _pair_metrics(
             (result.cad if metrics.source == result.cad.source else None, metrics)
             for metrics in measured
         )
+    # Another CAD has no errors of its own but those of the cause data.
     if result.cause_data is None or not result.validation:
         return tuple((None, metrics) for metrics in measured)
     beta = np.nan_to_num(values, nan=0.0)
@@ -408,8 +411,10 @@ def _measure_from_sums(
 ) -> TorqueMetrics:
     """Return the metrics of a prediction on the validation motion, from sums of squares alone."""
     rms, torque = (
-        cause_data.error_of(result.base.names, each) for each in (beta, np.zeros(len(beta)))
+        cause_data.error_of(result.base.names, values_tried)
+        for values_tried in (beta, np.zeros(len(beta)))
     )
+    # Sums of squares hold no largest error.
     unknown = np.full(len(rms), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return TorqueMetrics(

@@ -160,7 +160,7 @@ class Drift:
             True: f"Parameters that {self._changed} significantly",
             False: "Parameters within errors, or not tested",
         }
-        shown = [each for each in self.ranked if changed in (None, each.changed)]
+        shown = [parameter for parameter in self.ranked if changed in (None, parameter.changed)]
         # In a short text, changed parameters with the most torque, then others.
         order = sorted(range(len(shown)), key=lambda k: not shown[k].changed)
         return Table.of(
@@ -257,10 +257,12 @@ def compare_results(
     ResultError
         If the robots differ in joints or geometry.
     """
+    # Raises where joints or geometry differ.
     derive_cad_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
     one, two = ([result.base.names.index(name) for name in names] for result in (before, after))
     for i, j in zip(one, two, strict=True):
+        # One name may stand for other combinations where drive terms differ.
         if before.base.expressions[i] != after.base.expressions[j]:
             raise ResultError(
                 f"{before.base.names[i]} stands for {before.base.expressions[i]} in one result and"
@@ -283,6 +285,7 @@ def compare_results(
     felt: list[dict[str, Any]] = [{} for _ in names]
     joints: tuple[JointChange, ...] = ()
     if after.cause_data is not None:
+        # The change in all parameters, as the later result has them.
         whole = np.zeros(after.n_base)
         whole[two] = difference
         cost = evaluate_torque_cost(after.cause_data, after.base, whole)

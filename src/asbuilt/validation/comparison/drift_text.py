@@ -51,14 +51,15 @@ def describe_other_drives(
     if one == two:
         return ()
     alone = [
-        (label, [key for key in own if key not in others])
-        for label, own, others in zip(labels, (one, two), (two, one), strict=True)
+        (label, [key for key in terms_of if key not in others])
+        for label, terms_of, others in zip(labels, (one, two), (two, one), strict=True)
     ]
     parts = [f"only {label} has {', '.join(keys)}" for label, keys in alone if keys]
     changed = ", ".join(key for key, term in one.items() if two.get(key, term) != term)
     if changed:
         parts.append(f"both have {changed}, with other nonlinear parameters or at other joints")
     missing = any(keys for _, keys in alone)
+    # The richer set can describe both robots.
     richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
     return (
         f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}."
@@ -110,6 +111,7 @@ def _describe_change(change: ParameterChange, models: tuple[str, ...] | None) ->
         if models is None
         else f"{before} ({models[0]}) against {after} {change.unit} ({models[1]})"
     )
+    # Near zero a percentage says nothing.
     if change.before > 3 * change.before_error:
         growth = change.after / change.before - 1
         text += f" ({100 * growth:+.0f} %)" if abs(growth) <= LARGEST_GROWTH else ""

@@ -128,6 +128,7 @@ class Between:
     the difference of both.
     """
 
+    # One factor for all keeps sums of parameters undistorted.
     first: ComparedValues
     second: ComparedValues
     one: list[int]
@@ -167,20 +168,22 @@ class Between:
             np.outer(other, other),
         )
         shared = self._narrow(np.outer(*self._biases))
+        # b_1 b_2^T + b_2 b_1^T: what both have in common is no error of their difference.
         return np.asarray(together - shared - shared.T)
 
     def test(self, tested: Mask) -> ChiSquare:
         """Test the difference of all tested parameters at once."""
         chosen = np.flatnonzero(tested)
         d = (self.second.estimates[self.two] - self.first.estimates[self.one])[chosen]
-        own = np.ix_(chosen, chosen)
+        chosen_places = np.ix_(chosen, chosen)
         if self.first.scatter is None or self.second.scatter is None:
             together = self._sum(self.first.even_covariance, self.second.even_covariance)
-            return chi_square(d, together[own])
+            return chi_square(d, together[chosen_places])
         textbook = self._sum(self.first.textbook_covariance, self.second.textbook_covariance)
         moves = [
             self.first.scatter.without_bias[:, self.one],
             self.second.scatter.without_bias[:, self.two],
+            # The difference has the difference of both biases.
             np.subtract(*self._biases)[None],
         ]
         alone = sum_degrees(
@@ -193,8 +196,11 @@ class Between:
             part**2 * self.first.scatter.common_variance
             + (1.0 - part) ** 2 * self.second.scatter.common_variance
         )
-        return joint_test(d, textbook[own], np.vstack(moves)[:, chosen], alone[chosen], common)
+        return joint_test(
+            d, textbook[chosen_places], np.vstack(moves)[:, chosen], alone[chosen], common
+        )
 
+    # Shares of both in the variance decide what is common.
     @property
     def _variances(self) -> Array:
         first, second = self._biases
@@ -233,6 +239,7 @@ def select_tested_values(result: IdentificationResult) -> ComparedValues:
 
     Those without bounds and regularisation, unless the estimator dropped parameters.
     """
+    # Dropped parameters have no free value to be tested.
     return ComparedValues.own(result) if result.dropped.any() else ComparedValues.free(result)
 
 

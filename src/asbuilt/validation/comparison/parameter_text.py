@@ -54,6 +54,7 @@ def _describe_term(term: DriveTerm) -> str:
     if several:
         inside = "; ".join(
             f"joint {number}: {_list_nonlinear(term.at(number - 1), stated)}"
+            # Joints that have the term, or all of them.
             for number in term.joints or range(1, several[0] + 1)
         )
     else:
@@ -74,14 +75,17 @@ def _describe_link_parameter(base: BaseParameters, row: int, column: int, inerti
     per_link = len(PARAMETER_NAMES)
     link, name = column // per_link, PARAMETER_NAMES[column % per_link]
     entries = np.flatnonzero(base.regrouping[row])
-    own = {PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial}
+    names_here = {
+        PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial
+    }
+    # The last link that enters: a base parameter is of all up to it.
     last = max(int(j) // per_link for j in entries if j < inertial)
     kind = (
         "mass"
         if name == "m"
         else f"first moment along {name[1]}"
         if name[0] == "m"
-        else _name_moment(name, own)
+        else _name_moment(name, names_here)
     )
     where = f"link {link + 1}" if last == link else f"links {link + 1} to {last + 1}"
     return f"{kind}, {where}{' with rotors' if entries[-1] >= inertial else ''}"
@@ -91,7 +95,10 @@ def _name_moment(name: str, own: set[str]) -> str:
     if name[1] != name[2]:
         return f"product of inertia {name[1:]}"
     less = sorted(
-        other for other in own if other != name and other[0] == "I" and other[1] == other[2]
+        # Regrouping leaves differences of two moments, such as Ixx - Iyy.
+        other
+        for other in own
+        if other != name and other[0] == "I" and other[1] == other[2]
     )
     return f"inertia about {name[1]}" + "".join(f" less {other[1]}" for other in less)
 

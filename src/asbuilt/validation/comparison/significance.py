@@ -31,6 +31,7 @@ def benjamini_hochberg(probabilities: ArrayLike) -> Array:
     [0.03, 0.04, 0.04]
     """
     p, order = _sort_values(probabilities)
+    # From the largest on, as a smaller one may be rejected where a larger one is.
     stepped = np.minimum.accumulate((p * len(p) / np.arange(1, len(p) + 1))[::-1])[::-1]
     return np.minimum(stepped, 1.0)[np.argsort(order)]
 
@@ -44,6 +45,7 @@ def holm(probabilities: ArrayLike) -> Array:
     [0.03, 0.06, 0.06]
     """
     p, order = _sort_values(probabilities)
+    # From the smallest on: the first that holds keeps all larger ones.
     stepped = np.maximum.accumulate(p * np.arange(len(p), 0, -1))
     return np.minimum(stepped, 1.0)[np.argsort(order)]
 
@@ -93,7 +95,7 @@ class ChiSquare:
                 " freedom,"
                 f" {p}"
             )
-        first, second = (round_significant(each, 3) for each in self.f_degrees)
+        first, second = (round_significant(degree, 3) for degree in self.f_degrees)
         ratio = round_significant(self.statistic / max(self.degrees, 1))
         return f"F {ratio} with {first} and {second} degrees of freedom, {p}"
 
@@ -110,11 +112,12 @@ def chi_square(
     (4.0, 2, 0.135)
     """
     d, C = np.asarray(difference, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    # Parameters without variance are not tested.
     known = np.diag(C) > 0
     if not known.any():
         return ChiSquare(0.0, 0, 1.0)
-    own = Scaled(C[np.ix_(known, known)])
-    statistic, rank = own.square(d[known]), own.rank
+    known_part = Scaled(C[np.ix_(known, known)])
+    statistic, rank = known_part.square(d[known]), known_part.rank
     return ChiSquare(
         statistic,
         rank,
@@ -144,16 +147,19 @@ def joint_test(
     >>> test.statistic, test.probability
     (0.0, 1.0)
     """
-    d, C, M = (np.asarray(each, dtype=np.float64) for each in (difference, covariance, moves))
+    d, C, M = (np.asarray(values, dtype=np.float64) for values in (difference, covariance, moves))
     known = np.diag(C) > 0
     if not known.any() or not np.any(M[:, known]):
         return ChiSquare(0.0, 0, 1.0)
     errors = Scaled(C[np.ix_(known, known)])
+    # Whitened by the textbook covariance: F does not depend on units.
     u, g = errors.whiten(d[known]), errors.whiten(M[:, known].T).T
-    own = np.sum(g**2, axis=1)
-    trace, f, rank = float(own.sum()), effective_rank(g), len(u)
-    unequal = trace**2 * (1.0 + 2.0 / f) / float((own**2).sum())
+    block_squares = np.sum(g**2, axis=1)
+    trace, f, rank = float(block_squares.sum()), effective_rank(g), len(u)
+    # Blocks of unequal size determine fewer variances than blocks are.
+    unequal = trace**2 * (1.0 + 2.0 / f) / float((block_squares**2).sum())
     nu = min(float(np.mean(np.asarray(degrees_alone)[known])), unequal)
+    # Relative variances add up: of the blocks, and of what is common to all.
     f2 = 2.0 / (2.0 / (f * nu) + common_variance)
     ratio = float(u @ u) / trace
     return ChiSquare(ratio * rank, rank, float(fdtrc(f, f2, ratio)), (f, f2))
@@ -176,6 +182,7 @@ def size_probability(
     v, C = np.asarray(vector, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     mean, square = float(np.trace(C)), float(np.sum(C**2))
     if mean <= 0.0:
+        # Without any error a difference is certain.
         return 0.0 if v.any() else 1.0
     return _evaluate_tail(float(v @ v) / mean, mean**2 / square, degrees_of_freedom)
 

@@ -54,8 +54,10 @@ def derive_joint_changes(
     places = cause_data.places(names)
     rows = [
         factor[:, [*places, -1]] / np.sqrt(cause_data.n_judged)
+        # Divided by the root of the samples, so that lengths of rows are RMS.
         for factor in cause_data.whole(cause_data.judged)
     ]
+    # Errors of the parameters as torque, rotated like the rows.
     spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
     chances = [
         size_probability(row[:, :-1] @ difference, spread, degrees_of_freedom)
@@ -88,10 +90,10 @@ def describe_torque_changes(
 ) -> tuple[str, ...]:
     """Return at which joints the torque changed significantly."""
     changes = [
-        f"{each.joint} by {round_significant(each.torque)} {each.unit} RMS (by chance"
-        f" {round_significant(each.by_chance)})"
-        for each in joints
-        if each.holm <= level
+        f"{change.joint} by {round_significant(change.torque)} {change.unit} RMS (by chance"
+        f" {round_significant(change.by_chance)})"
+        for change in joints
+        if change.holm <= level
     ]
     changed = "differs" if of_models else "changed"
     where = f": {', '.join(changes)}" if changes else " significantly at no joint"
@@ -103,7 +105,7 @@ def tabulate_joint_changes(
 ) -> Table:
     """Return the torque of all changes together joint by joint, with a significance test."""
     change = "difference" if of_models else "change"
-    unit = joints[0].unit if len({each.unit for each in joints}) == 1 else ""
+    unit = joints[0].unit if len({change.unit for change in joints}) == 1 else ""
     beyond_doubt = "DIFFERS" if of_models else "CHANGED"
     columns = (
         Column("joint", width=20, of="joint"),
@@ -217,7 +219,9 @@ def evaluate_torque_cost(
     torque = np.array([np.linalg.norm(W, axis=0) for W in rows]).T * np.abs(d)[:, None] / np.sqrt(n)
     gram = sum((W.T @ W for W in rows), start=np.zeros((len(d), len(d))))
     whole = Scaled(gram)
+    # 1 / (C^-1)_jj is what of a column's square the others leave.
     spread = np.sqrt(n * np.maximum(whole.inverse_diagonal, 1e-300))
+    # An undetermined parameter has no torque of its own.
     own = np.where(whole.determined, np.abs(d) / spread, 0.0)
     present = np.flatnonzero(whole.present)
     alike = (gram / np.outer(whole.size, whole.size))[np.ix_(present, present)]
@@ -241,11 +245,13 @@ def _find_partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ..
         weights: Array = np.zeros(0)
         for _ in range(MOST_PARTNERS):
             correlation = np.abs(gram[:, j] - gram[:, chosen] @ weights)
+            # Neither itself nor those chosen already.
             correlation[[j, *chosen]] = 0.0
             together = [*chosen, int(np.argmax(correlation))]
             inner = gram[np.ix_(together, together)]
             weights = np.asarray(np.linalg.lstsq(inner, gram[together, j])[0], dtype=np.float64)
             remaining = 1.0 - float(gram[j, together] @ weights)
+            # One more that replaces little is no partner to name.
             if left - remaining < ABLE * left:
                 break
             chosen, left = together, remaining

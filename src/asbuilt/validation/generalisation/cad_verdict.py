@@ -123,11 +123,14 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     standard error. An order that the RMS errors do not have is undecided.
     """
     cad, built = validation.measured - validation.predicted_cad, validation.error
+    # A joint that CAD predicts exactly must not divide by zero.
     block, tiny = _number_blocks(validation.t), np.finfo(np.float64).tiny
     scale = np.maximum(np.mean(cad**2, axis=0), tiny)
     by_cad, as_built = _average_blocks(cad**2, block), _average_blocks(built**2, block)
     gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
+    # Joints without a torque channel have no error to compare.
     seen = np.isfinite(built).all(axis=0)
+    # The last column is the mean of all joints, tested once.
     sigmas, p = _test_gains(np.column_stack([gains, gains[:, seen].mean(axis=1)]))
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
     joints = tuple(
@@ -150,6 +153,7 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
         "of CAD's",
         1.0,
         float(np.sqrt(np.mean(relative[seen] ** 2))),
+        # The whole is one test, to which Holm adds nothing.
         sigmas[-1],
         p[-1],
         p[-1],
@@ -159,7 +163,9 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
 
 def report_cad_verdicts(validations: Sequence[Validation]) -> tuple[Finding, ...]:
     """Return the verdict on each recording that was not used to fit; none if CAD has no torque."""
-    found = [cad_verdict(each) for each in validations if np.any(each.predicted_cad)]
+    found = [
+        cad_verdict(validation) for validation in validations if np.any(validation.predicted_cad)
+    ]
     return tuple(
         Finding("verdict_against_cad", "info", verdict.sentence.rstrip(".")) for verdict in found
     )
@@ -170,9 +176,9 @@ def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[F
     if attribution is None or not attribution.chosen:
         return ()
     masses = [
-        replace(finding, effect=each.effect)
-        for each in attribution.masses
-        if (finding := EFFECTS[each.effect].finding(each, model)) is not None
+        replace(finding, effect=mass.effect)
+        for mass in attribution.masses
+        if (finding := EFFECTS[mass.effect].finding(mass, model)) is not None
     ]
     causes = Finding(
         "causes_of_cad_error",
@@ -187,6 +193,7 @@ def report_causes(attribution: Attribution | None, model: RobotModel) -> tuple[F
 def _number_blocks(t: Array) -> Array:
     """Return the number of the time block of each sample, counted from 0 without gaps."""
     seconds = max(RULE.shortest, float(t[-1] - t[0]) / RULE.blocks)
+    # 1e-9: a time that is a border up to rounding begins a block.
     return np.asarray(np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1])
 
 
@@ -210,6 +217,7 @@ def _make_verdict(
     joint: str, unit: str, cad: float, built: float, sigmas: float, p: float, strict: float
 ) -> JointVerdict:
     known = bool(np.isfinite(sigmas))
+    # An order of means that the RMS errors contradict is one of few blocks.
     sure = known and strict <= RULE.level and (sigmas > 0) == (built < cad)
     outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
     if not known:

@@ -74,13 +74,17 @@ def consolidate_findings(
         which has none of its own.
     """
     merged = _merge_findings(findings)
-    present = {each.code for each in merged if each.severity != "info"}
+    present = {
+        merged_finding.code for merged_finding in merged if merged_finding.severity != "info"
+    }
     kept_findings = [
-        replace(each, severity="info")
-        if each.severity == "warning" and present.intersection(EXPLAINED.get(each.code, ()))
-        else each
-        for each in (_add_torque(each, shares) for each in merged)
+        replace(merged_finding, severity="info")
+        if merged_finding.severity == "warning"
+        and present.intersection(EXPLAINED.get(merged_finding.code, ()))
+        else merged_finding
+        for merged_finding in (_add_torque(each, shares) for each in merged)
     ]
+    # What is explained by another warning is good to know, and no alarm.
     return tuple(sorted(kept_findings, key=_rank_finding))
 
 
@@ -98,23 +102,28 @@ def _rank_finding(finding: Finding) -> tuple[int, float, int]:
 def _merge_findings(findings: Sequence[Finding]) -> list[Finding]:
     """Return one finding for all but errors of a code and severity at joints or in recordings."""
     groups: dict[object, list[Finding]] = {}
-    for number, each in enumerate(findings):
-        apart = each.severity == "error" or each.code in APART
-        repeats = not apart and (each.joint is not None or _name_source(each))
-        groups.setdefault((each.code, each.severity) if repeats else number, []).append(each)
+    for number, finding in enumerate(findings):
+        # Errors are said one by one: each must be cured.
+        apart = finding.severity == "error" or finding.code in APART
+        repeats = not apart and (finding.joint is not None or _name_source(finding))
+        groups.setdefault((finding.code, finding.severity) if repeats else number, []).append(
+            finding
+        )
     return [_merge_group(group) for group in groups.values()]
 
 
 def _merge_group(group: Sequence[Finding]) -> Finding:
     """Return the first finding of a group with the joints and recordings of the others."""
     first, others = group[0], group[1:]
-    own = _name_source(first)
-    elsewhere = list(dict.fromkeys(s for s in map(_name_source, others) if s not in ("", own)))
+    source_of_first = _name_source(first)
+    elsewhere = list(
+        dict.fromkeys(s for s in map(_name_source, others) if s not in ("", source_of_first))
+    )
     joints = list(
         dict.fromkeys(
             each.joint
             for each in others
-            if _name_source(each) == own and each.joint not in (None, first.joint)
+            if _name_source(each) == source_of_first and each.joint not in (None, first.joint)
         )
     )
     named = [name for name in joints if name is not None]
@@ -127,5 +136,6 @@ def _merge_group(group: Sequence[Finding]) -> Finding:
 
 def _name_source(finding: Finding) -> str:
     """Return the recording that a finding of a check begins with, empty if it names none."""
+    # A name of a file has no blanks; a sentence before a colon has.
     name, found, _ = finding.message.partition(": ")
     return name if found and " " not in name else ""

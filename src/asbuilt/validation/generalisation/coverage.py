@@ -58,16 +58,23 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
     """
     limits = [joint.limits for joint in model.joints]
     turn = np.array([2.0 * np.pi if joint.is_revolute else np.inf for joint in model.joints])
+    # A joint that turns for ever covers a turn at most.
     span = np.minimum([limit.upper - limit.lower for limit in limits], turn)
     speed = np.array([limit.velocity for limit in limits])
+    # A base that floats has no limits of its own.
     span[: model.n_floating] = speed[: model.n_floating] = np.inf
     low, high = (
         np.array([edge(samples.in_segments(samples.q), axis=0) for samples in training])
         for edge in (np.min, np.max)
     )
     speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
-    fast = np.max([np.percentile(each, COVERAGE.percentile, axis=0) for each in speeds], axis=0)
+    # Percentiles, as single samples are noise.
+    fast = np.max(
+        [np.percentile(speed_samples, COVERAGE.percentile, axis=0) for speed_samples in speeds],
+        axis=0,
+    )
     wider = undesigned(WIDER) if model.n_floating else WIDER
+    # Over all recordings together: each may cover a part.
     covered = _measure_range_share(high.max(axis=0) - low.min(axis=0), span)
     reached = _measure_range_share(fast, speed)
     narrow = np.flatnonzero(covered < COVERAGE.position)
@@ -80,6 +87,7 @@ def check_coverage(model: RobotModel, training: Sequence[Samples]) -> Iterator[F
             3,
         )
         yield Finding("motion_narrow", "info", f"The motion covers {listed}", wider)
+    # The median joint: some joints are seldom fast.
     if np.any(np.isfinite(reached)) and np.nanmedian(reached) < COVERAGE.speed:
         typical = format_share(float(np.nanmedian(reached)), 0)
         yield Finding(
@@ -128,12 +136,14 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
     fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
     size = np.concatenate([NEAR.position * np.ptp(q, axis=0), NEAR.velocity * fastest])
     moving = size > 0.0
+    # Too few joints move: other motions pass near by chance.
     if not moving[:joints].sum() >= NEAR.fewest_joints:
         return 0.0
     before, after = _thin_states(q, qd), _thin_states(*_stack_states([held_out]))
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
     distance, _ = tree.query(
         (after / np.where(moving, size, 1.0))[:, moving],
+        # The largest difference of any joint must be small: all are near at once.
         p=np.inf,
         distance_upper_bound=1.0,
     )
@@ -142,6 +152,7 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
 
 def repeats(one: Samples, other: Samples) -> bool:
     """Return whether two recordings are of one motion: one comes near most states of the other."""
+    # Either way: a short recording may lie within a long one.
     shares = (measure_repeated_share([a], b) for a, b in ((one, other), (other, one)))
     return any(share > NEAR.repeated for share in shares)
 
@@ -149,7 +160,8 @@ def repeats(one: Samples, other: Samples) -> bool:
 def _stack_states(samples: Sequence[Samples]) -> list[Array]:
     """Return all positions and velocities (N, n), without a copy if there is one recording."""
     pairs = zip(
-        *([each.in_segments(x) for x in (each.q, each.qd)] for each in samples), strict=True
+        *([recording.in_segments(x) for x in (recording.q, recording.qd)] for recording in samples),
+        strict=True,
     )
     return [parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in pairs]
 
@@ -166,7 +178,7 @@ def check_left_out(
     """Return a finding for each recording that those of all other motions repeat together."""
     found: list[Finding] = []
     for motion in motions:
-        others = [each for k, each in enumerate(recordings) if k not in motion]
+        others = [recording for k, recording in enumerate(recordings) if k not in motion]
         found += check_repetitions(others, [recordings[k] for k in motion])
     return tuple(found)
 

@@ -78,6 +78,7 @@ def divide_resting_errors(validation: Validation) -> RestingErrors:
     is at rest if its filtered velocity is exactly zero, which the signal chain makes it.
     """
     still, error = validation.velocity == 0.0, validation.error
+    # Joints that never rest, or never move, have no such errors.
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = error**2
         resting, moving = (
@@ -125,6 +126,7 @@ def _merge_by_code(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
     """Return the first finding of each code, which names the recordings of the others."""
     first: dict[str, Finding] = {}
     others: dict[str, list[str]] = {}
+    # Findings repeat in each recording: the first stands for all.
     for source, finding in found:
         if first.setdefault(finding.code, finding) is not finding:
             others.setdefault(finding.code, []).append(source)
@@ -159,6 +161,7 @@ def _report_generalisation(
 ) -> Iterator[Finding]:
     built, cad = validation.metrics_as_built, validation.metrics_cad
     source, rest = recording_name(built.source), divide_resting_errors(validation)
+    # Static friction at rest is another finding, and no overfitting.
     error = np.where(rest.dominant, rest.moving, built.rms)
 
     def listed(joints: Indices, errors: Array, than: TorqueMetrics) -> str:
@@ -171,6 +174,7 @@ def _report_generalisation(
         )
 
     worse = np.flatnonzero(
+        # An error that is small compared with the torque is no matter, however it grew.
         (error > LIMITS.overfit * train.rms) & (built.relative_error_per_joint > LIMITS.noticeable)
     )
     if worse.size:
@@ -185,6 +189,7 @@ def _report_generalisation(
             torque=_measure_error_share(built, worse),
         )
     behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
+    # Without masses CAD predicts nothing that could be better.
     if behind.size and np.any(validation.predicted_cad):
         yield Finding(
             "cad_predicts_better",

@@ -52,6 +52,7 @@ def refuse_swapped(
         arm = predict_torque(result.model, result.base, result.estimates, samples)
         basis = _build_body_torques(result, samples, link, placement)
         as_logged = _measure_remaining_error((arm.measured - arm.predicted) * weights, basis)
+        # A body explains the torques as logged: nothing is asked.
         if as_logged < LIMITS.noise:
             continue
         tried = [
@@ -76,6 +77,7 @@ def _build_body_torques(
     shift, model = shift_matrix(placement), result.model
     columns = np.empty((samples.n_filtered, model.n_joints, 10))
     for i in range(10):
+        # The body in the link's axes, parameter by parameter.
         links = np.zeros(10 * model.n_links)
         links[10 * link : 10 * link + 10] = shift[:, i]
         columns[:, :, i] = samples.filtered(
@@ -84,6 +86,7 @@ def _build_body_torques(
     basis, lengths, _ = np.linalg.svd(
         (columns * result.weights[:, None]).reshape(-1, 10), full_matrices=False
     )
+    # A body in a frame on an axis has directions without torque.
     rounding = np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)
     return np.asarray(basis[:, lengths > rounding])
 
@@ -114,6 +117,7 @@ def _list_changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array
 
 
 def _measure_remaining_error(error: Array, basis: Array) -> float:
+    # What an orthonormal basis leaves: |y|^2 - |Q^T y|^2.
     """Return the mean square of a weighted error (N, n) that a basis (N n, r) leaves."""
     y = error.ravel()
     return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size

@@ -111,11 +111,14 @@ def find_plateaus(
 
 def report_plateaus(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Finding]:
     """Yield a finding for each joint whose torque saturates."""
-    for joint in sorted({each.joint for each in found}):
-        own = [each for each in found if each.joint == joint]
+    for joint in sorted({plateau.joint for plateau in found}):
+        plateaus = [plateau for plateau in found if plateau.joint == joint]
         levels, implied = (
             join_names([f"{x:.4g}" for x in values])
-            for values in ([e.level for e in own], [e.implied for e in own])
+            for values in (
+                [plateau.level for plateau in plateaus],
+                [plateau.implied for plateau in plateaus],
+            )
         )
         name, unit = model.joint_names[joint], torque_units(model)[joint]
         yield Finding(
@@ -136,8 +139,9 @@ def drop_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tupl
     kept = []
     for samples in training:
         keep = np.ones(samples.n_samples, dtype=np.bool_)
-        for each in found:
-            keep &= samples.tau[:, each.joint] / each.level < RULES.left_out
+        for plateau in found:
+            # The sign of the level turns the comparison for negative torques.
+            keep &= samples.tau[:, plateau.joint] / plateau.level < RULES.left_out
         if keep.any():
             kept.append(samples if keep.all() else samples.select(keep))
     return tuple(kept)
@@ -145,14 +149,16 @@ def drop_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tupl
 
 def _find_crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
     """Yield joints and signs with more samples near the level than below it."""
-    tau = np.concatenate([each.measured for each in logged])
+    tau = np.concatenate([prediction.measured for prediction in logged])
     for joint in range(tau.shape[1]):
         for sign in (1.0, -1.0):
             x = sign * tau[:, joint]
             level = float(np.percentile(x, RULES.highest))
+            # A level far below the largest torque is no limit.
             if level <= RULES.matters * np.abs(x).max():
                 continue
             near = int(np.sum(x > RULES.near * level))
+            # As wide a band just below: more samples near the level than there are unusual.
             below = int(np.sum(x > (2.0 * RULES.near - 1.0) * level)) - near
             if near >= max(RULES.fewest, below):
                 yield joint, sign
@@ -168,11 +174,12 @@ def _find_plateau(
     fits: _Fits,
 ) -> Plateau | None:
     """Return a plateau if the model that is fitted without it exceeds it, and it does not."""
-    torque = [sign * each.measured[:, joint] for each in logged]
+    torque = [sign * prediction.measured[:, joint] for prediction in logged]
     level = float(np.percentile(np.concatenate(torque), RULES.highest))
     try:
         values = fits.fit_without(
             [
+                # Filtered torques are compared at their own times.
                 np.interp(samples.t, each.t, x) >= RULES.left_out * level
                 for samples, each, x in zip(training, logged, torque, strict=True)
             ]
@@ -185,14 +192,19 @@ def _find_plateau(
             for samples in training
         ]
     )
+    # Only where the model asks for more than the level.
     beyond = implied > level
     x, y = np.concatenate(torque)[beyond], implied[beyond]
     if x.size < RULES.fewest or y.max() < (1.0 + RULES.exceeds) * level:
         return None
-    error = np.concatenate([each.measured[:, joint] - each.predicted[:, joint] for each in logged])
+    error = np.concatenate(
+        [prediction.measured[:, joint] - prediction.predicted[:, joint] for prediction in logged]
+    )
+    # The whole fit explains the torque there: nothing saturates.
     if np.mean(error[beyond] ** 2) <= RULES.explained**2 * np.mean((y - x) ** 2):
         return None
     scatter = float(np.std(y))
+    # Slope of the logged torque by the implied one: 1 follows, 0 is flat.
     slope = float(np.mean((x - x.mean()) * (y - y.mean()))) / scatter**2
     if abs(slope) > RULES.follows or np.std(x) > RULES.flat * scatter:
         return None
@@ -228,12 +240,14 @@ class _Fits:
         equations: what they leave is as exact as these, half the digits, enough for a comparison.
         """
         grams = [factor.T @ factor for factor in self._whole.joint_factors]
+        # Recordings by identity: blocks of one share its samples.
         kept = {id(part): ~mask for part, mask in zip(self._samples(), left_out, strict=True)}
         n_samples = 0
         for part, block in zip(self._blocks, self._rows, strict=True):
             rests = part.rests_on(kept[id(part.samples)])
             n_samples += int(np.count_nonzero(rests))
             for gram, rows in zip(grams, block.rows, strict=True):
+                # Rows that take any part in what is left out go.
                 gone = rows[:, ~rests]
                 np.subtract(gram, gone @ gone.T, out=gram)
         factors = tuple(_take_root(gram)[None] for gram in grams)
@@ -242,7 +256,7 @@ class _Fits:
 
     def _samples(self) -> list[Samples]:
         """Return the recordings, in order."""
-        return list({id(each.samples): each.samples for each in self._blocks}.values())
+        return list({id(block.samples): block.samples for block in self._blocks}.values())
 
     def _estimate(self, information: SquareRootInformation) -> Array:
         return fit_least_squares(information, weights="joint", prior=self._design).beta
@@ -250,5 +264,6 @@ class _Fits:
 
 def _take_root(gram: Array) -> Array:
     """Return a triangular R (q, q) with `R^T R` the normal equations."""
+    # A row of zeros makes the root square.
     root = Scaled(gram).root
     return triangular_factor(np.vstack([root, np.zeros((1, len(gram)))]))

@@ -33,25 +33,27 @@ def report_unexplained(training: Sequence[Validation]) -> Iterator[Finding]:
     Also those whose error is mostly one push, a torque of one sign in one span of time. A torque
     that is small compared with other joints' is left out: friction and noise may be most of it.
     """
-    for each in training:
-        error = np.sqrt(np.mean(each.error**2, axis=0))
-        spread = np.std(each.measured, axis=0)
-        largest = float(np.max(np.sqrt(np.mean(each.measured**2, axis=0))))
+    for validation in training:
+        error = np.sqrt(np.mean(validation.error**2, axis=0))
+        spread = np.std(validation.measured, axis=0)
+        largest = float(np.max(np.sqrt(np.mean(validation.measured**2, axis=0))))
         for k in np.flatnonzero(error > MATTERS * largest):
-            wrong = each.error[:, k]
-            within = find_large_errors(each.t, wrong)
+            wrong = validation.error[:, k]
+            # A contact comes once: in one span of the time.
+            within = find_large_errors(validation.t, wrong)
             pushed = within is not None and _is_push(wrong[within], spread[k])
+            # Half the standard deviation is a quarter of the variance.
             if not pushed and error[k] <= UNEXPLAINED * spread[k]:
                 continue
             yield Finding(
                 "torque_unexplained",
                 "warning",
-                f"The model does not explain the torque of {each.joint_names[k]} in"
-                f" {recording_name(each.source)}:"
-                f" RMS error {error[k]:.3g} of {spread[k]:.3g} {each.units[k]}"
-                f"{describe_large_errors(each.t, wrong)}",
+                f"The model does not explain the torque of {validation.joint_names[k]} in"
+                f" {recording_name(validation.source)}:"
+                f" RMS error {error[k]:.3g} of {spread[k]:.3g} {validation.units[k]}"
+                f"{describe_large_errors(validation.t, wrong)}",
                 Cure("check the column, the sensor and what touched the robot then"),
-                joint=each.joint_names[k],
+                joint=validation.joint_names[k],
             )
 
 
@@ -68,8 +70,10 @@ def find_large_errors(t: Array, error: Array) -> Mask | None:
 
     None if that is more than half the time.
     """
+    # Rounding must not number a part more.
     part = np.minimum(np.arange(t.size) * PARTS // t.size, PARTS - 1)
     sums = np.concatenate([[0.0], np.cumsum(np.bincount(part, error**2, PARTS))])
+    # The shortest span first, up to half of the time.
     for width in range(1, LONGEST + 1):
         within = sums[width:] - sums[:-width]
         first = int(np.argmax(within))
@@ -119,22 +123,24 @@ def report_nameless(
     named = []
     for k, joint in enumerate(training[0].joint_names if training else ()):
         q, qd, error, torque = (
-            np.concatenate(each)
-            for each in zip(
+            np.concatenate(channel)
+            for channel in zip(
                 *(
                     (
-                        np.interp(each.t, own.t, own.q[:, k]),
-                        each.velocity[:, k],
-                        each.error[:, k],
-                        each.measured[:, k],
+                        np.interp(prediction.t, own.t, own.q[:, k]),
+                        prediction.velocity[:, k],
+                        prediction.error[:, k],
+                        prediction.measured[:, k],
                     )
-                    for each, own in zip(training, samples, strict=True)
+                    for prediction, own in zip(training, samples, strict=True)
                 ),
                 strict=True,
             )
         )
+        # Ceiling division: at most `most` samples.
         every = -(-q.size // RETURNING.most)
         share, chance = returning_share(q[::every], qd[::every] > 0.0, error[::every])
+        # Squares on both sides: `felt` is a share of the torque, not of its square.
         felt = share * np.mean(error**2) > RETURNING.felt**2 * np.mean(torque**2)
         if felt and share > max(RETURNING.share, RETURNING.sure * chance):
             named.append(f"{joint} ({100 * share:.0f} %)")
@@ -160,24 +166,29 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
     """
     order = np.arange(RETURNING.order + 1)
     whole, span = 2.0 * np.pi, float(np.ptp(q))
+    # Beyond a turn the same tooth passes again.
     way = (q - q.min()) % whole if span > whole else q - q.min()
     turn = np.pi * way / max(min(span, whole), np.finfo(np.float64).tiny)
     wave = np.cos(turn[:, None] * order)
+    # Each direction has a series of its own: friction differs by it.
     X = np.hstack([wave * forward[:, None], wave * ~forward[:, None]])
-    own = np.arange(q.size) * RETURNING.folds // q.size
-    grams = np.array([X[own == f].T @ X[own == f] for f in range(RETURNING.folds)])
-    sides = np.array([X[own == f].T @ error[own == f] for f in range(RETURNING.folds)])
+    fold = np.arange(q.size) * RETURNING.folds // q.size
+    grams = np.array([X[fold == f].T @ X[fold == f] for f in range(RETURNING.folds)])
+    sides = np.array([X[fold == f].T @ error[fold == f] for f in range(RETURNING.folds)])
+    # Fine waves need more evidence than coarse ones.
     prior = np.tile(1.0 + (order / 4.0) ** 2, 2)
-    energy = np.bincount(own, error**2, RETURNING.folds)
+    energy = np.bincount(fold, error**2, RETURNING.folds)
     best = (-np.inf, 0.0)
     for stiff in RETURNING.stiff:
         ends = np.linalg.solve(
             grams.sum(axis=0) - grams + stiff * np.diag(prior),
             (sides.sum(axis=0) - sides)[..., None],
         )[..., 0]
+        # |X b - e|^2 - |e|^2 on each part, by sums over it.
         left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
         mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING.folds
         shares = -left / mean
         error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING.folds)
+        # The best prior by held-out error, with its standard error.
         best = max(best, (float(shares.mean()), error_of_mean))
     return best

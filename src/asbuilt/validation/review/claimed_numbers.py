@@ -129,11 +129,14 @@ def list_claimed_numbers(
 def _list_link_numbers(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
     """Return mass, centre and inertia of a link with their changes of its parameters (10,)."""
     m, c, about, one = inertia.mass, inertia.com, inertia.inertia_about_com, np.eye(3)
+    # A point mass has no moment to compare with.
     moment = max(float(np.trace(about)), 1e-12)
     gyration = float(np.sqrt(moment / (2.0 * m)))
+    # d(inertia, first moment, mass) / d mass at a constant centre and inertia about it.
     change = _pack_change((c @ c) * one - np.outer(c, c), c, 1.0)
     found: list[_Number] = [("mass", "kg", m, m, tolerance.mass * m, change)]
     for k, e in enumerate(one):
+        # Parallel axes: m (2 c_k 1 - e c^T - c e^T) per shift of the centre.
         turned = m * (2.0 * c[k] * one - np.outer(e, c) - np.outer(c, e))
         change, spread = _pack_change(turned, m * e, 0.0), tolerance.centre * gyration
         found.append((f"centre {AXES[k]}", "m", float(c[k]), gyration, spread, change))
@@ -160,6 +163,7 @@ def _list_drive_numbers(model: RobotModel, drive: DriveSet, count: int) -> list[
     found = []
     for j, (joint, what) in enumerate(product(model.joints, words), start=10 * model.n_links):
         claimed, column = float(values[j]), np.eye(1, count, j)[0]
+        # A claim of zero has no size of its own: one unit stands for it.
         size = abs(claimed) if np.isfinite(claimed) and claimed else 1.0
         found.append(ClaimedNumber(what, joint.name, units[j], claimed, size, np.inf, column))
     return found
@@ -201,23 +205,28 @@ def profile_numbers(
     covariance
         Theirs, shape (p, p), positive definite.
     """
-    size = np.array([each.size for each in numbers])
-    spread = np.minimum(np.array([each.spread for each in numbers]) / size, WIDEST)
-    J = regrouping @ np.column_stack([each.column for each in numbers]) * size
+    size = np.array([number.size for number in numbers])
+    spread = np.minimum(np.array([number.spread for number in numbers]) / size, WIDEST)
+    J = regrouping @ np.column_stack([number.column for number in numbers]) * size
+    # Raised by a little, so that directions without error do not decide alone.
     errors = Scaled(covariance).raised()
     A = errors.whiten(J)
     d = errors.whiten(difference)
     P = _invert_information(A, spread)
     x = P @ (A.T @ d)
     held = spread < WIDEST
+    # 1 - P_jj / S_jj is what the recording adds to the plausible.
     kept = np.where(held, 1.0 - np.diag(P) / spread**2, 1.0)
     determined = kept > UNTOUCHED
     part = np.where(determined, kept, 1.0)
     variance = np.where(determined, np.diag(P) / part, np.inf)
+    # A free number that stays as wide as its bound is held by that bound alone.
     variance[~held & (np.diag(P) > 0.25 * WIDEST**2)] = np.inf
     left = d - A @ x
+    # Numbers without bounds spend degrees of freedom; plausible ones bring their own.
     freedom = max(len(d) - int(np.sum(~held)), 1)
     chi_square = float(left @ left + np.sum((x / spread)[held] ** 2))
+    # Birge: errors grow where plausible numbers do not explain the rest.
     misfit = max(1.0, np.sqrt(chi_square / freedom))
     return Profile(
         np.where(determined, x / part, np.nan) * size,
@@ -230,6 +239,7 @@ def profile_numbers(
 def _invert_information(A: Array, spread: Array) -> Array:
     """Return `(A^T A + diag(spread)^-2)^-1`, by the singular values of `A diag(spread)`."""
     _, s, Vt = np.linalg.svd(A * spread, full_matrices=True)
+    # Directions that the recording does not see keep the plausible variance.
     left = np.ones(len(spread))
     left[: len(s)] = 1.0 / (1.0 + s**2)
     return np.asarray((Vt.T @ (left[:, None] * Vt)) * np.outer(spread, spread))
@@ -237,6 +247,7 @@ def _invert_information(A: Array, spread: Array) -> Array:
 
 def _find_aliases(P: Array, weight: Array, j: int) -> tuple[int, ...]:
     """Return the numbers most correlated with number j where it is held `LOOSE` times less."""
+    # Sherman and Morrison: row j of S^-1 made weaker by LOOSE squared.
     released = weight[j] * (1.0 - LOOSE**-2)
     kept = 1.0 - released * P[j, j]
     variance = np.diag(P) + P[j] ** 2 * released / kept

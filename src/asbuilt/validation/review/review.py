@@ -165,6 +165,7 @@ def review_result(
     numbers = list_claimed_numbers(model, base.drive, tolerance)
     scale, added = derive_scale_errors(result), derive_servo_damping(result, model)
     values = ComparedValues.free(result)
+    # Damping of the servo that the fit has in its viscous friction belongs to the claim.
     claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0) + added
     rows = np.flatnonzero(values.determined & (values.std_errors > 0) & ~values.dropped)
     profile = profile_numbers(
@@ -178,6 +179,7 @@ def review_result(
         joint.name: model.joint_names[k]
         for joint, k in zip(model.moving_joints, model.link_joints, strict=True)
     }
+    # A link that follows has the scale of the joint that moves it.
     relative = [scale[result.joint_names.index(drives[number.joint])] for number in numbers]
     # The scale of torques comes last: with other errors it would be pulled toward zero where claims
     # and recording disagree (Peelle, 1987).
@@ -187,6 +189,7 @@ def review_result(
     claims = [
         _make_claim(result, numbers, profile, j, freedom, whole[j], stretched_length(model))
         for j, number in enumerate(numbers)
+        # Locked joints claim nothing that moves.
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
     claims += review_servo_claims(result, model, claims, peaks, motions)
@@ -217,6 +220,7 @@ def _make_claim(
     beyond which no link has its centre [m].
     """
     number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
+    # Without an error nothing is known, however good the estimate looks.
     known = bool(np.isfinite(change) and np.isfinite(error))
     what = number.what if whole == number.claimed else TOGETHER
     others = [numbers[k] for k in profile.aliases[j] if numbers[k].what != "unknown"]
@@ -235,8 +239,10 @@ def _make_claim(
     )
     if not known:
         return claim
+    # The nearest value that a robot can have is tested in place of an impossible one.
     possible = max(change, -whole) if number.what in NOT_NEGATIVE else change
     beyond = number.what.startswith("centre") and abs(whole + change) > reach
+    # Far below zero, or outside the robot: the model lacks what acts there.
     if beyond or possible - change > IMPOSSIBLE * error:
         return replace(claim, verdict="undetermined", note="impossible: another effect acts here")
     p = float(student_probability(np.array([possible / error]), np.array([freedom]))[0])
@@ -255,6 +261,7 @@ def _measure_torque_change(result: IdentificationResult, change: Array) -> float
     if data is None:
         return None
     places, beta = data.places(base.names), base.regrouping @ change
+    # On the data that were fitted, as the verdicts are by their estimates.
     rows = [factor[:, places] @ beta for factor in (*data.whole(data.fitted),)]
     return float(np.sqrt(sum(float(row @ row) for row in rows) / data.n_fitted))
 
@@ -265,8 +272,10 @@ def _limit_false_discoveries(claims: Sequence[Claim], level: float) -> list[Clai
     found = list(claims)
     discovery = benjamini_hochberg([claims[j].p_value or 0.0 for j in tested])
     for j, rate in zip(tested, discovery.tolist(), strict=True):
+        # Within a tenth nothing is contradicted, however small the error.
         claim = replace(claims[j], false_discovery=rate)
         if not claim.alike and rate <= level:
+            # Neither contradicted among many tests, nor supported by itself.
             claim = replace(claim, verdict="contradicted")
         elif not claim.alike and (claim.p_value or 0.0) <= DOUBTFUL:
             claim = replace(claim, verdict="undetermined")

@@ -37,6 +37,7 @@ def derive_scale_errors(result: IdentificationResult) -> Array:
     errors, servo = result.servo_errors, result.servo
     if errors is None or servo is None or not errors.kp:
         return np.zeros(result.model.n_joints)
+    # A relative error of the stiffness is one of every torque of the joint.
     return np.asarray(np.array(errors.kp) / np.array(servo.kp))
 
 
@@ -51,6 +52,7 @@ def derive_servo_damping(result: IdentificationResult, model: RobotModel) -> Arr
         return added
     names = parameter_names(model, result.base.drive)
     for k, (joint, unknown) in enumerate(zip(model.joints, errors.kd_unknown, strict=True)):
+        # Only where the servo's damping is part of the fitted friction.
         if unknown and joint.drive.kd and f"Fv{k + 1}" in names:
             added[names.index(f"Fv{k + 1}")] = joint.drive.kd
     return added
@@ -73,6 +75,7 @@ def review_servo_claims(
     for k, joint in enumerate(model.joints):
         if joint.drive.kp is not None:
             found.append(_claim_stiffness(result, k, joint.name, joint.drive.kp))
+        # Where only the sum acts it has been tested as damping + kv.
         if joint.drive.kd and joint.name not in together:
             found.append(_claim_damping(result, k, joint.name, joint.drive.kd))
         if np.isfinite(joint.limits.torque) and peaks is not None:
@@ -101,6 +104,7 @@ def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: 
         return replace(claim, note=f"given as {servo.kp[k]:.6g}, not tested")
     estimate, error = servo.kp[k], errors.kp[k]
     all_torques = f"scale of all torques of {joint}"
+    # An undetermined stiffness leaves ratios alone.
     if not error < UNDETERMINED * estimate:
         return replace(
             claim, alias_of=(all_torques,), note="only ratios of other numbers to it are determined"
@@ -135,15 +139,20 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
     moved = np.concatenate([np.zeros(0), *(each.predicted[:, k] for each in motions)])
     beyond = np.abs(asked) > (1.0 + BEYOND) * claim.claimed
     within = np.abs(asked) <= claim.claimed
+    # Too few samples beyond the limit, or so many that the fit rests on them.
     if np.count_nonzero(beyond) < FEWEST or np.mean(~within) > MOST:
         reached = "beyond the claim" if peak > claim.claimed else "below it"
         asks = f"largest torque that the command asks for: {peak:.3g} N m, {reached}"
         return replace(claim, note=asks)
+    # Within the limit both torques are the same, but for errors.
     error = float(np.sqrt(np.mean((asked - moved)[within] ** 2)))
+    # Along the torque asked for, so that both signs count alike.
     moves = float(np.mean((moved * np.sign(asked))[beyond]))
     wanted = float(np.mean(np.abs(asked[beyond])))
     more, clear, little = moves - claim.claimed, 2.0 * error, BEYOND * claim.claimed
+    # The motion has the torque asked for: there is no limit at the claim.
     follows = abs(wanted - moves) < FOLLOWED * (wanted - claim.claimed)
+    # It has the torque of the limit, and much more was asked for.
     held = abs(more) <= max(little, error) and wanted - claim.claimed > clear
     return replace(
         claim,

@@ -146,6 +146,7 @@ def drop_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
     revolute = np.array([joint.is_revolute for joint in model.joints])
     with np.errstate(invalid="ignore"):
         near = np.isfinite(simulated) & ~(revolute & (np.abs(simulated - measured) >= TURN))
+    # Once lost, a window stays lost: later positions mean nothing.
     lost = np.maximum.accumulate(~np.all(near, axis=2), axis=1)
     return np.where(lost[..., None], np.nan, simulated)
 
@@ -180,8 +181,10 @@ def measure_rollout_errors(
         When the first simulation diverges [s], of this robot or one that it is compared with;
         None: of this robot.
     """
+    # Until the first one diverges, so that robots compare over the same time.
     if until is None:
         until = min(map(find_divergence, times, simulated))
+    # The start is given, and has no error.
     error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
     early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     free = model.n_floating
@@ -207,6 +210,7 @@ def _measure_base(measured: Sequence[Array], simulated: Sequence[Array]) -> tupl
         np.linalg.norm(np.subtract(*each), axis=1)
         for each in ([x[:, :3] for x in q], [base_rotations(x)[:, 2] for x in q])
     )
+    # Chord between unit vectors: 2 arcsin of its half is the angle.
     tilts = 2.0 * np.arcsin(np.clip(0.5 * verticals, 0.0, 1.0))
     return float(np.sqrt(np.mean(places**2))), float(np.sqrt(np.mean(tilts**2)))
 
@@ -216,7 +220,7 @@ def _evaluate_rms(errors: Sequence[Array], free: int) -> tuple[Array, float]:
 
     NaN of none.
     """
-    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in errors])
+    every = np.concatenate([error.reshape(-1, error.shape[2]) for error in errors])
     if not len(every):
         return np.full(every.shape[1], np.nan), float("nan")
     return np.sqrt(np.mean(every**2, axis=0)), float(np.sqrt(np.mean(every[:, free:] ** 2)))
@@ -225,6 +229,7 @@ def _evaluate_rms(errors: Sequence[Array], free: int) -> tuple[Array, float]:
 def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
     ends = set(range(model.n_links)) - set(model.parents)
+    # Several ends, or none on the way to the tool: no single tool moves.
     if model.n_floating or any(model.tool_link not in model.ancestors(end) for end in ends):
         return None
     try:
@@ -232,6 +237,7 @@ def _measure_tool_distance(model: RobotModel, measured: Array, simulated: Array)
     except UsageError:
         return None
     there = np.all(np.isfinite(simulated), axis=1)
+    # A window that diverged has no end.
     if not there.all():
         return np.nan
     places = [(link_poses(model, q)[:, link] @ placement)[:, :3, 3] for q in (measured, simulated)]
@@ -264,17 +270,18 @@ def find_outlying_windows(
         return (), []
     size = [np.sqrt(np.mean(error**2, axis=1)) for error in errors]
     every = np.concatenate(size)
+    # Few windows have no usual error.
     limit = OUTLYING * float(np.nanmedian(every)) if len(every) >= FEWEST else np.inf
     found, regular = list[OutlyingWindow](), list[Indices]()
-    for cut, error, own in zip(windows, errors, size, strict=True):
+    for cut, error, window_errors in zip(windows, errors, size, strict=True):
         # NaN of a window that diverged is not usual, unless there are too few to say what is.
-        usual = (own <= limit) | (not np.isfinite(limit))
+        usual = (window_errors <= limit) | (not np.isfinite(limit))
         regular.append(np.flatnonzero(usual))
         found += [
             OutlyingWindow(
                 cut.source,
                 float(cut.starts[w]),
-                float(own[w]),
+                float(window_errors[w]),
                 joint_names[int(np.argmax(np.nan_to_num(error[w], nan=np.inf)))],
             )
             for w in np.flatnonzero(~usual)

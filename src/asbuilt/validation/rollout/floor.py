@@ -41,18 +41,21 @@ def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list
     Recordings whose windows have another number of samples than most are left out. Two lists of
     one array (pairs, L, n).
     """
-    if any(each.signal.kind != "command" for each in windows):
+    if any(window.signal.kind != "command" for window in windows):
         return None
-    lengths = [each.n_samples for each in windows]
+    lengths = [window.n_samples for window in windows]
     usual = max(lengths, key=lengths.count)
-    windows = [each for each in windows if each.n_samples == usual]
-    commands, q = _stack_commands(windows), np.concatenate([each.q for each in windows])
+    windows = [window for window in windows if window.n_samples == usual]
+    commands, q = _stack_commands(windows), np.concatenate([window.q for window in windows])
     size = np.ptp(commands, axis=(0, 1))
     if len(q) < 2 or not np.any(size > 0.0):
         return None
+    # Joints without commands that move never differ.
     scaled = commands / np.where(size > 0.0, size, np.inf)
+    # Rests repeat by themselves, and say nothing.
     moves = np.ptp(scaled, axis=1).max(axis=1) > SAME.moving
     places = np.flatnonzero(moves)
+    # A few times are enough to tell commands apart.
     at = np.linspace(0, scaled.shape[1] - 1, SAME.points).astype(int)
     if len(places) < 2:
         return None
@@ -67,10 +70,11 @@ def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list
 def _stack_commands(windows: Sequence[Windows]) -> Array:
     """Return the command at the samples of all windows, shape (W, L, n)."""
     parts = []
-    for each in windows:
-        times = each.starts[:, None] + each.times + ROUNDING / each.rate
-        at = np.searchsorted(each.signal.t, times, side="right") - 1
-        parts.append(each.signal.values[np.clip(at, 0, len(each.signal.t) - 1)])
+    for window in windows:
+        # Times that agree up to rounding take the command of the same sample.
+        times = window.starts[:, None] + window.times + ROUNDING / window.rate
+        at = np.searchsorted(window.signal.t, times, side="right") - 1
+        parts.append(window.signal.values[np.clip(at, 0, len(window.signal.t) - 1)])
     return np.concatenate(parts)
 
 
@@ -88,6 +92,7 @@ def delay_command(windows: Windows) -> Array | None:
             [np.interp(times - delay, windows.signal.t, u) for u in windows.signal.values.T],
             axis=-1,
         )
+        # From the measured start on: only the motion of the command counts.
         return np.asarray(command - command[:, :1] + windows.start_q[:, None])
 
     found = minimize_scalar(

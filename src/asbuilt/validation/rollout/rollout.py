@@ -91,7 +91,7 @@ class Rollout:
     @property
     def n_windows(self) -> int:
         """Number of windows."""
-        return sum(each.windows.n_windows for each in self.motions)
+        return sum(motion.windows.n_windows for motion in self.motions)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `--json` prints."""
@@ -137,11 +137,13 @@ def roll_out(
         Share the simulations, to the same bits; None: this process.
     """
     why: dict[str, str] = {}
-    each = [(*zip(robots, windows, strict=True),) for robots in (cad, as_built)]
-    paths = run_in_order(_simulate_task, [*each[0], *each[1]], workers)
+    tasks = [(*zip(robots, windows, strict=True),) for robots in (cad, as_built)]
+    paths = run_in_order(_simulate_task, [*tasks[0], *tasks[1]], workers)
 
     def simulated(name: str, found: Sequence[Array | str | None]) -> list[Array | None]:
         """Return paths, none from the first on that cannot be simulated, and note why."""
+        # One robot that cannot be simulated ends its series: errors over some recordings would not
+        # compare.
         kept: list[Array | None] = []
         for path, cut in zip(found, windows, strict=True):
             if isinstance(path, str):
@@ -192,8 +194,11 @@ def _measure_errors(
 
     None where a motion is not there, or no window of these recordings is usual.
     """
-    times, measured = [each.windows.times for each in motions], [each.windows.q for each in motions]
-    both = [each.cad for each in motions], [each.as_built for each in motions]
+    times, measured = (
+        [motion.windows.times for motion in motions],
+        [motion.windows.q for motion in motions],
+    )
+    both = [motion.cad for motion in motions], [motion.as_built for motion in motions]
     ends = [
         find_divergence(t, path)
         for paths in both
@@ -205,13 +210,14 @@ def _measure_errors(
         paths: Sequence[Array | None], until: float | None = None, at: Sequence[Any] = ()
     ) -> RolloutErrors | None:
         rows = at or [slice(None)] * len(motions)
-        there = [path[own] for path, own in zip(paths, rows, strict=True) if path is not None]
+        there = [path[row] for path, row in zip(paths, rows, strict=True) if path is not None]
         if len(there) < len(motions):
             return None
-        logged = [q[own] for q, own in zip(measured, rows, strict=True)]
+        logged = [q[row] for q, row in zip(measured, rows, strict=True)]
         return measure_rollout_errors(model, times, logged, there, until)
 
     return (
+        # Both robots up to the first divergence of either.
         *(errors(paths, min(ends, default=None)) for paths in both),
         errors(commands),
         errors(both[1], at=usual) if any(len(at) for at in usual) else None,
@@ -225,6 +231,7 @@ def _measure_floor(model: RobotModel, windows: Sequence[Windows]) -> RolloutErro
         return None
     length = pairs[0][0].shape[1]
     times = next(cut.times for cut in windows if cut.n_samples == length)
+    # Repetitions of a base differ by where it stands.
     return replace(measure_rollout_errors(model, [times], *pairs), base=None)
 
 
@@ -236,6 +243,7 @@ def _simulate_task(task: tuple[SimulatedRobot | None, Windows]) -> Array | str |
 
     robot, windows = task
     try:
+        # Errors of the steps are undone to first order.
         return None if robot is None else simulate_windows(robot.centred(windows.step), windows)
     except InertiaError as problem:
         return problem.message
@@ -243,8 +251,8 @@ def _simulate_task(task: tuple[SimulatedRobot | None, Windows]) -> Array | str |
 
 def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
     """Return what is wrong, or worth knowing, about rollouts."""
-    found = (each for rollout in rollouts for each in _report_rollout(rollout))
-    return tuple({(each.code, each.message): each for each in found}.values())
+    found = (finding for rollout in rollouts for finding in _report_rollout(rollout))
+    return tuple({(finding.code, finding.message): finding for finding in found}.values())
 
 
 def _report_rollout(rollout: Rollout) -> Iterator[Finding]:
@@ -299,6 +307,7 @@ def _report_worse_than_command(rollout: Rollout, length: str) -> Iterator[Findin
             "warning",
             f"{message} ({1e3 * plain.rms_all:.3g} against {_format_size(built)})",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
+            # Worse on the whole is said once, and not recording by recording.
         )
         return
     worse = [
@@ -322,8 +331,11 @@ def _report_outlying(rollout: Rollout, length: str) -> Iterator[Finding]:
     """Yield a finding that names the outlying windows."""
     if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
         return
+    # Windows that diverged come first.
     worst = sorted(rollout.outlying, key=lambda each: -np.nan_to_num(each.rms, nan=np.inf))
-    places = [f"{Path(each.source).name} {each.start:.4g} s ({each.joint})" for each in worst]
+    places = [
+        f"{Path(window.source).name} {window.start:.4g} s ({window.joint})" for window in worst
+    ]
     yield Finding(
         "rollout_outlying",
         "warning",
@@ -350,15 +362,19 @@ def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
     ends = {"end, as built": built, "end, CAD": cad}
     values = {
-        **{name: None if each is None else each.rms for name, each in errors.items()},
-        **{name: None if each is None else each.final for name, each in ends.items()},
+        **{
+            name: None if errors_of is None else errors_of.rms for name, errors_of in errors.items()
+        },
+        **{
+            name: None if errors_of is None else errors_of.final for name, errors_of in ends.items()
+        },
     }
     rows = tuple(
         (
             name,
             *(
-                None if each is None else format_in_milli(float(each[k]))
-                for each in values.values()
+                None if joint_errors is None else format_in_milli(float(joint_errors[k]))
+                for joint_errors in values.values()
             ),
         )
         for k, name in enumerate(model.joint_names)

@@ -64,21 +64,25 @@ def list_reasons_against(
 ) -> tuple[Reason, ...]:
     """Return what speaks against the torque of a model, the weightiest first; empty if nothing."""
     untested = is_untested(result, findings, validations)
-    unexplained = any(each.use == "no" for each in joints)
+    unexplained = any(joint_use.use == "no" for joint_use in joints)
     # Errors of a recording that was used all the same.
-    checks = [each for each in findings if each.severity == "error"]
+    checks = [finding for finding in findings if finding.severity == "error"]
     return (
-        *(Reason(each.code, each.message, forbids=True) for each in checks),
+        *(Reason(finding.code, finding.message, forbids=True) for finding in checks),
         *_list_error_reasons(error, measure),
         *([Reason("nothing_held_out", "nothing could be left out")] if untested else []),
         *_list_unexplained_joints(joints),
         *_list_finding_reasons(
-            [each for each in findings if not (unexplained and each.code == "torque_unexplained")],
+            [
+                finding
+                for finding in findings
+                if not (unexplained and finding.code == "torque_unexplained")
+            ],
             result.effects,
             len(result.validation),
             measure,
         ),
-        *(_make_effect_reason(each) for each in result.effects if _is_omitted(each)),
+        *(_make_effect_reason(effect) for effect in result.effects if _is_omitted(effect)),
         *_list_joint_reasons(validations if measure == "torque" else ()),
         *_list_simulation_reasons(result, simulated),
     )
@@ -89,7 +93,7 @@ def is_untested(
 ) -> bool:
     """Return whether a model was measured on its training data alone."""
     held_out = validations or result.validation
-    return not held_out or any(each.code == "nothing_held_out" for each in findings)
+    return not held_out or any(finding.code == "nothing_held_out" for finding in findings)
 
 
 def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reason]:
@@ -114,19 +118,23 @@ def decide_joints(
     A joint is not for use if more than `VerdictRules.useless` of its own torque is unexplained,
     which the norm over all joints hides where others carry more.
     """
-    metrics = [each.metrics_exported or each.metrics_as_built for each in validations]
+    metrics = [
+        validation.metrics_exported or validation.metrics_as_built for validation in validations
+    ]
     metrics = metrics or [*result.validation] or [result.train]
-    counts = np.array([[each.n_samples] for each in metrics])
-    rms = np.array([each.rms for each in metrics])
-    shares = np.array([each.relative_error_per_joint for each in metrics])
+    counts = np.array([[metric.n_samples] for metric in metrics])
+    rms = np.array([metric.rms for metric in metrics])
+    shares = np.array([metric.relative_error_per_joint for metric in metrics])
     with np.errstate(divide="ignore", invalid="ignore"):
+        # The torque from error and share: metrics hold no torque of their own.
         torque = np.nan_to_num(rms / shares)
         energy = np.sum(counts * np.nan_to_num(rms) ** 2, axis=0)
+        # Squares over all samples, so that long recordings count more.
         errors = np.sqrt(energy / np.sum(counts * torque**2, axis=0))
     behind = {
         joint.joint
-        for each in validations
-        for joint in cad_verdict(each).joints
+        for validation in validations
+        for joint in cad_verdict(validation).joints
         if joint.outcome == "worse"
     }
     return tuple(
@@ -139,6 +147,7 @@ def _decide_joint(name: str, error: float, *, behind: bool, untested: bool) -> J
     if not np.isfinite(error):
         return JointUse(name, "untested", None)
     shown = None if untested else error
+    # Even the training data are not explained: no other motion need be asked.
     if error > RULES.useless:
         return JointUse(name, "no", shown)
     if untested:
@@ -148,12 +157,15 @@ def _decide_joint(name: str, error: float, *, behind: bool, untested: bool) -> J
 
 def _list_unexplained_joints(joints: Sequence[JointUse]) -> Iterator[Reason]:
     """Yield the joints that are not for use, if others are."""
-    lost = [each for each in joints if each.use == "no"]
+    lost = [joint_use for joint_use in joints if joint_use.use == "no"]
+    # If all joints are lost the error of the whole has said it.
     if not lost or len(lost) == len(joints):
         return
     lost.sort(key=lambda each: -(each.error or 0.0))
-    at = join_names([each.joint for each in lost])
-    shares = join_names([f"{100 * each.error:.0f}" for each in lost if each.error is not None])
+    at = join_names([joint_use.joint for joint_use in lost])
+    shares = join_names(
+        [f"{100 * joint_use.error:.0f}" for joint_use in lost if joint_use.error is not None]
+    )
     yield Reason(
         "torque_unexplained",
         f"not for use at {at} ({shares or 'most'}{' %' if shares else ''} of the torque"
@@ -168,16 +180,20 @@ def _list_finding_reasons(
     measure: Measure,
 ) -> Iterator[Reason]:
     """Yield the findings that dim a verdict, in the order of `DIMMING`, but what is an effect."""
-    named = {each.effect for each in effects if _is_omitted(each)}
+    named = {effect.effect for effect in effects if _is_omitted(effect)}
     for code, phrase in DIMMING.items():
-        found = [each for each in findings if each.code == code]
+        found = [finding for finding in findings if finding.code == code]
+        # The effect itself is a reason already, with its size.
         passed_over = (
             SAME_EFFECT.get(code) in named
+            # One recording of another motion is enough to be tested.
             or (code == "held_out_repeats" and len(found) < n_validations)
             or (measure == "rollout" and code in OF_TORQUE)
         )
         if found and not passed_over:
-            names = list(dict.fromkeys(each.joint for each in found if each.joint is not None))
+            names = list(
+                dict.fromkeys(finding.joint for finding in found if finding.joint is not None)
+            )
             yield Reason(code, phrase.format(at=f" at {join_names(names, 3)}" if names else ""))
 
 
@@ -200,8 +216,8 @@ def _list_joint_reasons(validations: Sequence[Validation]) -> Iterator[Reason]:
     """Yield the joints where CAD predicts other motion better, beyond chance."""
     names = [
         joint.joint
-        for each in validations
-        for joint in cad_verdict(each).joints
+        for validation in validations
+        for joint in cad_verdict(validation).joints
         if joint.outcome == "worse"
     ]
     if names:
@@ -238,6 +254,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     total = sum(float(link.inertia.mass) for link in links)
     built = float(sum(masses))
     known = all(link.inertia_known for link in links) and total > 0.0
+    # Far from CAD on the whole: single links need not be named.
     if known and not 1.0 / RULES.far <= built / total <= RULES.far:
         text = f"{round_significant(built)} kg for {round_significant(total)} of CAD"
         yield Reason("link_mass_differs", text, forbids=True)
@@ -247,6 +264,7 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
         for link, mass in zip(links, masses, strict=True)
         if link.has_mass
         and not 1.0 / RULES.far <= mass / link.inertia.mass <= RULES.far
+        # A light link may be far from CAD without harm.
         and abs(mass - link.inertia.mass) > RULES.heavier * total
     ]
     if off:
@@ -264,6 +282,7 @@ def _list_simulation_reasons(
     """Yield what speaks against a robot identified from commands in its simulation."""
     if result.servo is None:
         return
+    # Commands without simulated motion are no test of a model.
     if simulated is None:
         if result.validation:
             yield Reason("nothing_simulated", "its motion was not simulated")

@@ -111,45 +111,46 @@ def study_verdict(
     rollouts
         Simulations of the same.
     """
+    # Commands are measured by the motion that follows from them.
     simulated = choose_decisive_rollout(rollouts) if result.servo is not None else None
-    motion = _word_motion(result, findings, validations)
-    untested = is_untested(result, findings, validations)
+    untested = simulated is None and is_untested(result, findings, validations)
+    measure: Measure = "torque" if simulated is None else "rollout"
     joints: tuple[JointUse, ...] = ()
     if simulated is None:
-        measure: Measure = "torque"
         error = find_worst_torque_error(result, validations)
-        cad = "" if error.cad is None else f" (CAD {_format_percent(error.cad)})"
-        outcome = f"predicts {motion} to {_format_percent(error.decisive)} of the torque{cad}"
         joints = decide_joints(result, validations, untested=untested)
     else:
-        measure, error = "rollout", summarise_rollout_error(simulated)
-        outcome = f"simulates {motion} to {_word_rollout(result, simulated, error)}"
+        error = summarise_rollout_error(simulated)
     reasons = list_reasons_against(result, findings, validations, simulated, error, measure, joints)
     of_bodies = list_reasons_against_bodies(result)
+    use = _decide_use(reasons, of_bodies, untested=untested)
     bodies = _decide_bodies(of_bodies)
-    use: Use = "with care" if reasons or of_bodies else "yes"
-    if any(each.forbids for each in reasons):
-        use = "no"
-    elif untested and measure == "torque":
-        use = "untested"
-        outcome = f"fits its log to {_format_percent(error.decisive)}; record another motion"
-        # The error of what was fitted is no promise, so the verdict carries none.
-        error = VerdictError(None, None, error.cad)
+    motion = _word_motion(result, findings, validations)
+    outcome = _word_outcome(result, simulated, error, motion, untested=untested)
     return Verdict(
         use,
         _write_verdict(use, reasons, bodies, outcome, _word_mass(result)),
-        error,
+        # The error of what was fitted is no promise, so an untested model has none.
+        VerdictError(None, None, error.cad) if untested else error,
         measure,
-        tuple(dict.fromkeys(each.code for each in (*reasons, *of_bodies))),
+        tuple(dict.fromkeys(reason.code for reason in (*reasons, *of_bodies))),
         joints,
         bodies,
     )
 
 
+def _decide_use(reasons: Sequence[Reason], of_bodies: Sequence[Reason], *, untested: bool) -> Use:
+    if any(reason.forbids for reason in reasons):
+        return "no"
+    if untested:
+        return "untested"
+    return "with care" if reasons or of_bodies else "yes"
+
+
 def _decide_bodies(reasons: Sequence[Reason]) -> BodiesUse:
     if not reasons:
         return BodiesUse("yes")
-    forbidden = any(each.forbids for each in reasons)
+    forbidden = any(reason.forbids for reason in reasons)
     return BodiesUse("no" if forbidden else "with care", reasons[0].text)
 
 
@@ -160,23 +161,40 @@ def _write_verdict(
     opening = "USE for torque" if use == "with care" and not reasons else OPENING[use]
     if use == "untested":
         # Other reasons wait for another motion, and masses are no reason to use it.
-        reasons = [each for each in reasons if each.code == "torque_unexplained"]
+        reasons = [reason for reason in reasons if reason.code == "torque_unexplained"]
         mass = ""
-    texts = list(dict.fromkeys(each.text for each in reasons))
+    texts = list(dict.fromkeys(reason.text for reason in reasons))
     against = f"{join_names(texts[: RULES.named])}; " if texts else ""
     if bodies.text and use != "no":
         mass = f"; {OPENING[bodies.use]} as bodies: {bodies.text}"
     return f"{opening}: {against}{outcome}{mass}."
 
 
+# One use for torque and bodies is said once where it is no.
+def _word_outcome(
+    result: IdentificationResult,
+    simulated: Rollout | None,
+    error: VerdictError,
+    motion: str,
+    *,
+    untested: bool,
+) -> str:
+    """Return how well the model predicts a motion, or fits its own if there is no other."""
+    if untested:
+        return f"fits its log to {_format_percent(error.decisive)}; record another motion"
+    if simulated is not None:
+        return f"simulates {motion} to {_word_rollout(result, simulated, error)}"
+    cad = "" if error.cad is None else f" (CAD {_format_percent(error.cad)})"
+    return f"predicts {motion} to {_format_percent(error.decisive)} of the torque{cad}"
+
+
 def _word_motion(
     result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
 ) -> str:
     """Return what the errors were measured on."""
-    if is_untested(result, findings, validations):
-        return "its training data"
-    sources = [each.source for each in validations or result.validation]
-    repeated = sum(each.code == "held_out_repeats" for each in findings)
+    sources = [prediction.source for prediction in validations or result.validation]
+    repeated = sum(finding.code == "held_out_repeats" for finding in findings)
+    # Every recording repeats the training motion: it is the same one.
     if repeated and repeated >= len(sources):
         return "the same motion"
     # A recording that is left out whole is another motion; a part of one belongs to its motion.

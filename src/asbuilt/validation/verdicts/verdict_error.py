@@ -80,6 +80,7 @@ def find_worst_torque_error(
     result: IdentificationResult, validations: Sequence[Validation]
 ) -> VerdictError:
     """Return the errors on the recording that is predicted worst, else on the training data."""
+    # A CAD without masses predicts nothing, and has no error to be better than.
     rows = [
         VerdictError(
             each.metrics_as_built.relative_error,
@@ -88,6 +89,7 @@ def find_worst_torque_error(
         )
         for each in validations
     ]
+    # Without predictions the result's own numbers decide.
     if not rows:
         measured = result.validation[0] if result.validation else result.train
         cad = result.cad.relative_error if np.any(np.nan_to_num(result.cad_values)) else None
@@ -98,7 +100,8 @@ def find_worst_torque_error(
 def choose_decisive_rollout(rollouts: Sequence[Rollout]) -> Rollout | None:
     """Return the rollout of the longest windows that do not diverge as built; None without any."""
     longest = sorted(rollouts, key=lambda each: -each.horizon)
-    whole = [each for each in longest if _read_finite_error(each.as_built) is not None]
+    whole = [rollout for rollout in longest if _read_finite_error(rollout.as_built) is not None]
+    # The longest that does not diverge, else the shortest one.
     return (*whole, *reversed(longest), None)[0]
 
 

@@ -53,8 +53,8 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     sources = ", ".join(result.sources)
     notes = (
         *result.model.notes,
+        *(note_feasible(result) if found.consistent else ()),
         f"identified ({result.method}) from {sources}; {found.verdict}",
-        *note_feasible(result),
     )
     return AsBuilt(found, replace(robot, notes=notes, source=f"identified from {sources}"))
 
@@ -70,7 +70,9 @@ def note_feasible(result: IdentificationResult) -> tuple[str, ...]:
         intervals = feasible_intervals(result)
     except IdentifiabilityError:
         return ()
-    open_ones = [f"{each.quantity} {each.text}" for each in intervals if not each.determined]
+    open_ones = [
+        f"{interval.quantity} {interval.text}" for interval in intervals if not interval.determined
+    ]
     if not open_ones:
         return ()
     return (
@@ -87,6 +89,7 @@ def with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
         replace(
             joint,
             drive=replace(joint.drive, kp=kp, kd=kd),
+            # The strictest of what servo and description allow.
             limits=replace(joint.limits, torque=min(limit, joint.limits.torque)),
         )
         for joint, kp, kd, limit in zip(
@@ -105,22 +108,25 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     robot = model.with_parameters(parameters[:rigid])
     drives = np.array(parameters[rigid:])
     bounded = find_non_negative_columns(model.n_links, model.n_joints, drive) - rigid
+    # Rounding of the fit must not write a friction that drives.
     drives[bounded] = np.where(
         drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded]
     )
     values = drives.reshape(model.n_joints, -1)
+    # Motors that several joints turn have their terms by the motor.
     turned = np.any(model.motor_shares, axis=1)
     joints = []
     for k, joint in enumerate(robot.joints):
         left, plain, terms = values[k].tolist(), dict[str, float](), dict[str, dict[str, float]]()
         for term in drive.at(k).terms:
-            own, left = left[: len(term.symbols)], left[len(term.symbols) :]
+            term_values, left = left[: len(term.symbols)], left[len(term.symbols) :]
             if term.key in PLAIN_TERMS and term.is_at(k):
-                plain[term.key] = own[0]
+                plain[term.key] = term_values[0]
             elif term.is_at(k) and (turned[k] or not term.of_motor):
-                terms[term.key] = dict(zip(term.symbols, own, strict=True)) | {
+                terms[term.key] = dict(zip(term.symbols, term_values, strict=True)) | {
                     parameter.name: term.value(parameter.name) for parameter in term.nonlinear
                 }
+        # Gears and gains are no drive terms, and stay as described.
         kept = {name: getattr(joint.drive, name) for name in ("gear_ratio", "kp", "kd")}
         joints.append(replace(joint, drive=DriveValues(**plain, **kept, terms=terms)))
     return replace(robot, joints=tuple(joints), drives_by_design=True)
@@ -144,10 +150,12 @@ def keep_described_drives(
         kept = {
             key: value
             for key in PLAIN_TERMS
+            # Zero counts as none: the file then says nothing of it.
             if getattr(joint.drive, key) is None and (value := getattr(before.drive, key))
         }
         for key in kept:
             if key in richer:
+                # The richer term holds the same friction.
                 kept[key] = 0.0
                 replaced.setdefault((key, richer[key]), []).append(joint.name)
             else:
@@ -176,6 +184,7 @@ def note_load_friction(result: IdentificationResult, built: AsBuilt) -> tuple[st
     q, qd, qdd = draw_sample_states(built.model, 100)
     rigid, shares = len(built.model.parameters), built.model.motor_shares
     together = np.zeros(result.n_standard)
+    # Grouped parameters on the links: the load that the result has.
     together[result.base.columns] = built.parameters.beta
     torques = []
     for chi in (together, built.parameters.parameters):

@@ -16,6 +16,7 @@ from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, join_names
 from asbuilt.writers.files import file_lines
 from asbuilt.writers.models.mjcf import write_mjcf
+from asbuilt.writers.models.physical import note_implausible_links
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.urdf import write_urdf
@@ -92,15 +93,18 @@ def convert_robot(
             value=str(path),
         )
     if model.locked_joints:
+        # Positions of locked joints are part of the geometry now, and only the note knows them.
         held = ", ".join(f"{name} at {value!r}" for name, value in model.locked_joints.items())
         model = replace(model, notes=(*model.notes, f"locked when converted: {held}"))
     try:
         written, notes = _write_as_named(path, model)
     except InertiaError as problem:
+        # The same error with a way out that this format does not have.
         problem.cure = Cure("write a robot file (.toml), which takes any inertia, or correct it")
         raise
     apart, differs = _read_back(written, model)
-    return Conversion(model, written, (*notes, *differs), apart)
+    notes = (*note_implausible_links(model), *notes, *differs)
+    return Conversion(model, written, notes, apart)
 
 
 FORMATS = {".toml": "", ".urdf": "URDF", ".xml": "MJCF", ".mjcf": "MJCF"}
@@ -115,6 +119,7 @@ def _write_as_named(
     if not title:
         return write_robot_toml(path, model), ()
     written, notes = (write_urdf if title == "URDF" else write_mjcf)(path, model)
+    # Limits that the format has no place for.
     without = ("acceleration", "jerk") if title == "URDF" else ("velocity", "acceleration", "jerk")
     there = {
         f"{name} limits": any(np.isfinite(getattr(joint.limits, name)) for joint in model.joints)
@@ -141,7 +146,9 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
     # Random states at which torques are compared.
     states = draw_sample_states(model, 100)
     expected = inverse_dynamics(model, *states)
+    # A format may keep its own order of joints.
     there = [part[:, np.argsort(order)] for part in states]
+    # Gravity is no part of a URDF.
     torque = inverse_dynamics(replace(read, gravity=model.gravity), *there)[:, order]
     apart = np.abs(torque - expected).max(axis=0)
     size = float(np.abs(expected).max(initial=0.0))

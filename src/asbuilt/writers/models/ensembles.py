@@ -49,7 +49,10 @@ def encode_parquet(ensemble: Ensemble) -> bytes:
 
 def summarise_ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
     """Return name, unit, owner, value, spread and quantiles of every column."""
-    spread, keys = ensemble.table.std(axis=0), [f"q{round(100 * each):02d}" for each in QUANTILES]
+    spread, keys = (
+        ensemble.table.std(axis=0),
+        [f"q{round(100 * quantile):02d}" for quantile in QUANTILES],
+    )
     return [
         {
             "name": name,
@@ -78,6 +81,7 @@ def summarise_correlation(ensemble: Ensemble) -> dict[str, Any]:
     # Spread relative to the value below which a column is constant (rounding of the fits).
     varies = np.flatnonzero((spread > 1e-9 * size) & (spread > np.finfo(np.float64).tiny))
     names = [ensemble.names[k] for k in varies]
+    # One robot has no correlation.
     if len(ensemble) < 2 or not names:
         return {"names": [], "matrix": []}
     matrix = np.atleast_2d(np.corrcoef(table[:, varies].T))
@@ -99,6 +103,7 @@ def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
     robot = with_standard_parameters(
         result.model, result.base.drive, ensemble.parameters[draw].copy()
     )
+    # What was not drawn is as described.
     kept, _ = keep_described_drives(with_servo(robot, servo), result.model)
     late = "" if servo is None else f"; delay of the servo {servo.delay!r} s"
     note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters{late}"
@@ -177,10 +182,12 @@ def write_ensemble(
         raise UsageError(
             f"there is no model format {models!r}", cure=Cure(f"take one of {', '.join(SUFFIXES)}")
         )
+    # At least three digits, and as many as the last number has.
     place, digits = Path(folder), max(3, len(str(len(ensemble) - 1)))
     names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(len(ensemble))]
     notes = (*ensemble.notes, *_format_notes(ensemble, models))
     document = _build_document(ensemble, seed, names, notes)
+    # Members of an earlier ensemble of either format would be loaded with the new ones.
     older = [path.name for ends in SUFFIXES.values() for path in place.glob(f"model_*{ends}")]
     with file_set(place, MARK, [*older, "parameters.parquet", "load_ensemble.py", MARK]):
         written = [_write_model(place / name, ensemble, k, models) for k, name in enumerate(names)]
@@ -222,6 +229,7 @@ def _write_model(path: Path, ensemble: Ensemble, draw: int, models: ModelFormat)
 
 def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     """Return what files of this format cannot hold."""
+    # Limits of a format are the same for all draws: one stands for them.
     first = ensemble_model(ensemble, 0)
     _, kept = keep_described_drives(first, ensemble.result.model)
     notes = note_mjcf_limits(first) if models == "mjcf" else note_urdf_limits(first)

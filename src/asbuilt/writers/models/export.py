@@ -29,9 +29,11 @@ from asbuilt.writers.models.as_built import (
 from asbuilt.writers.models.c.c_code import CCode, write_c
 from asbuilt.writers.models.mjcf import describe_rotors, write_mjcf
 from asbuilt.writers.models.physical import (
+    note_implausible_links,
     note_left_out_servo,
     refuse_inconsistent,
     refuse_poor_nearest_model,
+    refuse_wrong_units,
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS, ExportedDrives
@@ -145,13 +147,14 @@ def export_result(
     Raises
     ------
     InertiaError
-        If the model is physically inconsistent, or the nearest consistent one predicts the
-        recordings badly and `force` is not set; nothing is written then.
+        If the model is physically inconsistent, its description is in other units, or the nearest
+        consistent one predicts the recordings badly and `force` is not set: nothing is written.
     UsageError
         If no file is named, or options do not go together.
     """
     formats = {SIMULATOR_FORMATS.find(key): place for key, place in (simulators or {}).items()}
     models = (urdf, mjcf, toml, c)
+    # Each refusal has its cure; nothing is written before all are passed.
     for refused, why, cure, settings in (
         (
             all(place is None for place in (*models, observer)) and not formats,
@@ -186,9 +189,11 @@ def export_result(
     ):
         if refused:
             raise UsageError(why, cure=Cure(cure, settings))
+    # Rotors of two encoders are described before anything is written.
     result = describe_rotors(result) if elastic else result
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
+    # The observer has the identified parameters exactly, consistent or not.
     if observer is not None:
         files["observer"], files["observer_header"] = write_observer(
             observer, result, thresholds=thresholds
@@ -201,10 +206,14 @@ def export_result(
         return Export(result.robot, "the identified parameters", files, notes)
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
+    # Nothing is written of an inconsistent robot.
     refuse_inconsistent(model, result)
+    refuse_wrong_units(result.model)
+    absurd = note_implausible_links(model)
     cost = compare_with_nearest(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
+    # Simulators need values of all drives; C and robot file state what was identified.
     in_simulators, kept = keep_described_drives(model, result.model)
     load = note_load_friction(result, built)
     if c is not None:
@@ -232,6 +241,7 @@ def export_result(
             ExportedDrives(in_simulators, result), Path(place)
         )
         notes[written.key] = (*remarks, *kept)
+    notes = {kind: (*absurd, *notes.get(kind, ())) for kind in files}
     return Export(
         result.robot,
         found.verdict,
@@ -245,6 +255,7 @@ def export_result(
 def _describe_difference(result: IdentificationResult, found: StandardParameters) -> str:
     """Return the torque difference of the two models in random motion, with its error."""
     W = build_random_motion_rows(result.model, result.base)
+    # Error of the torque by that of the parameters, over the rows.
     error = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
     apart, of = (
         float(np.sqrt(np.mean(torque**2)))
@@ -268,6 +279,7 @@ def find_urdf_to_edit(
             f"{place}, with which the robot was identified, does not exist: a URDF without shapes"
             " was written; name the original to keep its shapes"
         )
+        # Of other formats nobody expects a URDF to be edited.
         return None, (note,) if place.suffix.lower() == ".urdf" else ()
     content, source = described_text(place)
     if find_outermost_tag(content) == "robot":
@@ -296,6 +308,7 @@ def note_held_base(model: RobotModel) -> tuple[str, ...]:
         f"{note}: the file has no free joint and no trunk; put its bodies under yours"
         for note in model.notes
         if note.startswith("the free joint of ")
+        # The note of any one base says it all.
     )[:1]
 
 
@@ -303,6 +316,7 @@ def write_observer(
     path: str | os.PathLike[str],
     result: IdentificationResult,
     *,
+    # Parameters of links that have exactly the identified base parameters.
     thresholds: Any = None,
 ) -> tuple[Path, Path]:
     """Write `NAME.c` and `NAME.h` with the dynamics of the robot as built and its observer.

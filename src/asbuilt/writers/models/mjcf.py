@@ -65,6 +65,7 @@ def export_mjcf(model: RobotModel) -> str:
     root = fromstring(format_mjcf(plain))
     elements = {element.get("name"): element for element in root.iter("joint")}
     for joint in plain.joints:
+        # Other joints keep MuJoCo's default, which costs nothing.
         if joint.drive.coulomb:
             elements[joint.name].attrib.update(
                 STIFF_FRICTION, frictionloss=repr(joint.drive.coulomb)
@@ -72,15 +73,18 @@ def export_mjcf(model: RobotModel) -> str:
     for motor, joint in zip([*root.iter("motor")], plain.joints, strict=True):
         if joint.drive.kp is not None:
             _make_servo(motor, elements[joint.name], joint)
+        # An offset without a servo is a bias of the actuator.
         elif offset := joint.drive.offset:
             motor.tag = "general"
             motor.attrib.update(biastype="affine", biasprm=f"{-offset!r} 0 0")
+    # A servo's damping would make explicit steps unstable.
     if any(joint.drive.kp is not None for joint in plain.joints):
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
     if model.n_floating:
         _release_base(root, model)
     for place, note in enumerate((*model.notes, *note_mjcf_limits(model))):
+        # Comments of XML must not hold two hyphens, nor end in one.
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
@@ -90,15 +94,17 @@ def _release_base(root: Element, model: RobotModel) -> None:
     """Take the actuators of the base's joints out, and make one free joint of six of them."""
     names = set(model.joint_names[: model.n_floating])
     for actuators in root.iter("actuator"):
-        for each in [each for each in actuators if each.get("joint") in names]:
-            actuators.remove(each)
+        for actuator in [actuator for actuator in actuators if actuator.get("joint") in names]:
+            actuators.remove(actuator)
+    # A planar base keeps its three joints.
     if model.n_floating != 6:
         return
     bodies = {body.get("name"): body for body in root.iter("body")}
     first, base = (bodies[model.link_names[k]] for k in (0, model.n_floating - 1))
-    world = next(each for each in root.iter("worldbody"))
+    world = next(element for element in root.iter("worldbody"))
     for joint in base.findall("joint"):
         base.remove(joint)
+    # The pose of a free body is its state.
     for placed in ("pos", "quat"):
         base.attrib.pop(placed, None)
     base.insert(0, Element("freejoint", name="base"))
@@ -109,6 +115,7 @@ def _release_base(root: Element, model: RobotModel) -> None:
 def _make_servo(actuator: Element, element: Element, joint: Joint) -> None:
     """Make a position actuator of a motor: `clip(kp (u - q) - kd qd, -limit, limit) - Fo`."""
     kp, kd, offset = joint.drive.kp or 0.0, joint.drive.kd or 0.0, joint.drive.offset or 0.0
+    # The limit is the servo's, which acts before the joint's.
     limit = joint.limits.torque
     actuator.attrib.pop("ctrlrange", None)
     element.attrib.pop("actuatorfrcrange", None)
@@ -121,6 +128,7 @@ def _make_servo(actuator: Element, element: Element, joint: Joint) -> None:
         actuator.tag = "position"
         actuator.attrib.update(kp=repr(kp), kv=repr(kd))
     if np.isfinite(limit):
+        # The bias is part of the force that is limited.
         actuator.set("forcerange", f"{-limit - offset!r} {limit - offset!r}")
 
 
@@ -148,6 +156,7 @@ def _add_motors(root: Element, model: RobotModel) -> None:
             tendon.attrib.update(STIFF_FRICTION, frictionloss=repr(coulomb))
         for k in np.flatnonzero(shares):
             SubElement(tendon, "joint", joint=model.joints[k].name, coef=repr(float(shares[k])))
+    # Tendons come before actuators, which may name them.
     if len(tendons) and not written:
         root.insert(list(root).index(next(root.iter("actuator"))), tendons)
 
@@ -161,6 +170,7 @@ def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:
     constant = [
         f"{joint.name} {numbers['Pc']:.6g}"
         for joint in plain.joints
+        # A constant force has no stiffness that a tendon could hold.
         if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("rate")
     ]
     cases = {
@@ -199,7 +209,7 @@ def describe_rotors(result: IdentificationResult) -> IdentificationResult:
     UsageError
         If no stiffness is determined, or joints of the robot are coupled or in loops.
     """
-    rotors = {each.joint: each.rotor for each in result.encoders if each.stiffness is not None}
+    rotors = {pair.joint: pair.rotor for pair in result.encoders if pair.stiffness is not None}
     if not rotors:
         raise UsageError(
             f"the result of {result.robot} has no stiffness of a joint, by which it would be"
@@ -234,12 +244,13 @@ def add_elastic_joints(text: str, pairs: Sequence[EncoderPair]) -> str:
         If a motor has no inertia, without which MuJoCo cannot simulate it.
     """
     root = fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
-    elastic = {each.joint: each for each in pairs if each.stiffness is not None}
+    elastic = {pair.joint: pair for pair in pairs if pair.stiffness is not None}
     for body in [*root.iter("body")]:
         for joint in body.findall("joint"):
             pair = elastic.get(joint.get("name", ""))
             if pair is None:
                 continue
+            # Without inertia of its own a motor behind a spring has no motion.
             if not float(joint.get("armature", "0")) > 0.0:
                 raise UsageError(
                     f"the motor of {pair.joint} has no inertia; elastic joints need the armature of"
@@ -251,6 +262,7 @@ def add_elastic_joints(text: str, pairs: Sequence[EncoderPair]) -> str:
             twist.attrib.update(
                 name=f"{pair.joint} link", stiffness=repr(stiffness[0]), damping=repr(damping[0])
             )
+            # Behind the motor's joint, as MuJoCo applies joints in order.
             body.insert(list(body).index(joint) + 1, twist)
     indent(root)
     return tostring(root, encoding="unicode") + "\n"

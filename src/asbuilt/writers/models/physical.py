@@ -10,6 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.consistency import find_inconsistencies
 from asbuilt.description.model import RobotModel
+from asbuilt.description.plausibility import explain_implausible_links, find_wrong_units
 from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
@@ -108,6 +109,28 @@ def refuse_inconsistent(model: RobotModel, result: IdentificationResult | None =
             f" {reasons if result is None else _name_reasons(result, reasons)}",
             cure=CURE,
         )
+
+
+def refuse_wrong_units(model: RobotModel) -> None:
+    """Raise `InertiaError` if masses, inertias or lengths of a described robot are in other units.
+
+    What the recordings do not determine of a link is taken from CAD, absurd as it is.
+    """
+    wrong = find_wrong_units(model)
+    if wrong is not None:
+        raise InertiaError(
+            f"{model.name} is not exported, because its description is in other units:"
+            f" {wrong.message}",
+            cure=wrong.cure,
+        )
+
+
+def note_implausible_links(model: RobotModel) -> tuple[str, ...]:
+    """Return a note per link whose mass properties no body of its size has."""
+    return tuple(
+        f"IMPLAUSIBLE link {name}: {reason}"
+        for name, reason in explain_implausible_links(model).items()
+    )
 
 
 def _name_reasons(result: IdentificationResult, reasons: str) -> str:

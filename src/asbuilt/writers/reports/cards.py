@@ -5,7 +5,8 @@ from __future__ import annotations
 from asbuilt.identification import Determination, IdentificationResult, non_passive_drives
 from asbuilt.tables import format_share
 from asbuilt.validation import Comparison, position_unit
-from asbuilt.validation.verdicts.verdict import Use, Verdict
+from asbuilt.validation.verdicts.reasons import Use
+from asbuilt.validation.verdicts.verdict import Verdict
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.page import Card, Mood
 

@@ -56,6 +56,9 @@ def draw_intervals(
                 x(value), bottom + 16, round_significant(value, 2)
             )
         yield from _draw_legend(bottom + 36, with_truth=bool(truth))
+        yield Markup('<text class="end" x="{}" y="{}">{} [{}]</text>').format(
+            WIDTH - RIGHT, bottom + 40, title, intervals[0].unit
+        )
 
     label = f"{title}: a bar for each feasible interval; the numbers are in the table below"
     return Markup(

@@ -82,8 +82,11 @@ def mass_table(masses: ExportedMasses) -> Table:
     )
 
 
-def feasible_table(intervals: Sequence[FeasibleInterval]) -> Table:
-    """List quantities with CAD value, feasible interval, chosen value, and why it is one."""
+def feasible_table(intervals: Sequence[FeasibleInterval], condition: str = "") -> Table:
+    """List quantities with CAD value, feasible interval, chosen value, and why it is one.
+
+    `condition` is what the intervals take as given, as `describe_condition` returns it.
+    """
     return Table.of(
         intervals,
         (
@@ -97,6 +100,7 @@ def feasible_table(intervals: Sequence[FeasibleInterval]) -> Table:
             "Feasible: least and greatest over all physically consistent robots with the torques of"
             " these recordings. Chosen: the exported robot, closest to CAD within the standard"
             " errors.",
+            *([condition] if condition else []),
         ),
     )
 

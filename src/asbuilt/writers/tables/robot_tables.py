@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
+from asbuilt.description.plausibility import check_plausibility, explain_implausible_links
 from asbuilt.dynamics import BaseParameters, parameter_values
-from asbuilt.findings import join_names
+from asbuilt.findings import Cure, join_names, list_findings
 from asbuilt.tables import Cell, Column, Table, stack_tables, wrap_text
 
 MOST_ROWS = 24
@@ -54,7 +55,7 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
 def robot_document(model: RobotModel) -> dict[str, Any]:
     """Return what `asbuilt show --json` prints.
 
-    The model, and the reason for every link that is physically inconsistent.
+    The model, and the reason for every link that is physically inconsistent or implausible.
     """
     reasons = explain_inconsistent_links(model)
     return {
@@ -62,6 +63,8 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
         "headline": describe_robot_readiness(model),
         "physically_consistent": not reasons,
         "inconsistencies": reasons,
+        "implausible": explain_implausible_links(model),
+        "findings": [finding.as_dict() for finding in check_plausibility(model)],
         "model": model_document(model),
     }
 
@@ -126,6 +129,7 @@ def _word_further_terms(joint: Joint) -> str:
 
 def tabulate_robot_links(model: RobotModel) -> Table:
     """List the links: mass, centre of mass, inertia about it in link axes, and consistency."""
+    implausible = explain_implausible_links(model)
     return Table.of(
         model.links,
         (
@@ -139,7 +143,7 @@ def tabulate_robot_links(model: RobotModel) -> Table:
             Column("centre of mass", "m", of=_format_centre),
             Column("Ixx Iyy Izz about it", "kg m^2", of=_format_moments),
             Column("Ixy Ixz Iyz", "kg m^2", detail=True, of=_format_products),
-            Column("consistency", of=_describe_consistency),
+            Column("consistency", of=lambda link: _describe_consistency(link, implausible)),
         ),
         "Links",
     )
@@ -166,7 +170,7 @@ def _format_products(link: Link) -> str:
     return _format_vector(entries) if link.inertia_known else "-"
 
 
-def _describe_consistency(link: Link) -> str:
+def _describe_consistency(link: Link, implausible: Mapping[str, str]) -> str:
     """Return whether a body has these mass properties, and whether they are there at all."""
     if not link.inertia_known:
         return "not given"
@@ -175,11 +179,15 @@ def _describe_consistency(link: Link) -> str:
         return f"INCONSISTENT: {reason}"
     if not link.inertia.parameters.any():
         return "ALL ZERO: no mass properties"
+    if link.name in implausible:
+        return "IMPLAUSIBLE: see above"
     return "OK" if np.any(_read_central_inertia(link)) else "ZERO INERTIA: a point mass"
 
 
-def robot_text(model: RobotModel, full: bool = False) -> str:
-    """Return what `asbuilt show` prints; every column and note if `full`."""
+def robot_text(
+    model: RobotModel, full: bool = False, cure_text: Callable[[Cure], str] = str
+) -> str:
+    """Return what `asbuilt show` prints; every column, finding and note if `full`."""
     merged = [f"{frame.name} (on {_name_link(model, frame.link)})" for frame in model.frames]
     known = {"source": model.citation, "read from": model.source, "fixed frames": ", ".join(merged)}
     head = (
@@ -189,7 +197,8 @@ def robot_text(model: RobotModel, full: bool = False) -> str:
         *(f"note: {note}" for note in model.notes),
     )
     tables = stack_tables((tabulate_robot_joints(model), tabulate_robot_links(model)), full)
-    return "\n".join([*map(wrap_text, head), "", tables])
+    findings = list_findings(check_plausibility(model), cure_text, full=full)
+    return "\n".join([*map(wrap_text, head), *findings, "", tables])
 
 
 def describe_robot_readiness(model: RobotModel) -> str:
@@ -201,6 +210,9 @@ def describe_robot_readiness(model: RobotModel) -> str:
         name, reason = next(iter(reasons.items()))
         count = f"{len(reasons)} of {model.n_links} links are" if len(reasons) > 1 else f"{name} is"
         return f"{size}; {count} PHYSICALLY INCONSISTENT ({name}: {reason})."
+    implausible = explain_implausible_links(model)
+    if implausible:
+        return f"{size}; IMPLAUSIBLE MASS PROPERTIES of {join_names(list(implausible), 3)}."
     if unknown:
         return f"{size}; no masses are known of {join_names(unknown, 3)}."
     return f"{size}, all links physically consistent."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -72,7 +71,7 @@ def choose_channel(
     values = {name: _stack(channel, columns) for name, channel in whole.items()}
     loads = _match_gravity(model, positions, columns, values) if quantity == "torque" else {}
     best = max(loads.values(), default=0.0)
-    scales = {name: float(np.nanstd(each)) if each.size else 0.0 for name, each in values.items()}
+    scales = {name: _measure_spread(each) for name, each in values.items()}
     usual = float(np.median([*scales.values()]))
 
     def rank(name: str) -> tuple[bool, ...]:
@@ -100,9 +99,8 @@ def choose_channel(
 
 def _strip_channel(role: Role, channels: Mapping[str, Sequence[Role]]) -> str:
     """Return the joint of a column of one channel, "" where its name is the channel's."""
-    joints = {each.joint for channel in channels.values() for each in channel}
-    stems = {re.sub(r"\d+$", "", joint) for joint in joints}
-    return role.joint if len(stems) == 1 and role.index is None else ""
+    joints = {frozenset(each.joint for each in channel) for channel in channels.values()}
+    return role.joint if len(joints) == 1 or role.index is None else ""
 
 
 def _stack(channel: Sequence[Role], columns: Mapping[str, Array]) -> Array:
@@ -131,9 +129,16 @@ def _match_gravity(
     return dict(zip(values, np.max(found, axis=0).tolist(), strict=True))
 
 
+def _measure_spread(values: Array) -> float:
+    """Return the standard deviation of what is finite, 0 of nothing."""
+    known = values[np.isfinite(values)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.nan_to_num(np.std(known))) if known.size else 0.0
+
+
 def _is_computed(values: Array) -> bool:
     """Return whether a joint's torque varies, and by less than any sensor's noise."""
     if not values.size:
         return False
-    spread = np.nanstd(values, axis=0)
+    spread = np.array([_measure_spread(column) for column in values.T])
     return bool(np.any((spread > 0.0) & (spread < EXACT * np.max(spread))))

@@ -1,4 +1,4 @@
-"""Units of single joints: grippers that are logged as shares of their range, among angles."""
+"""Units of single joints: shares of a calibrated range, as of grippers, and angles."""
 
 from __future__ import annotations
 
@@ -44,17 +44,28 @@ def with_joint_units(
     scales, offsets = dict(layout.scales), dict(layout.offsets)
     for k, joint in enumerate(layout.joint_names):
         column = layout.quantities["position"][k]
-        if joint not in units:
+        if joint in units:
+            factor, offset = _find_conversion(units[joint])
+        elif column in table.ranges and _is_calibrated(table, column, sheet):
+            first, last, lower, upper = table.ranges[column]
+            calibrated = SheetRange(logged=(first, last), position=(lower, upper))
+            factor, offset = _find_conversion(calibrated)
+        else:
             if column in table.open_units and held.get(joint) is None:
                 _refuse_open(table, column, joint, sheet)
             continue
-        factor, offset = _find_conversion(units[joint])
         shifts = {"position": offset, "command": offset, "velocity": 0.0, "acceleration": 0.0}
         for quantity, shift in shifts.items():
             if quantity in layout.quantities:
                 column = layout.quantities[quantity][k]
                 scales[column], offsets[column] = factor, shift
     return replace(layout, scales=scales, offsets=offsets)
+
+
+def _is_calibrated(table: LogTable, column: str, sheet: RecordingSheet) -> bool:
+    """Return whether a calibration gives the unit: the sheet gives none, or not the gripper's."""
+    stated = sheet.units.position is not None and not names_gripper(table.known[column][1])
+    return column not in table.open_units and not stated
 
 
 def _find_conversion(unit: str | SheetRange) -> tuple[float, float]:
@@ -79,7 +90,23 @@ def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet
         f" [rad] at both ends for each joint: [joint_units] {joint} = {{ logged = [-100, 100],"
         " position = [LOWER, UPPER] }"
     )
-    if gripper:
+    if column in table.ranges:
+        mostly = "the motion fits degrees and -100 to 100 of the calibrated range alike"
+        ends = {
+            known: (table.ranges[each][2:])
+            for each, (quantity, known) in table.known.items()
+            if quantity == "position" and each in table.ranges
+        }
+        lines = "\n".join(
+            f"{known} = {{ logged = [-100, 100], position = [{lower:.6f}, {upper:.6f}] }}"
+            for known, (lower, upper) in ends.items()
+            if not names_gripper(known)
+        )
+        cure = (
+            'write [units] position = "deg" in a recording sheet; or, for -100 to 100, from the'
+            f" calibration:\n\n[joint_units]\n{lines}\n"
+        )
+    elif gripper:
         mostly = (
             "grippers are mostly logged as shares of their range, 0 to 100 or 0 to 1, next to"
             " angles of other joints"

@@ -50,6 +50,8 @@ class LogTable:
         them; by default the numeric ones.
     open_units
         Columns of positions and commands of an unknown unit, which the sheet has to give.
+    ranges
+        Two numbers of a column and the positions [rad or m] there, from a calibration.
     frames
         Frames of the "base", of its sensor ("imu") and of the "world", as far as a format says.
     unread
@@ -64,6 +66,7 @@ class LogTable:
     notes: tuple[str, ...] = ()
     order: tuple[str, ...] = ()
     open_units: tuple[str, ...] = ()
+    ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     unread: Mapping[str, Sequence[str]] = field(default_factory=dict)
 

@@ -22,6 +22,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     hold_last,
     tabulate_joints,
 )
+from asbuilt.experiment.logs.formats.servo_calibration import ServoCalibration, find_calibration
 from asbuilt.experiment.logs.sheet import RATES
 from asbuilt.findings import Cure
 from asbuilt.untrusted import parse_json, shorten_line
@@ -70,14 +71,44 @@ def read_lerobot(path: Path) -> LogTable:
         joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
         left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
         groups.append((quantity, quantity, joints, values[:, kept]))
+    joints = groups[0][2]
+    calibration = find_calibration(path, joints)
+    notes = [f"features that are no positions were left out: {', '.join(left_out)}"]
+    table = tabulate_joints(
+        str(path), _join_times(path, frame, info), groups, notes if left_out else []
+    )
+    if calibration is None:
+        note = (
+            "LeRobot datasets do not say their unit, degrees or -100 to 100 of the calibrated"
+            " range: it was taken from the recording sheet"
+        )
+        return replace(table, open_units=tuple(table.known), notes=(note, *table.notes))
+    return _apply_calibration(table, calibration, calibration.find_unit(joints, groups[0][3]))
+
+
+def _apply_calibration(table: LogTable, calibration: ServoCalibration, unit: str) -> LogTable:
+    """Return the table with the positions that its numbers are; joints stay open without unit."""
+    ranges = {
+        column: calibration.find_range(joint, unit)
+        for column, (_, joint) in table.known.items()
+        if joint in calibration.half_ranges
+    }
+    known = {column for column in ranges if unit or names_gripper(table.known[column][1])}
+    units = {"deg": "degrees", "percent": "-100 to 100 of the range of each joint"}
     notes = [
-        "LeRobot datasets do not say their unit, degrees or -100 to 100 of the calibrated range:"
-        " it was taken from the recording sheet"
+        f"{calibration.file.name} has the calibrated ranges: positions are {units[unit]}"
+        if unit
+        else f"{calibration.file.name} has the calibrated ranges, but the motion fits degrees and"
+        " -100 to 100 of them alike: the unit was taken from the recording sheet"
     ]
-    if left_out:
-        notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
-    table = tabulate_joints(str(path), _join_times(path, frame, info), groups, notes)
-    return replace(table, open_units=tuple(table.known))
+    if any(names_gripper(joint) for joint in calibration.half_ranges):
+        notes.append("the gripper is 0 rad where it is closed, the end 0 of its scale")
+    return replace(
+        table,
+        ranges=ranges,
+        open_units=tuple(column for column in table.known if column not in known),
+        notes=(*notes, *table.notes),
+    )
 
 
 def is_lerobot(path: Path) -> bool:

@@ -30,8 +30,10 @@ class _Body(Effect):
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return its mass."""
+        # Order of the ten: six inertias, three first moments, the mass.
         return float(values[9]), float(np.sqrt(covariance[9, 9])), self.unit(revolute)
 
+    # Bodies are columns of the model itself, so a variant would be counted twice.
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield nothing."""
         yield from ()
@@ -49,6 +51,7 @@ class Payload(_Body):
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return its mass and its centre of mass."""
+        # First moments over the mass are the centre of mass.
         place = ", ".join(f"{1e3 * c:.0f}" for c in values[6:9] / values[9])
         mass = super().size_text(values, covariance, revolute=revolute)
         return f"{mass} with its centre of mass at ({place}) mm"

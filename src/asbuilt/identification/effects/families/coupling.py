@@ -27,16 +27,19 @@ class Coupling(Effect):
         """Yield each pair of neighbours that turn."""
         joints = robot.model.joints
         for k in range(1, robot.model.n_joints):
+            # A prismatic neighbour would mix units, and no such drive is built.
             if joints[k].is_revolute and joints[k - 1].is_revolute:
                 yield Variant(self, 2, local=False, joint=k)
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return acceleration and velocity of each of both joints at the other one."""
+        # Variants start at joint 1: `or` is for the type alone.
         k = variant.joint or 1
         return [_swap_neighbour(values, k) for values in (motion.qdd, motion.qd)]
 
 
 def _swap_neighbour(values: Array, k: int) -> Array:
     column = np.zeros_like(values)
+    # By virtual work the share acts both ways: each joint gets the other one's motion.
     column[:, k], column[:, k - 1] = values[:, k - 1], values[:, k]
     return column

@@ -38,7 +38,7 @@ class DriveEffect(Effect):
 
     def __init__(self, term: DriveTerm) -> None:
         """Take the term at every joint, its nonlinear parameters free."""
-        self.forms = [term.with_nonlinear(each) for each in FORMS.get(term.key, ({},))]
+        self.forms = [term.with_nonlinear(form) for form in FORMS.get(term.key, ({},))]
         self.term = self.forms[0]
         self.in_model = term.key not in NAMED_ONLY  # type: ignore[misc]
         self.key = term.key  # type: ignore[misc]
@@ -59,19 +59,22 @@ class DriveEffect(Effect):
         torque over position is described has no second one of another form.
         """
         term = self.term
+        # Terms by the command or the motor need a log that has it; those of position act in every
+        # one.
         if not term.can_be_found or not (term.by_construction or robot.source in term.tried_for):
             return
-        own = [
-            each
-            for each in robot.drive.terms
-            if each.key == term.key or (each.by_construction and term.by_construction)
+        described = [
+            other
+            for other in robot.drive.terms
+            if other.key == term.key or (other.by_construction and term.by_construction)
         ]
         joints = tuple(
-            k for k in range(robot.model.n_joints) if not any(each.is_at(k) for each in own)
+            k for k in range(robot.model.n_joints) if not any(other.is_at(k) for other in described)
         )
         if not joints:
             return
         for form in self.forms:
+            # A constant among the functions is zero by a stated parameter.
             n_columns = sum(bool(function) for function in form.functions())
             for trial in _list_trials(form, robot):
                 yield Variant(self, n_columns, local=True, joints=joints, term=trial)
@@ -81,10 +84,14 @@ class DriveEffect(Effect):
         term, n = variant.term, motion.q.shape[1]
         load = motion.torques[0] if self.term.needs_load else None
         drive = DriveSet((self.term if term is None else term,))
-        each = [
+        # Every joint's column is evaluated, as the joints share a slot; a candidate takes its own.
+        joint_columns = [
             drive_columns(drive, k, motion.q, motion.qd, motion.qdd, load=load) for k in range(n)
         ]
-        return [np.stack([own[c] for own in each], axis=1) for c in range(variant.n_columns)]
+        return [
+            np.stack([columns[c] for columns in joint_columns], axis=1)
+            for c in range(variant.n_columns)
+        ]
 
 
 def _list_trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
@@ -94,41 +101,59 @@ def _list_trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
         return
     parameter = term.free_nonlinear[0]
     lowest, highest = credible_range(robot.model, parameter, [np.abs(s) for s in robot.speeds])
+    # A joint at rest has the range 0, which has no ratios.
     edges = np.geomspace(np.maximum(lowest, 1e-9), np.maximum(highest, 1e-9), 2 * TRIALS + 1)
+    # Odd edges of the doubled grid are the middles of equal ratios: no trial is at an extreme.
     for values in edges[1::2]:
         yield term.with_nonlinear({parameter.name: tuple(values.tolist())})
 
 
 def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
     """Return drive terms with the terms of candidates, in place of simpler ones they replace."""
-    for effect in dict.fromkeys(each.effect for each in candidates):
+    for effect in dict.fromkeys(candidate.effect for candidate in candidates):
         assert isinstance(effect, DriveEffect)
-        found = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}
-        own, term = set(found), effect.term
-        had = next((each for each in drive.terms if each.key == term.key), None)
-        joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
+        forms = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}
+        added, term = set(forms), effect.term
+        had = next((other for other in drive.terms if other.key == term.key), None)
+        joints = added | {k for k in range(n_joints) if had is not None and had.is_at(k)}
         drive = drive.with_term(
-            _place_term(_take_forms(had or term, found, n_joints), joints, n_joints)
+            _place_term(_take_forms(had or term, forms, n_joints), joints, n_joints)
         )
-        simple = next((each for each in drive.terms if each.key == term.stands_for), None)
+        simple = next((other for other in drive.terms if other.key == term.stands_for), None)
         if simple is not None:
-            left = {k for k in range(n_joints) if simple.is_at(k)} - own
+            # Where the simpler term was not replaced it stays.
+            left = {k for k in range(n_joints) if simple.is_at(k)} - added
             drive = drive.without(simple.key)
             drive = drive.with_term(_place_term(simple, left, n_joints)) if left else drive
     return drive
 
 
+def drop_terms(
+    drive: DriveSet, places: Collection[tuple[str, str]], joint_names: Sequence[str]
+) -> DriveSet:
+    """Return drive terms without those of some keys at some joints, by name."""
+    for key, joint in places:
+        term = next(each for each in drive.terms if each.key == key)
+        left = {k for k, name in enumerate(joint_names) if term.is_at(k) and name != joint}
+        drive = drive.without(key)
+        drive = drive.with_term(_place_term(term, left, len(joint_names))) if left else drive
+    return drive
+
+
 def _take_forms(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: int) -> DriveTerm:
     """Return a term in the form in which it was found at each joint."""
-    for each in term.nonlinear:
-        there = [(found.get(k) or term).at(k).value(each.name) for k in range(n_joints)]
-        if not each.fitted and set(there) != {each.default}:
-            term = term.with_nonlinear({each.name: tuple(there)})
+    for parameter in term.nonlinear:
+        # A joint where the term was not found keeps what it had.
+        there = [(found.get(k) or term).at(k).value(parameter.name) for k in range(n_joints)]
+        # Fitted parameters get their values later; forms differ in those that stay as stated.
+        if not parameter.fitted and set(there) != {parameter.default}:
+            term = term.with_nonlinear({parameter.name: tuple(there)})
     return term
 
 
 def _place_term(term: DriveTerm, joints: Collection[int], n_joints: int) -> DriveTerm:
     numbers = tuple(sorted(k + 1 for k in joints))
+    # `None` is every joint: the drive of a whole robot is then written without a list.
     return replace(term, joints=None if len(numbers) == n_joints else numbers)
 
 

@@ -65,18 +65,23 @@ def elastic_columns(
     """
     links = np.asarray(chi, dtype=np.float64)[: 10 * model.n_links]
     rigid = inverse_dynamics(model, *state, parameters=links) if load is None else load
-    own = rigid[:, joint]
-    if len(own) < 3:
+    transmitted = rigid[:, joint]
+    # Differences of second order need three samples.
+    if len(transmitted) < 3:
         return np.zeros_like(rigid)
-    first = np.gradient(own, 1.0 / rate, edge_order=2)
-    lag = np.stack([own, first, np.gradient(first, 1.0 / rate, edge_order=2)])
+    first = np.gradient(transmitted, 1.0 / rate, edge_order=2)
+    # The spring lags by tau / K, so position, velocity and acceleration lag by tau's derivatives.
+    lag = np.stack([transmitted, first, np.gradient(first, 1.0 / rate, edge_order=2)])
     # Largest lag [rad or m] of the central differences; their error is of its square, 1e-8.
-    step = 1e-4 / max(float(np.abs(own).max()), np.finfo(float).tiny)
+    step = 1e-4 / max(float(np.abs(transmitted).max()), np.finfo(float).tiny)
     moved = np.zeros_like(state)
+    # One directional derivative is the sum of all three partial ones, at the cost of two
+    # recursions.
     moved[:, :, joint] = step * lag
     ahead, behind = (
         inverse_dynamics(model, *(state + sign * moved), parameters=links) for sign in (1.0, -1.0)
     )
+    # Behind less ahead: the link lags, so that its torque is lacking with a minus.
     return np.asarray((behind - ahead) / (2.0 * step))
 
 
@@ -142,7 +147,9 @@ def rigid_limit(model: RobotModel, joint: int, stiffness: float) -> float:
     mean over the joint's range of the description's masses, infinite where they are none.
     """
     bounds = MotionBounds.assumed(model)
+    # A fixed seed: the same description has the same frequency.
     rng = np.random.default_rng(0)
     q = rng.uniform(bounds.lower, bounds.upper, size=(POSTURES, model.n_joints))
     inertia = float(np.mean(mass_matrix(model, q)[:, joint, joint]))
+    # From w^2 M / K = OFF.
     return float(np.sqrt(OFF * stiffness / inertia) / (2.0 * np.pi)) if inertia > 0.0 else np.inf

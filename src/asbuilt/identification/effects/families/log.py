@@ -38,6 +38,7 @@ class _OfTorque(Effect):
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the effect at every joint."""
+        # Local: each joint's column has only its own torque, which shares one slot of all joints.
         yield Variant(self, 1, local=True, joints=tuple(range(robot.model.n_joints)))
 
 
@@ -58,10 +59,12 @@ class Clock(Effect):
         A clock that is off by much is off by a ratio of usual rates: errors of gains, and masses
         that CAD lacks, imitate others.
         """
+        # By the logarithm, in which a ratio of rates and its inverse are as far off.
         rate = 1.0 + float(values[0])
         usual = abs(values[0]) <= self.near or any(
             abs(np.log(rate / factor)) <= self.about for factor in RATES if rate > 0.0
         )
+        # Logged velocities come from another clock, so that they bound the error of this one.
         admitted = abs(values[0]) <= robot.clock_bound
         return super().is_possible(values, joint, robot) and usual and admitted
 
@@ -71,6 +74,7 @@ class Clock(Effect):
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the derivative of the torque by the logarithm of the clock's rate."""
+        # Time that runs faster by f scales velocity by f and acceleration by f^2; positions stay.
         up, down = (
             motion.torque_of(motion.q, motion.qd * f, motion.qdd * f**2)[1]
             for f in (1.0 + SPEED, 1.0 - SPEED)
@@ -82,7 +86,10 @@ class Clock(Effect):
     ) -> tuple[RobotModel, list[Samples]]:
         """Return samples of a motion that is so much faster."""
         f = 1.0 + float(values[0])
-        return model, [replace(each, qd=f * each.qd, qdd=f**2 * each.qdd) for each in samples]
+        return model, [
+            replace(recording, qd=f * recording.qd, qdd=f**2 * recording.qdd)
+            for recording in samples
+        ]
 
     def unseen(self, sizes: str) -> Finding:
         """Return below which sizes the log does not show it."""
@@ -140,6 +147,7 @@ class Zero(Effect):
             motion.torque_of(x, motion.qd, motion.qdd)[1]
             for x in (motion.q + step, motion.q - step)
         )
+        # Logged too large, the robot stands at less: the derivative has a minus.
         return [(down - up) / (2.0 * step[k])]
 
     def without(
@@ -148,7 +156,7 @@ class Zero(Effect):
         """Return samples with positions of the joint so much smaller."""
         off = np.zeros(model.n_joints)
         off[joint or 0] = values[0]
-        return model, [replace(each, q=each.q - off) for each in samples]
+        return model, [replace(recording, q=recording.q - off) for recording in samples]
 
     def unseen(self, sizes: str) -> Finding:
         """Return below which sizes the log does not show it."""
@@ -195,6 +203,7 @@ class Gain(_OfTorque):
         return [motion.torques[1]]
 
     def advanced(self, values: Array, step: Array) -> Array:
+        # Dividing by nearly 0 would only blow up noise.
         """Return the values after a step; a dead channel is not taken out."""
         return super().advanced(values, step) if 1.0 + values[0] > DEAD else step
 
@@ -205,7 +214,7 @@ class Gain(_OfTorque):
         gain = np.ones(model.n_joints)
         gain[joint or 0] = 1.0 + float(values[0])
         gain = np.where(gain > DEAD, gain, 1.0)
-        return model, [replace(each, tau=each.tau / gain) for each in samples]
+        return model, [replace(recording, tau=recording.tau / gain) for recording in samples]
 
     def unseen(self, sizes: str) -> Finding:
         """Return below which sizes the log does not show it."""
@@ -259,6 +268,7 @@ class Saturation(_OfTorque):
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return `tau |tau|` over the largest torque of the span."""
         torque = motion.torques[1]
+        # Over the largest torque, so that the value is the share that is lost there.
         return [torque * np.abs(torque) / motion.robot.largest]
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
@@ -284,6 +294,7 @@ class Drift(_OfTorque):
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether the drift matters next to the joint's largest torque."""
+        # Relative to the joint: a wrist's drift matters at torques that a shoulder does not feel.
         return bool(abs(values[0]) >= self.felt * robot.largest[joint or 0])
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
@@ -317,15 +328,18 @@ class Warming(_OfTorque):
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield all friction, and as a trial its viscous part, at every joint."""
         for plain in super().variants(robot):
+            # The trial value 1 stands for the viscous part alone.
             yield from (plain, replace(plain, trial=1.0))
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the drive, or of its viscous friction, times the time passed."""
         robot, (rigid, torque) = motion.robot, motion.torques
+        # What is left of the whole torque without rigid bodies is the drive's.
         changing = torque - rigid
         if variant.trial:
-            own = dict(zip(parameter_names(robot.model, robot.drive), robot.chi, strict=True))
-            changing = motion.qd * [own.get(f"Fv{k + 1}", 0.0) for k in range(len(rigid[0]))]
+            values = dict(zip(parameter_names(robot.model, robot.drive), robot.chi, strict=True))
+            # A joint without viscous friction has none that warms.
+            changing = motion.qd * [values.get(f"Fv{k + 1}", 0.0) for k in range(len(rigid[0]))]
         return [motion.elapsed[:, None] * changing]
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:

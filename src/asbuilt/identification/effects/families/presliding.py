@@ -40,9 +40,12 @@ def presliding_column(q: ArrayLike, stiffness_length: float) -> Array:
     """
     x = np.asarray(q, dtype=np.float64)
     z, side = np.zeros(x.shape), np.sign(np.diff(x))
+    # A zero product is a pause, which ends a stretch as a reversal does.
     turns = np.flatnonzero(side[1:] * side[:-1] <= 0.0) + 1
+    # Within a stretch the path is monotonic, and the exponential has a closed form.
     for start, stop in pairwise([0, *turns.tolist(), x.size - 1]):
         way = np.abs(x[start + 1 : stop + 1] - x[start]) / stiffness_length
+        # A single sample has no step and so no direction.
         sign = side[start] if start < stop else 0.0
         z[start + 1 : stop + 1] = sign - (sign - z[start]) * np.exp(-way)
     return z
@@ -64,13 +67,15 @@ class Presliding(Effect):
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield trial displacements at every joint with Coulomb friction."""
-        own = next((each for each in robot.drive.terms if each.key == "coulomb"), None)
-        joints = tuple(k for k in range(robot.model.n_joints) if own and own.is_at(k))
+        coulomb = next((term for term in robot.drive.terms if term.key == "coulomb"), None)
+        joints = tuple(k for k in range(robot.model.n_joints) if coulomb and coulomb.is_at(k))
         for share in LENGTHS if joints else ():
             yield Variant(self, 1, local=True, joints=joints, trial=share)
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return bent bristles less sliding ones."""
+        # A joint that stands still has no range; its length stays above zero.
         length = variant.trial * np.maximum(np.ptp(motion.q, axis=0), 1e-6)
         bent = [presliding_column(q, s) for q, s in zip(motion.q.T, length, strict=True)]
+        # Less the sliding friction of the model, whose parameter the two then share.
         return [np.stack(bent, axis=1) - np.sign(motion.qd)]

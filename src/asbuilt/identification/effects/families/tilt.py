@@ -47,6 +47,7 @@ class Tilt(Effect):
     ) -> tuple[RobotModel, list[Samples]]:
         """Return the robot with its base turned by a tilt about the axes across gravity."""
         gravity = np.array(model.gravity)
+        # Gravity in the base turns against the base.
         back = Rotation.from_rotvec(-values @ find_axes_across(gravity))
         return model.tilted(back.apply(gravity)), list(samples)
 
@@ -59,6 +60,8 @@ class Tilt(Effect):
         """Return the gravity torques under `g x axis`."""
         model, still = motion.robot.model, np.zeros_like(motion.q)
         links = motion.robot.chi[: 10 * model.n_links]
+        # Torques at rest are linear in gravity: `g x axis` in its place gives the derivative
+        # itself.
         return [
             inverse_dynamics(
                 model.with_gravity(np.cross(model.gravity, axis)),

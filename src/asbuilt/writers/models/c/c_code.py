@@ -77,6 +77,7 @@ def generate_c_code(
     terms, known = described_drive(model)
     if drive is not None:
         terms = drive
+        # Parameters that the description does not state act as zero.
         known = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
     values = np.asarray(known if drive_values is None else drive_values, dtype=np.float64)
     base = find_base_parameters(model, terms)
@@ -84,6 +85,7 @@ def generate_c_code(
     name = prefix or _make_identifier(model.name)
     n = model.n_joints
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
+    # Standard parameters that have no torque of their own are zero, and cost no operation.
     chi = _derive_fewest_parameters(model)
     torques = add_drives(forward, forward.torques(chi), terms, values, chi)
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
@@ -105,6 +107,7 @@ def generate_c_code(
                 f"Y[{j * base.n_base + k}]": entry
                 for (j, k), entry in sorted(_derive_regressor(linear, base, terms, chi).items())
             },
+            # Entries that are always zero are not written one by one.
             opening=(f"for (int k = 0; k < {n * base.n_base}; k++) Y[k] = 0.0;",),
         ),
         *_write_controller_functions(model, terms, values, chi, name),
@@ -157,9 +160,11 @@ def _write_controller_functions(
 ) -> list[str]:
     """Return mass matrix, Coriolis torque, friction and momentum as functions."""
     n = model.n_joints
+    # The armature belongs to the mass matrix, as controllers invert it.
     armature = TorqueModel(model, terms, values).armature()
     still, moving = Mechanism(model, at_rest=True), Mechanism(model, steady=True)
     rubbing = Mechanism(model, steady=True)
+    # Without gravity and acceleration, what is left of the torque is Coriolis'.
     weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)
     friction = add_drives(rubbing, [ZERO] * n, terms, values, chi)
     p, gradient = moving.momentum(chi, armature)
@@ -179,6 +184,7 @@ def _write_controller_functions(
         _write_function(
             f"void {name}_friction({q}, {qd}, double tau[{n}])",
             rubbing.code,
+            # Drives at constant velocity: armatures have no torque there.
             _assign_entries("tau", friction),
         ),
         _write_function(
@@ -202,6 +208,7 @@ def _derive_fewest_parameters(model: RobotModel) -> Array:
     torques = inverse_dynamics(model, *states)
     apart = np.abs(inverse_dynamics(model, *states, parameters=chi) - torques).max()
     # Relative torque difference that is rounding.
+    # Lengths of almost zero leave a regrouping that is not exact.
     return chi if apart <= 1e-12 * np.abs(torques).max() else model.parameters
 
 
@@ -210,6 +217,7 @@ def _derive_regressor(
 ) -> dict[tuple[int, int], Term]:
     inertial = 10 * mechanism.model.n_links
     columns = [int(column) for column in base.columns if column < inertial]
+    # Base columns of links come first, drives after them.
     entries = mechanism.regressor(columns)
     drives = list_drive_entries(mechanism, terms, parameters)
     return entries | {
@@ -339,9 +347,10 @@ void {name}_momentum(const double q[{n}], const double qd[{n}], double p[{n}],
 
 def _write_tables(base: BaseParameters, beta: Array, name: str) -> str:
     p, words = base.n_base, zip(base.names, base.expressions, base.units, strict=True)
+    # A table of C literals, so that nothing is initialised at run time.
     rows = ",\n".join(
-        f"    {{{number}, {', '.join(map(_write_string, each))}}}"
-        for number, each in zip(base.ids, words, strict=True)
+        f"    {{{number}, {', '.join(map(_write_string, words_of))}}}"
+        for number, words_of in zip(base.ids, words, strict=True)
     )
     numbers = ",\n".join(f"    {_write_number(value)}" for value in beta)
     return (
@@ -358,6 +367,7 @@ def _write_self_test(
     tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
     arrays = {"q": q, "qd": qd, "qdd": qdd, "tau": tau, "gravity": gravity_torque(model, q)}
     n, p, S = model.n_joints, base.n_base, CHECKED_STATES
+    # Torques of large robots have rounding of their size.
     rounding = max(1e-9, 1e-12 * float(np.abs(tau).max()))
     known = "\n".join(
         f"static const double expected_{key}[{S}][{n}] = {{\n"
@@ -402,7 +412,9 @@ int main(void)
 
 def _write_comment(text: str) -> str:
     lines = [
-        re.sub(r"[^ -~]|\*(?=/)|/(?=\*)|\\$|\?(?=\?)", "_", line) for line in text.splitlines()
+        # Comments must not end early, continue a line, or hold trigraphs.
+        re.sub(r"[^ -~]|\*(?=/)|/(?=\*)|\\$|\?(?=\?)", "_", line)
+        for line in text.splitlines()
     ]
     return "\n".join(["/*", *[f" * {line}".rstrip() for line in lines], " */"])
 
@@ -410,6 +422,7 @@ def _write_comment(text: str) -> str:
 def _write_string(text: str) -> str:
     # Longest string; C99 compilers accept 4095 characters.
     plain = re.sub(r"[^ -~]", "_", text)[:2000]
+    # A question mark could begin a trigraph.
     return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?") + '"'
 
 
@@ -419,4 +432,5 @@ def _make_identifier(name: str) -> str:
 
 
 def _write_number(value: float) -> str:
+    # Adding zero turns -0.0 into 0.0.
     return repr(float(value) + 0.0)

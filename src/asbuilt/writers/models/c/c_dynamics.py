@@ -105,6 +105,7 @@ class Mechanism:
         twists, carried = self._derive_momenta(parameters, self.qd)
         total, gradient = self.code.total, []
         for joint, v, h in zip(self.tree.joints, twists, carried, strict=True):
+            # -H . (S x V), which for a turning axis are two cross products' z.
             turning = [(h.angular, v.angular), (h.linear, v.linear)]
             pairs = turning if joint.is_revolute else [(h.linear, v.angular)]
             gradient.append(
@@ -125,6 +126,7 @@ class Mechanism:
                 parameters, [ONE if j == k else ZERO for j in range(n)]
             )
             momenta = self.of_joints(self._project_on_axes(carried))
+            # Column k is the momentum of a unit rate; the matrix is symmetric.
             for j in range(k, n):
                 entries[j, k] = entries[k, j] = self.code.sum(
                     momenta[j], Term(float(armature[j, k]))
@@ -140,11 +142,11 @@ class Mechanism:
         for j, (joint, rate) in enumerate(zip(self.tree.joints, self.of_links(rates), strict=True)):
             above = Spatial(NOTHING, NOTHING) if joint.parent == ROOT else of_link[joint.parent]
             twist = self._carry_over(j, self._shift_motion(joint.before, above))
-            z, m, own = twist.angular, twist.linear, (ZERO, ZERO, rate)
+            z, m, joint_rate = twist.angular, twist.linear, (ZERO, ZERO, rate)
             at_joint.append(
-                Spatial(self._add(z, own), m)
+                Spatial(self._add(z, joint_rate), m)
                 if joint.is_revolute
-                else Spatial(z, self._add(m, own))
+                else Spatial(z, self._add(m, joint_rate))
             )
             of_link.append(self._shift_motion(joint.after, at_joint[j]))
         chi = self.of_tree(parameters)
@@ -155,10 +157,11 @@ class Mechanism:
         n = self.tree.n_joints
         above: list[list[Spatial]] = [[] for _ in range(n)]
         found = [Spatial(NOTHING, NOTHING)] * n
+        # Leaves first: what a joint carries is whole before it is passed on.
         for j in reversed(range(n)):
             joint, parts = self.tree.joints[j], [own(j), *above[j]]
-            force = self._add(*(each.linear for each in parts))
-            moment = self._add(*(each.angular for each in parts))
+            force = self._add(*(part.linear for part in parts))
+            moment = self._add(*(part.angular for part in parts))
             found[j] = self._leave_frame(joint.after, Spatial(moment, force))
             if joint.parent != ROOT:
                 above[joint.parent].append(
@@ -186,6 +189,7 @@ class Mechanism:
                     screw.angular + screw.linear, wrench.angular + wrench.linear, strict=True
                 )
                 found[j] = self.code.total(*pairs)
+            # Zero entries are left out: the function sets them once.
             for j, entry in enumerate(self.of_joints(found)):
                 if not entry.is_zero:
                     entries[j, position] = entry
@@ -195,6 +199,7 @@ class Mechanism:
         """Return the motion of link j of the tree, from its parent's."""
         joint = self.tree.joints[j]
         above = (
+            # Minus gravity at the root stands for gravity everywhere.
             Motion(NOTHING, NOTHING, _make_vector(-self.model.gravity))
             if joint.parent == ROOT
             else self.motions[joint.parent]
@@ -206,11 +211,13 @@ class Mechanism:
             w, dw, a = (self._turn(j, vector) for vector in (at.w, at.dw, at.a))
             turned = Motion(
                 (w[0], w[1], plus(w[2], v)),
+                # dw' = dw + w x v z + dv z, w' = w + v z
                 (total((dw[0],), (w[1], v)), total((dw[1],), (-w[0], v)), plus(dw[2], dv)),
                 a,
             )
         else:
             swing, (wx, wy, _), twice = self._derive_swing(at), at.w, Term(2.0)
+            # a' = a + U q z + 2 w x v z + dv z
             coriolis = ((twice, wy, v), (-twice, wx, v), (dv,))
             turned = replace(
                 at,
@@ -225,6 +232,7 @@ class Mechanism:
         """Return `[dw]x + [w]x [w]x`, the acceleration of a point per its position."""
         (x, y, z), (dx, dy, dz), total = motion.w, motion.dw, self.code.total
         return (
+            # U = [dw]x + w w^T - (w . w) 1, entry by entry.
             (total((-y, y), (-z, z)), total((x, y), (-dz,)), total((x, z), (dy,))),
             (total((x, y), (dz,)), total((-x, x), (-z, z)), total((y, z), (-dx,))),
             (total((x, z), (-dy,)), total((y, z), (dx,)), total((-x, x), (-y, y))),
@@ -234,6 +242,7 @@ class Mechanism:
         """Return the motion of a frame at `placement` in a moving frame."""
         R, p = placement[:3, :3], _make_vector(placement[:3, 3])
         a = motion.a
+        # A frame at the origin needs no swing.
         if any(not part.is_zero for part in p):
             a = self._add(a, self._multiply(self._derive_swing(motion), p))
         return Motion(
@@ -244,6 +253,7 @@ class Mechanism:
         """Return a wrench on a frame at `placement` as one on the frame that carries it."""
         R, p = _make_matrix(placement[:3, :3]), _make_vector(placement[:3, 3])
         force = self._multiply(R, wrench.linear)
+        # n' = R n + p x f'
         return Spatial(self._add(self._multiply(R, wrench.angular), self._cross(p, force)), force)
 
     def _carry_back(self, j: int, wrench: Spatial) -> Spatial:
@@ -253,6 +263,7 @@ class Mechanism:
             return Spatial(self._turn(j, wrench.angular, back=True), force)
         (fx, fy, _), (nx, ny, nz) = wrench.linear, wrench.angular
         q, total = self.link_q[j], self.code.total
+        # n' = n + q z x f
         return Spatial((total((nx,), (-q, fy)), total((ny,), (q, fx)), nz), wrench.linear)
 
     def _derive_wrench(self, motion: Motion, parameters: Array) -> Spatial:
@@ -274,6 +285,7 @@ class Mechanism:
         """Return force `m v + w x h` and moment `I w + h x v` of a link."""
         inertia, h, m = _read_parameters(parameters)
         w, v, total = twist.angular, twist.linear, self.code.total
+        # Force m v + w x h, moment I w + h x v.
         turned, swung = self._cross(w, h), self._cross(h, v)
         force = tuple(total((m, a), (b,)) for a, b in zip(v, turned, strict=True))
         moment = tuple(
@@ -299,6 +311,7 @@ class Mechanism:
         """Return a motion of a frame as one of the frame at `placement` in it."""
         R, p = _make_matrix(placement[:3, :3].T), _make_vector(placement[:3, 3])
         z, m = screw.angular, screw.linear
+        # R^T z, R^T (m + z x p)
         return Spatial(self._multiply(R, z), self._multiply(R, self._add(m, self._cross(z, p))))
 
     def _carry_over(self, j: int, screw: Spatial) -> Spatial:
@@ -307,6 +320,7 @@ class Mechanism:
             return Spatial(self._turn(j, screw.angular), self._turn(j, screw.linear))
         (zx, zy, _), (mx, my, mz) = screw.angular, screw.linear
         q, total = self.link_q[j], self.code.total
+        # m + z x q e_z
         return Spatial(screw.angular, (total((mx,), (zy, q)), total((my,), (-zx, q)), mz))
 
     def _turn(self, j: int, v: Vector, *, back: bool = False) -> Vector:
@@ -358,6 +372,7 @@ FUNCTIONS = {
 def write_formula(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Term:
     """Return a formula of a drive term as C, each name replaced by its value."""
     sums: dict[str, Callable[..., Term]] = {
+        # Sums and products are gathered; other functions are written as they are.
         "add": code.sum,
         "subtract": lambda a, b: code.sum(a, -b),
         "negative": Term.__neg__,
@@ -386,7 +401,9 @@ def list_drive_entries(
     entries: list[dict[int, Term]] = []
     for k, load in enumerate(loads):
         for term in drive.at(k).terms:
+            # A term of the motor acts on all joints that its motor turns.
             acts_on = shares[k] if term.of_motor else np.eye(len(loads))[k]
+            # Parameters keep their places: those of joints without the term have no column.
             if not term.is_at(k) or not acts_on.any():
                 entries += [{} for _ in term.symbols]
                 continue
@@ -395,7 +412,9 @@ def list_drive_entries(
                 array: code.total(*zip(_make_vector(acts_on), motion, strict=True))
                 for array, motion in state.items()
             }
-            values |= {each.name: Term(term.value(each.name)) for each in term.nonlinear}
+            values |= {
+                nonlinear.name: Term(term.value(nonlinear.name)) for nonlinear in term.nonlinear
+            }
             values["load"] = load
             columns = [write_formula(code, column, values) for column in term.columns]
             entries += [
@@ -412,8 +431,8 @@ def add_drives(
     mechanism: Mechanism, torques: list[Term], drive: DriveSet, values: Array, parameters: Array
 ) -> list[Term]:
     """Return joint torques with the torques of drive terms of these values added."""
-    found = list(torques)
+    with_drives = list(torques)
     for entry, value in zip(list_drive_entries(mechanism, drive, parameters), values, strict=True):
         for j, column in entry.items():
-            found[j] = mechanism.code.total((found[j],), (Term(float(value)), column))
-    return found
+            with_drives[j] = mechanism.code.total((with_drives[j],), (Term(float(value)), column))
+    return with_drives

@@ -41,6 +41,7 @@ class StraightLine:
 
     def given(self, text: str, *needs: str) -> Term:
         """Define a variable by any C expression in the arguments of the function."""
+        # Each expression is written once, however often it is used.
         if text not in self.known:
             self.known[text] = self._define(text, needs)
         return self.known[text]
@@ -53,9 +54,11 @@ class StraightLine:
         sums: dict[tuple[str, ...], float] = {}
         for product in products:
             factor = math.prod(term.factor for term in product)
+            # Sorted, so that a b and b a are the same product.
             names = tuple(sorted(term.name for term in product if term.name))
             if factor != 0.0:
                 sums[names] = sums.get(names, 0.0) + factor
+        # Products that cancel are dropped.
         entries = tuple(sorted((names, factor) for names, factor in sums.items() if factor != 0.0))
         if not entries:
             return ZERO
@@ -63,6 +66,7 @@ class StraightLine:
         if len(entries) == 1 and len(names) <= 1:
             return Term(factor, "".join(names))
         # A product is defined without its number, and a sum with its first sign positive.
+        # Signs and numbers are taken out, so that more sums are the same one.
         scale = factor if len(entries) == 1 else math.copysign(1.0, factor)
         entries = tuple((names, factor / scale) for names, factor in entries)
         return Term(scale, self._name_sum(entries).name)
@@ -74,6 +78,7 @@ class StraightLine:
     def used(self, answers: Sequence[Term]) -> list[str]:
         """Return the definitions that the answers need, in order."""
         wanted = {answer.name for answer in answers}
+        # Backwards, as definitions need only earlier ones.
         for name in reversed(self.texts):
             if name in wanted:
                 wanted.update(self.needs[name])
@@ -102,5 +107,6 @@ def _write_product(factor: float, *names: str) -> str:
     written = "*".join(name for name in names if name)
     if not written:
         return repr(float(factor))
+    # A factor of one is not written.
     number = {1.0: "", -1.0: "-"}.get(factor, f"{float(factor)!r}*")
     return number + written
