@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.description.formats.toml import robot_from_toml
-from asbuilt.description.model import RobotModel
 
 
 def body(mass: float, com: tuple[float, float, float]) -> str:

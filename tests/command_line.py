@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from asbuilt.cli.app import main
+from asbuilt.cli import main
 from asbuilt.cli.commands import SUBCOMMANDS
 
 JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "json.md"

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, Joint, JointLimits, Link, Mimic, RobotModel
-from asbuilt.description.rotation import placement, rotation_from_rpy
+from asbuilt.description import (
+    DriveValues,
+    Joint,
+    JointLimits,
+    Link,
+    LinkInertia,
+    Mimic,
+    RobotModel,
+    placement,
+    rotation_from_rpy,
+)
 
 BOUNDS = {
     "a1": JointLimits(-2.5, 2.5, 2.0, 5.0),

@@ -10,21 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, JointLimits, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Finding
-from asbuilt.identification.result.result import (
-    IdentificationResult,
-    IdentifiedParameter,
+from asbuilt.description import (
+    DHRow,
+    DriveValues,
+    JointLimits,
+    LinkInertia,
+    RobotModel,
+    robot_from_dh,
 )
-from asbuilt.identification.result.torque_prediction import torque_metrics
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix, parameter_values
+from asbuilt.experiment import Samples
+from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
+from asbuilt.findings import Finding
+from asbuilt.identification import IdentificationResult, IdentifiedParameter, torque_metrics
 
 HOSTILE = "<img src=x onerror=alert(1)>\"&'"
 

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, VirtualRobot
+from asbuilt.writers import write_recording
 
 MODEL: RobotModel = load_robot("two-link")
 

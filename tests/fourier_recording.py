@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.recording import Recording
+from asbuilt.description import RobotModel
+from asbuilt.dynamics import inverse_dynamics
+from asbuilt.experiment import Recording
 
 
 def record(model: RobotModel, seed: int, torque: object = None) -> Recording:

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description import LinkInertia
 
 
 def from_log_cholesky(theta) -> LinkInertia:

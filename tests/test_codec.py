@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from asbuilt.codec import FieldError, format_json, make_plain, restore_dataclass, store_as
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import PositionServo
 from asbuilt.findings import Cure, Finding
 
 

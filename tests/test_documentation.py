@@ -19,10 +19,9 @@ import typer
 import asbuilt
 from asbuilt.cli.app import app
 from asbuilt.cli.commands import SUBCOMMANDS
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.writers.models.urdf import write_urdf
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot
+from asbuilt.writers import write_recording, write_urdf
 
 pytestmark = pytest.mark.apps(
     *("estimators", "fleet", "masses", "page", "paper", "programs", "simulators", "watch")

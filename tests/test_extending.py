@@ -14,10 +14,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import simulate_recording
+from asbuilt.writers import write_recording
 from command_line import call_elsewhere
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "design" / "extending.md"

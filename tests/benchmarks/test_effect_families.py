@@ -11,7 +11,7 @@ pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
 import effects
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
 from effect_score import Row
 from effects import (
     FAMILIES,

@@ -11,20 +11,13 @@ import pytest
 pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples, resolve_chain
+from asbuilt.identification import expand_parameters
 from asbuilt.identification.effects.families.elastic import elastic_columns as of_joint
 from asbuilt.identification.effects.families.presliding import presliding_column
-from asbuilt.identification.result.torque_prediction import expand_parameters
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import StudyOptions, identify
 from lacking import COULOMB, LACKING, NOISE, logged, trial
 
 Columns = Callable[[Samples, np.ndarray], np.ndarray]

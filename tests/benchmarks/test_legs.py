@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from asbuilt import identify
 from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
+from asbuilt.experiment import read_fitted_recordings
 from legged_robots import LEGGED
 from legs import STEP, Walk, against_truth, described, parameter_errors, recorded, studied
 from outside_robot import other_bodies

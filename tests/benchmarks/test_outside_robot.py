@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
-from asbuilt.description.load import load_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.description import load_robot
+from asbuilt.excitation import random_fourier
 from outside_robot import (
     OutsideRobot,
     dahl,

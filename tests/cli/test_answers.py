@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from asbuilt import compilation
-from asbuilt.cli.answers import COMPILING, Screen, describe_cure
+from asbuilt.cli import describe_cure
+from asbuilt.cli.answers import COMPILING, Screen
 from asbuilt.findings import Cure, Finding
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asbuilt.cli.app import main
+from asbuilt.cli import main
 from command_line import call, document, documented_fields
 
 ROBOTS = ("scara", "two-link")
@@ -379,11 +379,10 @@ def test_what_is_missing_is_told_before_any_work(
 @pytest.mark.study
 def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The virtual robot carries 3 % of its moving mass; a bare one was recorded before."""
-    from asbuilt.description.inertia import LinkInertia
-    from asbuilt.description.load import load_robot
-    from asbuilt.excitation.motions.random_motion import random_fourier
-    from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-    from asbuilt.writers.recording_files import write_recording
+    from asbuilt.description import LinkInertia, load_robot
+    from asbuilt.excitation import random_fourier
+    from asbuilt.experiment import VirtualRobot
+    from asbuilt.writers import write_recording
 
     robot = VirtualRobot.ideal(load_robot("kuka-iiwa7-r800"))
     carrying = robot.with_tool(

@@ -8,14 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.description import LinkInertia, bundled_robot, load_robot
+from asbuilt.dynamics import DriveSet, available_terms, drive_torque, inverse_dynamics
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import read_recordings
 from asbuilt.writers.models.robot_toml import format_robot_toml
 from command_line import call, document
 

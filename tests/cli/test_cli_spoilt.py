@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.cli.app import main
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.cli import main
+from asbuilt.description import LinkInertia, bundled_robot
+from asbuilt.dynamics import inverse_dynamics
+from asbuilt.excitation import random_fourier
 from command_line import call, document
 
 ROBOT = "ur10e"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.description.catalogue import robot_names
-from asbuilt.identification.estimators.methods import methods
+from asbuilt.description import robot_names
+from asbuilt.identification import methods
 
 
 def completed(line: str, folder: Path) -> list[str]:

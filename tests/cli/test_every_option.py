@@ -18,10 +18,9 @@ import typer
 
 from asbuilt.cli.app import app
 from asbuilt.cli.commands import EVERY_COMMAND, SUBCOMMANDS
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.workflow.study import identify
-from asbuilt.writers.recording_files import write_motion, write_recording
-from asbuilt.writers.reports.study_files import write_result
+from asbuilt.excitation import random_fourier
+from asbuilt.workflow import identify
+from asbuilt.writers import write_motion, write_recording, write_result
 from command_line import call
 from fleet_logs import MODEL, recording
 

@@ -8,15 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.cli.app import main
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.cli import main
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
+from asbuilt.excitation import check_motion, read_motion
 from asbuilt.excitation.collision.constraint import build_constraints
-from asbuilt.excitation.limits import check_motion
-from asbuilt.excitation.motions.motion_csv import read_motion
 from command_line import call
 from studied_cases import first_of
 

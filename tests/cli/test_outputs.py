@@ -11,9 +11,9 @@ import pytest
 
 from asbuilt.errors import UsageError
 from asbuilt.untrusted import protect_inputs, read_bytes
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import identify
+from asbuilt.writers import write_result
 from asbuilt.writers.models.urdf import format_urdf
-from asbuilt.writers.reports.study_files import write_result
 from asbuilt.writing import atomic_write, check_replaceable
 from command_line import call
 from fleet_logs import MODEL, recording

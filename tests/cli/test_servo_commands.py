@@ -15,16 +15,14 @@ import pytest
 import yaml
 from PIL import Image
 
-from asbuilt.description.load import load_robot
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.description import load_robot
+from asbuilt.experiment import SignalChain, prepare_samples, read_recording
+from asbuilt.identification import as_built_parameters
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_built
 from asbuilt.identification.trajectories.windows import choose_driving_signal, cut_windows
-from asbuilt.workflow.result_files import read_result
-from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS
+from asbuilt.workflow import read_result
+from asbuilt.writers import SIMULATOR_FORMATS
 from command_line import call, document
 
 WINDOWS = ("--rollout", "0.5,1")

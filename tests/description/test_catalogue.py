@@ -5,11 +5,9 @@ import csv
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
+from asbuilt.description import LinkInertia, bundled_robot, load_robot, robot_names
 from asbuilt.description.consistency import find_inconsistencies
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
+from asbuilt.dynamics import inverse_dynamics, mass_matrix
 from asbuilt.errors import DescriptionError
 
 EXPECTED = {
@@ -145,7 +143,7 @@ def test_the_go2_needs_the_torques_of_the_menagerie(shared):
 
 def test_the_arms_of_the_g1_mirror_each_other():
     """Mirrored at y = 0, rotations about x and z change their sign, those about y do not."""
-    from asbuilt.dynamics.newton_euler import gravity_torque
+    from asbuilt.dynamics import gravity_torque
 
     model = load_robot("g1-arms")
     q = np.random.default_rng(1).uniform(-1, 1, 7)
@@ -182,7 +180,7 @@ def test_the_puma_falls_as_published():
     """Gravity torque of joint 2 with the arm stretched out, from the weights and arms of Armstrong,
     Khatib and Burdick (1986).
     """
-    from asbuilt.dynamics.newton_euler import gravity_torque
+    from asbuilt.dynamics import gravity_torque
 
     puma = load_robot("puma-560")
     tau = gravity_torque(puma, np.zeros(6))
@@ -192,7 +190,7 @@ def test_the_puma_falls_as_published():
 
 
 def test_a_bundled_scara_carries_only_the_weight_of_quill_and_tool():
-    from asbuilt.dynamics.newton_euler import gravity_torque
+    from asbuilt.dynamics import gravity_torque
 
     tau = gravity_torque(load_robot("scara"), [0.3, -0.2, 0.1, 0.5])
     assert np.allclose(tau, [0, 0, -9.81 * 1.4, 0], atol=1e-12)

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from asbuilt.description.inertia import LinkInertia, pseudo_inertias, shift_matrix
-from asbuilt.description.rotation import placement
+from asbuilt.description import LinkInertia, placement
+from asbuilt.description.inertia import pseudo_inertias, shift_matrix
 from asbuilt.errors import InertiaError
 from log_cholesky import from_log_cholesky, log_cholesky
 

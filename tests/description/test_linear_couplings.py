@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.description.formats.toml import robot_from_toml
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
 from asbuilt.writers.models.robot_toml import format_robot_toml
 

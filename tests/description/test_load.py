@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.description import load
-from asbuilt.description.load import load_robot
+from asbuilt.description import load, load_robot
 from asbuilt.errors import DescriptionError, MissingExtraError
 
 URDF = """<robot name="one"><link name="a"/><link name="b"><inertial><mass value="1"/>

@@ -7,13 +7,17 @@ import json
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.formats.document import model_document, model_from_document
+from asbuilt.description import (
+    RobotModel,
+    bundled_robot,
+    model_document,
+    model_from_document,
+    robot_names,
+)
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import locks_from_text, report_locks
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.writers.models.robot_toml import format_robot_toml
 

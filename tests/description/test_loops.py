@@ -7,15 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.document import model_document, model_from_document
+from asbuilt.description import RobotModel, bundled_robot, model_document, model_from_document
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import format_mjcf
 from asbuilt.description.formats.sdf import read_sdf
 from asbuilt.description.formats.toml import robot_from_toml
-from asbuilt.description.model import RobotModel
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.dynamics.kinematics import draw_postures
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, MotionError
 from asbuilt.writers.models.robot_toml import format_robot_toml
 from closed_chains import NAMES, TEXTS, robot_with_loops
@@ -191,7 +189,7 @@ def test_a_joint_follows_a_polynomial_of_another() -> None:
 
 
 def test_a_file_extends_another_by_a_loop(tmp_path) -> None:
-    from asbuilt.description.load import load_robot
+    from asbuilt.description import load_robot
 
     whole = bundled_robot("four-bar")
     tree = BAR[: BAR.index("[[loops]]")] + BAR[BAR.index("[[frames]]") :]

@@ -10,10 +10,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, RobotModel
-from asbuilt.description.rotation import find_axes_across, placement, rotation_x
+from asbuilt.description import (
+    ROOT,
+    DHRow,
+    Frame,
+    Joint,
+    JointLimits,
+    RobotModel,
+    load_robot,
+    placement,
+    robot_from_dh,
+)
+from asbuilt.description.rotation import find_axes_across, rotation_x
 from asbuilt.errors import DescriptionError
 
 

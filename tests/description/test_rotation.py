@@ -8,18 +8,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from asbuilt.description import placement, rotation_from_rpy, rotation_onto, rpy_from_rotation
 from asbuilt.description.rotation import (
     compose_placements,
     invert_placement,
-    placement,
     rotation_from_quaternion,
-    rotation_from_rpy,
-    rotation_onto,
     rotation_x,
     rotation_y,
     rotation_z,
     round_to_right_angle,
-    rpy_from_rotation,
     snap_entries,
 )
 

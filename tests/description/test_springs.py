@@ -11,12 +11,10 @@ import pytest
 from asbuilt import identify
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.structure.springs import Spring, with_springs
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics import described_drive, drive_torque, find_base_parameters
 from asbuilt.errors import DescriptionError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, check_recording
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.writers.models.mjcf import export_mjcf, note_mjcf_limits
 from asbuilt.writers.models.robot_toml import format_robot_toml

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.formats.toml import robot_from_toml
-from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.rotation import (
-    compose_placements,
+from asbuilt.description import (
+    ROOT,
+    DHRow,
+    RobotModel,
+    load_robot,
     placement,
-    rotation_x,
-    rotation_z,
+    robot_from_dh,
     rpy_from_rotation,
 )
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description.formats.toml import robot_from_toml
+from asbuilt.description.formats.urdf import read_urdf
+from asbuilt.description.rotation import compose_placements, rotation_x, rotation_z
+from asbuilt.dynamics import inverse_dynamics
 from log_cholesky import from_log_cholesky
 
 MOMENTS = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, Link, RobotModel
+from asbuilt.description import ROOT, Joint, Link, LinkInertia, RobotModel
 
 PINOCCHIO_ORDER = np.array([9, 6, 7, 8, 0, 1, 3, 2, 4, 5])
 """Pinocchio's dynamic parameters, m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, as positions in ours."""

@@ -5,24 +5,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from asbuilt.description import RobotModel
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.base.observation_rank import find_negligible_columns
-from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
-from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.kinematics import draw_postures, link_jacobians, link_poses
-from asbuilt.dynamics.momentum import generalised_momentum
-from asbuilt.dynamics.newton_euler import (
+from asbuilt.dynamics import (
+    RegressorPlan,
     coriolis_matrix,
     coriolis_torque,
+    find_base_parameters,
     forward_dynamics,
     inverse_dynamics,
     kinetic_energy,
+    link_jacobians,
+    link_poses,
     mass_matrix,
+    observation_matrix,
     potential_energy,
+    regressor,
 )
-from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix, regressor
+from asbuilt.dynamics.base.observation_rank import find_negligible_columns
+from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
+from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
+from asbuilt.dynamics.kinematics import draw_postures
+from asbuilt.dynamics.momentum import generalised_momentum
 from closed_chains import NAMES, robot_with_loops
 
 mujoco = pytest.importorskip("mujoco")

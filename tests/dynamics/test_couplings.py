@@ -8,24 +8,26 @@ import mujoco
 import numpy as np
 import pytest
 
+from asbuilt.description import RobotModel
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
-from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.kinematics import link_jacobians, link_poses
-from asbuilt.dynamics.momentum import generalised_momentum
-from asbuilt.dynamics.newton_euler import (
+from asbuilt.dynamics import (
+    DriveSet,
+    RegressorPlan,
+    TorqueModel,
     coriolis_matrix,
+    find_base_parameters,
     forward_dynamics,
     gravity_torque,
     inverse_dynamics,
+    link_jacobians,
+    link_poses,
     mass_matrix,
+    observation_matrix,
     potential_energy,
 )
-from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
+from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
+from asbuilt.dynamics.momentum import generalised_momentum
 from coupled_robots import palletizer
 
 NAMES = ("a1", "a2", "a3", "a6", "f1", "level", "f2", "f3")

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.dynamics import (
+    RegressorPlan,
+    find_base_parameters,
+    inverse_dynamics,
+    observation_matrix,
+)
 from asbuilt.dynamics.contact import contact_basis, contact_jacobians, without_contact_forces
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.experiment.free_base.columns import (
     base_rotations,

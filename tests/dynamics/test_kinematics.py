@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model, random_robot
 
-from asbuilt.dynamics.kinematics import link_jacobians, link_poses
+from asbuilt.dynamics import link_jacobians, link_poses
 
 
 @pytest.mark.parametrize("seed", range(4))

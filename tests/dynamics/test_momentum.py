@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from reload_oracle import two_armed
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.momentum import apply_lag, generalised_momentum
-from asbuilt.dynamics.newton_euler import coriolis_matrix, kinetic_energy, mass_matrix
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.dynamics import apply_lag, coriolis_matrix, kinetic_energy, mass_matrix
+from asbuilt.dynamics.momentum import generalised_momentum
 from asbuilt.errors import UsageError
 from example_identification import example_robot
 

@@ -8,16 +8,20 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import PINOCCHIO_ORDER, pinocchio_model
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics import (
+    find_base_parameters,
+    gravity_torque,
+    inverse_dynamics,
+    mass_matrix,
+    observation_matrix,
+    regressor,
+)
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.momentum import generalised_momentum
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
-from asbuilt.dynamics.regressor import observation_matrix, regressor
 
 ROBOTS = ("dvrk-psm", "dvrk-mtm")
 

@@ -10,9 +10,8 @@ import pytest
 from pinocchio_oracle import pinocchio_model, random_inertia, random_robot
 from scipy.integrate import solve_ivp
 
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.kernels.recursion import BLOCK
-from asbuilt.dynamics.newton_euler import (
+from asbuilt.description import RobotModel
+from asbuilt.dynamics import (
     coriolis_matrix,
     coriolis_torque,
     forward_dynamics,
@@ -22,6 +21,7 @@ from asbuilt.dynamics.newton_euler import (
     mass_matrix,
     potential_energy,
 )
+from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.errors import InertiaError, UsageError
 
 CASES = [(style, n) for style in ("general", "distal", "proximal") for n in (1, 2, 7, 12)]

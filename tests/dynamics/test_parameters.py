@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 from pinocchio_oracle import random_robot
 
-from asbuilt.description.model import DriveValues
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import (
-    parameter_count,
-    parameter_names,
-    parameter_units,
-    parameter_values,
-)
+from asbuilt.description import DriveValues
+from asbuilt.dynamics import DriveSet, parameter_names, parameter_units, parameter_values
+from asbuilt.dynamics.parameters import parameter_count
 
 
 def test_links_come_first_then_drives_joint_by_joint():

@@ -11,17 +11,18 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model, random_robot
 
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.dynamics.kernels.recursion import BLOCK
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import (
+from asbuilt.dynamics import (
+    DriveSet,
+    DriveTerm,
     RegressorPlan,
-    find_joint_support,
+    inverse_dynamics,
     observation_matrix,
+    parameter_values,
     regressor,
 )
+from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.kernels.recursion import BLOCK
+from asbuilt.dynamics.regressor import find_joint_support
 from asbuilt.errors import UsageError
 
 ALL = DriveSet.parse("armature,viscous,coulomb,offset")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import bundled_robot, robot_names
+from asbuilt.dynamics import DriveSet, find_base_parameters
 
 
 @pytest.mark.parametrize("name", robot_names())

@@ -10,9 +10,15 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model, random_robot
 
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.dynamics import (
+    DriveSet,
+    TorqueModel,
+    available_terms,
+    gravity_torque,
+    inverse_dynamics,
+    mass_matrix,
+)
+from asbuilt.dynamics.drives.selection import NO_DRIVE
 from asbuilt.errors import UsageError
 
 CASES = [(style, n) for style in ("general", "distal", "proximal") for n in (1, 2, 7, 12)]

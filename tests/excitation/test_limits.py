@@ -3,15 +3,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import DriveValues, Joint, JointLimits, Link, RobotModel
-from asbuilt.description.rotation import placement, rotation_x
+from asbuilt.description import (
+    DriveValues,
+    Joint,
+    JointLimits,
+    Link,
+    LinkInertia,
+    RobotModel,
+    load_robot,
+    placement,
+)
+from asbuilt.description.rotation import rotation_x
 from asbuilt.errors import MotionError
-from asbuilt.excitation.limits import MotionBounds, check_motion
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
+from asbuilt.excitation import (
+    MotionBounds,
+    PointToPointMotion,
+    QuinticMotion,
+    check_motion,
+    random_fourier,
+    random_point_to_point,
+)
 
 SILENT = DriveValues()
 

@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import load_robot
+from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.excitation.state_constraint import PowerLimit, TorqueLimit, perturb_models
 
 

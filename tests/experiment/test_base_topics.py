@@ -14,14 +14,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.parts import Frame
+from asbuilt.description import Frame, RobotModel, load_robot
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording, read_recording
 from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import base_rotations
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
 
 from .logs.test_mcap import channel, record, written
 from .logs.test_ros_logs import START, STATE, Bag

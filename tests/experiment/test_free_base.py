@@ -12,17 +12,18 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.dynamics import link_poses
 from asbuilt.dynamics.contact import contact_jacobians
-from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import (
+    check_recording,
+    prepare_samples,
+    read_fitted_recordings,
+    read_recording,
+)
 from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import base_rotations
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.signal.preparation import prepare_samples
 
 LEGS = "".join(
     f"""

@@ -12,13 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
-from asbuilt.description.structure.parts import Frame
+from asbuilt.description import Frame, RobotModel
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording, read_recording
 from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import base_rotations
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
 
 from .test_free_base import biped, log  # noqa: F401 - fixtures
 

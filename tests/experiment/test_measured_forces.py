@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import read_recording
 from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import (
     ANGULAR,
@@ -22,7 +22,6 @@ from asbuilt.experiment.free_base.columns import (
     coordinate_accelerations,
     coordinate_rates,
 )
-from asbuilt.experiment.logs.readers import read_recording
 
 pin = pytest.importorskip("pinocchio")
 

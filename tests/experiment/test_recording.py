@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recording
 
 
 def three_joints() -> Recording:

@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 from three_links import DRIVE, arm, truth
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
+from asbuilt.identification import build_cad_prior
 from asbuilt.identification.information.square_root_information import accumulate
 
 FULL = "armature,viscous,coulomb,offset"

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import DHRow, LinkInertia, robot_from_dh
+from asbuilt.dynamics import DriveSet, observation_matrix, parameter_values
+from asbuilt.experiment import Samples
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.information.rows import Rows
+from asbuilt.identification import Rows
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 RATE = 50.0

@@ -107,7 +107,7 @@ def costs(only: str | None = None) -> Iterator[Cost]:
 
 def together(group: str) -> Iterator[Cost]:
     """Run the cases of a group one after another in this process; peaks are those until then."""
-    from asbuilt.cli.app import main
+    from asbuilt.cli import main
 
     for case in cases()[group]:
         with tempfile.TemporaryDirectory() as folder, open(os.devnull, "w") as nowhere:

@@ -28,11 +28,10 @@ def alarm() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def stored_result(tmp_path_factory: pytest.TempPathFactory) -> str:
-    from asbuilt.description.catalogue import bundled_robot
-    from asbuilt.dynamics.newton_euler import inverse_dynamics
-    from asbuilt.excitation.motions.random_motion import random_fourier
-    from asbuilt.workflow.options import StudyOptions
-    from asbuilt.workflow.study import identify
+    from asbuilt.description import bundled_robot
+    from asbuilt.dynamics import inverse_dynamics
+    from asbuilt.excitation import random_fourier
+    from asbuilt.workflow import StudyOptions, identify
 
     model = bundled_robot("two-link")
     motion = random_fourier(model, 1, duration=15.0).sample(100.0)

@@ -9,13 +9,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.cli.arguments.options import require_distinct_logs
-from asbuilt.description.load import load_robot
+from asbuilt.cli import require_distinct_logs
+from asbuilt.description import load_robot
 from asbuilt.errors import DescriptionError, UsageError
-from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
-from asbuilt.experiment.logs.formats.log_format import LogTable, tabulate_variables
-from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.excitation import read_motion
+from asbuilt.experiment import LogTable, read_recording, suggest_sheet
+from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT
+from asbuilt.experiment.logs.formats.log_format import tabulate_variables
 from asbuilt.writers.pictures.motion_view import MotionView
 from command_line import call
 from fleet_logs import write_logs

@@ -20,16 +20,14 @@ import polars as pl
 import pytest
 
 import asbuilt
-from asbuilt.description.load import load_robot
+from asbuilt.description import load_robot
 from asbuilt.errors import AsbuiltError
+from asbuilt.excitation import read_motion
 from asbuilt.excitation.collision.capsules import build_surroundings
-from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.experiment import read_recording, read_sheet
 from asbuilt.experiment.logs.formats.isolated import read_guarded
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.sheet import read_sheet
-from asbuilt.workflow.result_files import read_result
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import identify, read_result
 from fleet_logs import MODEL, recording
 from robustness import corpus
 
@@ -99,7 +97,8 @@ def kinds_of_apps(result: Any) -> dict[str, Kind]:
     """Files that apps read, where they are installed."""
     found: dict[str, Kind] = {}
     if hasattr(asbuilt, "watch"):
-        from asbuilt.apps.watch.watched_log import format_thresholds, read_thresholds
+        from asbuilt.apps.watch import read_thresholds
+        from asbuilt.apps.watch.watched_log import format_thresholds
 
         thresholds = asbuilt.watch(result, recording(4, seconds=6.0)).thresholds
         text = format_thresholds(thresholds)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.validation.prediction import validate_description, validate_samples
-from asbuilt.workflow.study import identify
+from asbuilt.description import DriveValues, RobotModel
+from asbuilt.experiment import prepare_samples
+from asbuilt.validation import validate_description, validate_samples
+from asbuilt.workflow import identify
 from fleet_logs import MODEL, recording
 
 

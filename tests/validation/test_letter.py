@@ -5,7 +5,7 @@ import pytest
 
 from asbuilt import load_robot, review
 from asbuilt.errors import UsageError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recording
 from asbuilt.validation.letter import LETTERS, LetterRule
 
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from virtual_causes import identified, recorded
 
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.result.torque_prediction import predict_torque
+from asbuilt.experiment import SignalChain, hold_out, prepare_samples
+from asbuilt.identification import predict_torque
 from asbuilt.validation.nearest_consistent import compare_with_nearest
 
 

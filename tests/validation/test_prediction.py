@@ -4,11 +4,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import observation_matrix, parameter_values
 from asbuilt.errors import ResultError
-from asbuilt.validation.prediction import derive_cad_values, validate_description, validate_samples
-from asbuilt.writers.models.as_built import as_built
+from asbuilt.validation import validate_description, validate_samples
+from asbuilt.validation.prediction import derive_cad_values
+from asbuilt.writers import as_built
 
 
 @pytest.mark.parametrize("which", ["example", "filtered_example"])

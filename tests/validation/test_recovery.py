@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import ResultError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger
-from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.recovery import compare_with_truth
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import PERFECT_SENSORS, DataLogger, SimulatedRecording, VirtualRobot
+from asbuilt.identification import IdentificationResult
+from asbuilt.validation import compare_with_truth
+from asbuilt.workflow import StudyOptions, identify
 
 
 @pytest.fixture(scope="module")

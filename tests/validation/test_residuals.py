@@ -1,9 +1,8 @@
 import numpy as np
 from scipy import signal, stats
 
+from asbuilt.validation import VelocityCurve, analyse_residual
 from asbuilt.validation.residuals import (
-    VelocityCurve,
-    analyse_residual,
     autocorrelation,
     bin_by_velocity,
     durbin_watson,

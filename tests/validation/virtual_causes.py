@@ -7,23 +7,21 @@ from functools import cache
 
 import numpy as np
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    Samples,
+    SensorNoise,
+    SignalChain,
+    VirtualRobot,
+    hold_out,
+    prepare_samples,
+)
 from asbuilt.experiment.virtual.presets import perturb_links
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.effects.search import find_effects
-from asbuilt.identification.identify import identify_samples
+from asbuilt.identification import IdentificationResult, find_effects, identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
-from asbuilt.identification.result.result import IdentificationResult
 
 TOOL = LinkInertia.from_com(1.9, [0.02, 0.0, 0.08], np.diag([0.01, 0.01, 0.006]))
 FRICTION = (1.0, 2.0)

@@ -9,25 +9,23 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet, PositionServo, inverse_dynamics
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    ReadingOptions,
+    Recording,
+    RecordingStream,
+    SignalChain,
+    VirtualRobot,
+    prepare_samples,
+    resolve_chain,
+)
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.calibration.torque_gains import identify_gains
-from asbuilt.identification.calibration.two_channels import identify_two_channels
-from asbuilt.workflow.calibration import find_gains, identify_channels
-from asbuilt.workflow.options import ChannelOptions, GainOptions
-from asbuilt.writers.tables.drive_tables import gains_document, gains_text
+from asbuilt.identification import identify_gains, identify_two_channels
+from asbuilt.workflow import ChannelOptions, GainOptions, find_gains, identify_channels
+from asbuilt.writers import gains_document, gains_text
 
 ARM, RATE = "ur10e", 200.0
 TOOL = LinkInertia.from_com(5.0, [0.0, 0.0, 0.1], 0.02 * np.eye(3))

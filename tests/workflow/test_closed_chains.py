@@ -7,17 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
 from asbuilt.errors import DescriptionError, MotionError, RecordingError
-from asbuilt.excitation.design.design import design_motion
-from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.limits import check_motion
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.excitation import DesignOptions, check_motion, design_motion, random_fourier
+from asbuilt.experiment import VirtualRobot, check_recording
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import StudyOptions, identify
 from asbuilt.writers.models.c.c_dynamics import Mechanism
 from asbuilt.writers.models.urdf import format_urdf
 from closed_chains import NAMES, robot_with_loops
@@ -52,8 +47,8 @@ def test_intervals_hold_the_truth() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_free_motion_is_that_of_mujoco(name: str) -> None:
     """Accelerations by the shares against MuJoCo's constraint solver."""
+    from asbuilt.dynamics import forward_dynamics
     from asbuilt.dynamics.kinematics import draw_postures
-    from asbuilt.dynamics.newton_euler import forward_dynamics
 
     model = robot_with_loops(name)
     physics = Physics(model)
@@ -138,7 +133,7 @@ def test_exports_that_have_no_loops_refuse_by_name() -> None:
 
 def test_a_parallelogram_becomes_mimic_joints_in_urdf() -> None:
     from asbuilt.description.formats.urdf import read_urdf
-    from asbuilt.dynamics.newton_euler import inverse_dynamics
+    from asbuilt.dynamics import inverse_dynamics
 
     model = bundled_robot("four-bar")
     points = {"point_a": np.array([0.5, 0.0, 0.0]), "point_b": np.array([0.15, 0.0, 0.0])}

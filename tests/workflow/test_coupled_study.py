@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.validation.review.review import review_result
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import Study, identify
+from asbuilt.description import LinkInertia
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import simulate_recording
+from asbuilt.identification import choose_payload_frame
+from asbuilt.validation import review_result
+from asbuilt.workflow import Study, StudyOptions, identify
 from coupled_robots import palletizer
 
 CARRIED = LinkInertia.from_com(0.8, [0.02, 0.01, 0.05], 1e-3 * np.eye(3))

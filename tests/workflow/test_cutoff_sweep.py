@@ -8,15 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import RecordingError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, SensorNoise, VirtualRobot
+from asbuilt.workflow import CutoffSweep, StudyOptions, identify, sweep_cutoffs
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 

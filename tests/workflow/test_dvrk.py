@@ -7,13 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.experiment.logs.recordings import as_recordings
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.description import bundled_robot
+from asbuilt.experiment import SignalChain, as_recordings
 from asbuilt.identification.calibration.added_moments import identify_added_moments
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.prepare import prepare
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import StudyOptions, identify, prepare
 
 SHEET = """rate = 200
 header = false

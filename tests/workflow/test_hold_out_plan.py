@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.workflow.options import StudyOptions, ValidationOptions
-from asbuilt.workflow.study import identify
-from asbuilt.workflow.validation import validate
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import SignalChain, VirtualRobot, prepare_samples, resolve_chain
+from asbuilt.identification import IdentificationResult
+from asbuilt.workflow import StudyOptions, ValidationOptions, identify, validate
 from command_line import document
 
 MODEL = bundled_robot("two-link")

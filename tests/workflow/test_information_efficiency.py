@@ -8,14 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.information.information_bound import information_efficiency
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.information_efficiency import recorded_information
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet
+from asbuilt.excitation import MotionBounds, information_efficiency, random_fourier
+from asbuilt.experiment import Recording, VirtualRobot
+from asbuilt.workflow import recorded_information
 
 
 @pytest.fixture(scope="module")

@@ -10,22 +10,21 @@ import pytest
 
 import asbuilt
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import RecordingError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.prediction import validate_samples
-from asbuilt.workflow.study import Study, identify
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    SignalChain,
+    check_recording,
+    prepare_samples,
+    read_recording,
+    simulate_recording,
+)
+from asbuilt.identification import IdentificationResult, identify_samples
+from asbuilt.validation import validate_samples
+from asbuilt.workflow import Study, identify
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

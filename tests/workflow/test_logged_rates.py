@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.dynamics.contact import contact_jacobians
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.signal.band_choice import choose_band
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, plan_grid
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.workflow.delays import settle_rates
 
 URDF = """<robot name="monopod">

@@ -6,17 +6,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    RecordingStream,
+    SignalChain,
+    VirtualRobot,
+    read_recording,
+    resolve_chain,
+)
 from asbuilt.experiment.logs import long_recordings
-from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.workflow import StudyOptions, identify
 from command_line import document
 
 

@@ -19,11 +19,11 @@ from asbuilt import (
     simulate_recording,
     validate_robot,
 )
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import PositionServo
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
 from asbuilt.executor import Workers, open_workers
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import SignalChain
 from asbuilt.workflow.options import parse_horizons
 
 pytest.importorskip("mujoco")

@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 from asbuilt import identify, load_robot, validate
 from asbuilt.description.sibling import Sibling
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
 from outside_robot import OutsideRobot, Sensors, other_bodies
 
 

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from tests.identification.trajectories.arms import four_joint_arm, recorded_by_mujoco
 
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.workflow import refinement
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import Study, identify
+from asbuilt.dynamics import PositionServo
+from asbuilt.workflow import Study, StudyOptions, identify, refinement
 
 pytest.importorskip("mujoco")
 STEP, LATE = 1e-4, 0.010

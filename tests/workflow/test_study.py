@@ -9,17 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import RecordingError, ResultError, UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.validation.attribution.attribute import attribute
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import Study, identify
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, SensorNoise, VirtualRobot, read_recordings
+from asbuilt.validation import attribute
+from asbuilt.workflow import Study, StudyOptions, identify
 
 UR10E_SHEET = """
 header = false

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from pinocchio_oracle import pinocchio_model
 
-from asbuilt.description.load import load_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.workflow.study import Study, identify
+from asbuilt.description import load_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording
+from asbuilt.workflow import Study, identify
 
 pin = pytest.importorskip("pinocchio")
 pytestmark = pytest.mark.study

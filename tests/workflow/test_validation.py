@@ -9,20 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
+from asbuilt.description import load_robot
 from asbuilt.errors import RecordingError, ResultError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.validation.prediction import Validation
-from asbuilt.workflow.options import StudyOptions, ValidationOptions
-from asbuilt.workflow.result_files import read_result, read_study
-from asbuilt.workflow.study import Study, identify
-from asbuilt.workflow.validation import validate, validate_robot
-from asbuilt.writers.reports.study_files import write_result
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, SignalChain, VirtualRobot, read_recording, resolve_chain
+from asbuilt.validation import Validation
+from asbuilt.workflow import (
+    Study,
+    StudyOptions,
+    ValidationOptions,
+    identify,
+    read_result,
+    read_study,
+    validate,
+    validate_robot,
+)
+from asbuilt.writers import write_result
 from command_line import document
 
 ARM = "scara"

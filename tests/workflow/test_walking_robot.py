@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 
 from asbuilt import identify, roll_out_robot
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.dynamics import PositionServo, link_poses
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment import Recording, read_fitted_recordings, read_recording
 from asbuilt.experiment.free_base.base_checks import check_free_base
 from asbuilt.experiment.free_base.columns import add_base_coordinates, base_rotations
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.recording import Recording
-from asbuilt.writers.models.as_built import as_built
+from asbuilt.writers import as_built
 from studied_cases import first_of
 
 FEET = "FL_FOOT,FR_FOOT,HL_FOOT,HR_FOOT"

@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.description import DriveValues, LinkInertia, RobotModel
 
 
 def pinocchio_torques(

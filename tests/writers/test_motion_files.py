@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.motions.fourier import FourierMotion
-from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.writers.recording_files import write_motion
+from asbuilt.excitation import FourierMotion, read_motion
+from asbuilt.writers import write_motion
 
 NAMES = ("shoulder", "elbow", "joint 3")
 

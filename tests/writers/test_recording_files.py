@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.torque import described_drive
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.description import bundled_robot, load_robot
+from asbuilt.dynamics import described_drive
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot, read_recording
 from asbuilt.experiment.virtual.presets import PRESETS
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.writers.recording_files import write_simulation
+from asbuilt.writers import write_simulation
 
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])

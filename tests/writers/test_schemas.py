@@ -13,8 +13,9 @@ import pytest
 from asbuilt.description import robots
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.errors import DescriptionError, RecordingError, UsageError
-from asbuilt.experiment.logs.sheet import read_sheet
-from asbuilt.writers.schemas import SCHEMAS, json_schema
+from asbuilt.experiment import read_sheet
+from asbuilt.writers import json_schema
+from asbuilt.writers.schemas import SCHEMAS
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "reference"
 BUNDLED = sorted(Path(next(iter(robots.__path__))).glob("*.toml"))

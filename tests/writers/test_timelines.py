@@ -8,17 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.experiment.recording import Recording
+from asbuilt.dynamics import link_poses
+from asbuilt.experiment import Recording
 from asbuilt.findings import Finding
-from asbuilt.validation.prediction import Validation, validate_samples
-from asbuilt.writers.timelines import (
-    Timeline,
-    Track,
-    timelines_of_validations,
-    write_mcap,
-    write_rrd,
-)
+from asbuilt.validation import Validation, validate_samples
+from asbuilt.writers import Timeline, Track, timelines_of_validations, write_mcap, write_rrd
 from example_identification import Example
 
 

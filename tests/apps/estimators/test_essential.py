@@ -14,30 +14,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import InertiaError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.calibration.payload import (
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import SensorNoise, VirtualRobot, prepare_samples
+from asbuilt.identification import (
+    IdentificationResult,
     choose_payload_frame,
+    determination,
     identify_payload_samples,
+    identify_samples,
+    known_information,
+    summarise,
 )
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.as_built_parameters import known_information
-from asbuilt.identification.result.determination import determination
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.summary import summarise
-from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.comparison.comparison import compare
-from asbuilt.validation.comparison.drift import compare_results
-from asbuilt.workflow.study import Study
-from asbuilt.writers.models.as_built import as_built
+from asbuilt.validation import CadTolerance, compare, compare_results
+from asbuilt.workflow import Study
+from asbuilt.writers import as_built, identify_document
 from asbuilt.writers.models.physical import refuse_inconsistent
-from asbuilt.writers.tables.tabular import format_json, identify_document, tabulate_identified
+from asbuilt.writers.tables.tabular import format_json, tabulate_identified
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 TOOL = LinkInertia.from_com(1.8, [0.03, -0.02, 0.09], np.diag([0.011, 0.009, 0.006]))

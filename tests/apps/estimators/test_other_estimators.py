@@ -12,11 +12,9 @@ from scipy import stats
 from three_links import DRIVE, RATE, full_rows, recording
 
 from asbuilt.apps.estimators.ridge import RIDGES
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics import parameter_values
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimate import EstimationData
-from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification import EstimationData, accumulate_stream, methods
 
 
 def data_of(robot, samples, prior=None):

@@ -16,19 +16,22 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.apps.fleet.identification import fleet_identify
-from asbuilt.apps.fleet.ledger.ledger import open_ledger
-from asbuilt.apps.fleet.options import FleetIdentification, FleetOptions
-from asbuilt.apps.fleet.overview import fleet_overview
-from asbuilt.apps.fleet.reduction.add import Addition, add_logs, make_identity_finder
-from asbuilt.apps.fleet.reduction.rebuild import rebuild_ledger
+from asbuilt.apps.fleet import (
+    Addition,
+    FleetIdentification,
+    FleetOptions,
+    add_logs,
+    fleet_identify,
+    fleet_overview,
+    open_ledger,
+    rebuild_ledger,
+)
+from asbuilt.apps.fleet.reduction.add import make_identity_finder
 from asbuilt.errors import IdentifiabilityError, RecordingError, ResultError, UsageError
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.identification.identify import identify_samples
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.experiment import prepare_samples, read_recording
+from asbuilt.identification import identify_samples
+from asbuilt.workflow import StudyOptions, identify
+from asbuilt.writers import write_recording
 from fleet_logs import MODEL, content_of, recording, with_clock, write_logs
 
 HERE = FleetOptions(workers=0)

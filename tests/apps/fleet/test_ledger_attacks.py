@@ -18,15 +18,20 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.apps.fleet.identification import fleet_identify
+from asbuilt.apps.fleet import (
+    Addition,
+    FleetOptions,
+    Ledger,
+    add_logs,
+    fleet_identify,
+    fleet_overview,
+    open_ledger,
+)
 from asbuilt.apps.fleet.ledger.entry import EntryName, digest_content
-from asbuilt.apps.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.apps.fleet.ledger.store import check_robot_id, find_identity
-from asbuilt.apps.fleet.options import FleetOptions
-from asbuilt.apps.fleet.overview import fleet_overview
-from asbuilt.apps.fleet.reduction.add import Addition, add_logs, make_identity_finder
+from asbuilt.apps.fleet.reduction.add import make_identity_finder
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
-from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow import StudyOptions
 from asbuilt.writing import _OWNER
 from fleet_logs import MODEL, content_of, write_logs
 from studied_cases import first_of

@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import inverse_dynamics
 
 ROBOT = "kuka-iiwa7-r800"
 MOST = 700.0

@@ -9,18 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.fleet.identification import fleet_identify
-from asbuilt.apps.fleet.ledger.ledger import open_ledger
-from asbuilt.apps.fleet.options import FleetIdentification, FleetOptions
-from asbuilt.apps.fleet.reduction.add import add_logs
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.apps.fleet import (
+    FleetIdentification,
+    FleetOptions,
+    add_logs,
+    fleet_identify,
+    open_ledger,
+)
+from asbuilt.description import bundled_robot
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot
+from asbuilt.identification import methods
+from asbuilt.workflow import StudyOptions, identify
+from asbuilt.writers import write_recording
 
 ROBOTS = ("two-link", "ur10e")
 METHODS = sorted(name for name in methods if methods[name].needs == "information")

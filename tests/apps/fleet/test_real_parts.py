@@ -13,10 +13,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from asbuilt.apps.fleet.identification import fleet_identify
-from asbuilt.apps.fleet.options import FleetOptions
-from asbuilt.apps.fleet.overview import fleet_overview
-from asbuilt.apps.fleet.reduction.add import add_logs
+from asbuilt.apps.fleet import FleetOptions, add_logs, fleet_identify, fleet_overview
 from fleet_logs import MODEL, content_of, write_logs
 
 distributed = pytest.importorskip("distributed")

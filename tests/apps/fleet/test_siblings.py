@@ -8,30 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.fleet.identification import fleet_identify
-from asbuilt.apps.fleet.options import FleetIdentification, FleetOptions
-from asbuilt.apps.fleet.reduction.add import add_logs
+from asbuilt.apps.fleet import FleetIdentification, FleetOptions, add_logs, fleet_identify
 from asbuilt.apps.fleet.siblings import (
     SIBLINGS,
     SiblingPrior,
     estimate_prior,
     estimate_with_siblings,
 )
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import LinkInertia
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix, parameter_values
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.consistency import consistency_margin
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.square_root_information import (
-    SquareRootInformation,
-    accumulate,
-)
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
+from asbuilt.identification import SquareRootInformation, consistency_margin, fit_least_squares
+from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.writers import write_recording
 from fleet_logs import MODEL, recording, virtual
 
 DRIVE = DriveSet.parse("viscous,coulomb")

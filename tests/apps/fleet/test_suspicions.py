@@ -8,12 +8,9 @@ from typing import Any
 import numpy as np
 
 from asbuilt.apps.fleet.overview import JUMP, measure_misfit
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix, parameter_values
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
 from asbuilt.identification.information.square_root_information import accumulate
 from fleet_logs import MODEL
 

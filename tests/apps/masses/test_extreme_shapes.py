@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from asbuilt.apps.masses import link_masses
 from asbuilt.apps.masses.cad.meshes import look_up_density
-from asbuilt.apps.masses.computed_masses import link_masses
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
+from asbuilt.description import bundled_robot, load_robot
 from asbuilt.errors import DescriptionError
 from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.writers.models.urdf import format_urdf

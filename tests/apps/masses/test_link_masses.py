@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.masses.computed_masses import link_masses
+from asbuilt.apps.masses import link_masses
 from asbuilt.cli import app
+from asbuilt.description import LinkInertia, load_robot
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError, DescriptionError, UsageError
 
 trimesh = pytest.importorskip("trimesh")

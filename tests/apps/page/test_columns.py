@@ -10,7 +10,7 @@ import pytest
 
 from asbuilt.apps.page.columns import write_sheet
 from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment import read_recording
 from command_line import call, document
 
 T = np.arange(200) / 100.0

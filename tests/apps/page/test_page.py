@@ -19,7 +19,7 @@ import pytest
 from chromium import chromium
 from PIL import Image
 
-from asbuilt.workflow.result_files import read_result
+from asbuilt.workflow import read_result
 from command_line import call, document
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from asbuilt.apps.paper.facts import read_paper
+from asbuilt.description import load_robot
 from asbuilt.description.consistency import find_inconsistencies
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics import find_base_parameters
 from asbuilt.identification.bodies.standard_parameters import find_standard_parameters
 
 

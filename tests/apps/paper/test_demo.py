@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.apps.paper.demo import Demo, demo_document, describe_demo, run_demo
-from asbuilt.description.load import load_robot
+from asbuilt.apps.paper import run_demo
+from asbuilt.apps.paper.demo import Demo, demo_document, describe_demo
+from asbuilt.description import load_robot
 from asbuilt.writers.tables.tabular import format_json
 from command_line import documented_fields
 from shown_numbers import missing

@@ -10,11 +10,10 @@ from dataclasses import replace
 import pytest
 import yaml
 
-from asbuilt.apps.programs.controller_program import make_program
+from asbuilt.apps.programs import make_program
 from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motions.quintic import QuinticMotion
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.excitation import QuinticMotion
 from studied_cases import first_of
 
 ROBOTS = {"franka": "franka-panda", "sunrise": "kuka-iiwa7-r800", "fri": "kuka-iiwa7-r800",

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.sheet import read_sheet
-from asbuilt.writers.recording_files import write_motion
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import read_sheet
+from asbuilt.writers import write_motion
 from command_line import call
 
 

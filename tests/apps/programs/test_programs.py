@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import yaml
 
-from asbuilt.apps.programs.controller_program import make_program, write_program
-from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile, program_format
+from asbuilt.apps.programs import make_program, program_format, write_program
+from asbuilt.apps.programs.format import PROGRAM_FORMATS, ProgramFile
 from asbuilt.apps.programs.naming import (
     make_class_name,
     make_file_stem,
@@ -27,21 +27,22 @@ from asbuilt.apps.programs.naming import (
     make_plain_text,
 )
 from asbuilt.apps.programs.via_points import choose_hermite_knots, divide_point_to_point
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import JointLimits, RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import JointLimits, RobotModel, bundled_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
+from asbuilt.excitation import (
+    BSplineMotion,
+    Motion,
+    PointToPointMotion,
+    QuinticMotion,
+    check_motion,
+    random_fourier,
+    random_point_to_point,
+    read_motion,
+)
 from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.excitation.collision.constraint import CollisionGuard
-from asbuilt.excitation.limits import check_motion
-from asbuilt.excitation.motions.bspline import BSplineMotion
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.sheet import read_sheet
+from asbuilt.experiment import read_recording, read_sheet
 from studied_cases import first_of
 
 ALLOWED = {

@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.apps.programs.controller_program import make_program, write_program
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.apps.programs import make_program, write_program
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import Motion, random_fourier
+from asbuilt.experiment import read_recording
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not here")
 

@@ -14,11 +14,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from asbuilt.apps.programs.controller_program import make_program, write_program
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.apps.programs import make_program, write_program
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import MotionBounds, PointToPointMotion, random_fourier
 
 pytestmark = pytest.mark.skipif(shutil.which("javac") is None, reason="javac is not here")
 

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 import yaml
 
-from asbuilt.apps.programs.controller_program import make_program, write_program
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.apps.programs import make_program, write_program
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import Motion, random_fourier
 from studied_cases import first_of
 
 ROBOTS = ("ur10e", "scara")

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from asbuilt.apps.programs.controller_program import make_program
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.apps.programs import make_program
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import Motion, random_fourier
 
 ROBOTS = ("ur10e", "puma-560")
 NUMBER = r"-?\d+\.\d{7}"

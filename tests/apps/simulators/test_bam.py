@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from asbuilt.apps.simulators.simulator_formats.bam import choose_bam_parameters
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import DriveValues, Joint
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import DriveValues, Joint, bundled_robot
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import UsageError
 
 VALUES = {

@@ -11,14 +11,12 @@ from xml.etree.ElementTree import parse
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.writers.models.export import export_result
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot, prepare_samples
+from asbuilt.identification import IdentificationResult, identify_samples
+from asbuilt.writers import export_result
 
 HEADERS = Path(__file__).parent / "ros2_headers"
 COMPILER = shutil.which("g++")

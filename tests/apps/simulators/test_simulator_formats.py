@@ -16,12 +16,8 @@ import yaml
 from tests.identification.ensembles.example_results import servo_result
 
 from asbuilt.errors import UsageError
-from asbuilt.identification.ensembles.ensemble import draw_ensemble
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.writers.models.ensembles import write_ensemble
-from asbuilt.writers.models.export import Export, export_result
-from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS
+from asbuilt.identification import IdentificationResult, as_built_parameters, draw_ensemble
+from asbuilt.writers import SIMULATOR_FORMATS, Export, export_result, write_ensemble
 
 FRICTION = ("Fv", "Fc")
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.apps.watch.thresholds import Thresholds
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.apps.watch import Thresholds
+from asbuilt.identification import IdentificationResult
 from asbuilt.writers.models.export import write_observer
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1")

@@ -13,17 +13,15 @@ from test_export import result_of
 from test_rich_drives import coupled, rich_result
 from watched_robot import WatchedRobot
 
-from asbuilt.apps.watch.observer import Observer
-from asbuilt.apps.watch.thresholds import Thresholds
-from asbuilt.cli.app import main
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import coriolis_torque, gravity_torque
+from asbuilt.apps.watch import Observer, Thresholds
+from asbuilt.cli import main
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.dynamics import coriolis_torque, gravity_torque
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import IdentificationResult
+from asbuilt.writers import write_result
 from asbuilt.writers.models.export import write_observer
 from asbuilt.writers.models.sample_states import draw_sample_states
-from asbuilt.writers.reports.study_files import write_result
 
 SAME = 1e-12
 

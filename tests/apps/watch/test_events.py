@@ -8,20 +8,14 @@ import numpy as np
 import pytest
 from watched_robot import RATE, WatchedRobot, recorded
 
+from asbuilt.apps.watch import Observed, Observer, WatchedLog, WatchOptions, watch
 from asbuilt.apps.watch.causal_filter import choose_pole
 from asbuilt.apps.watch.contact import excess_response, find_smallest_forces, frame_jacobian
 from asbuilt.apps.watch.events import join_events
-from asbuilt.apps.watch.observed import Observed
-from asbuilt.apps.watch.observer import Observer
-from asbuilt.apps.watch.options import WatchOptions
-from asbuilt.apps.watch.watched_log import WatchedLog
-from asbuilt.apps.watch.watching import watch
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description import LinkInertia
 from asbuilt.errors import RecordingError, ResultError, UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.experiment import Recording, RecordingStream, VirtualRobot
+from asbuilt.writers import write_recording
 from studied_cases import first_of
 
 UNCHECKED = WatchOptions(checked=False)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import genpareto, norm
 
-from asbuilt.apps.watch.extremes import block_maxima, gumbel_level, tail_level
+from asbuilt.apps.watch import block_maxima, tail_level
+from asbuilt.apps.watch.extremes import gumbel_level
 from asbuilt.errors import RecordingError
 
 

@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 from watched_robot import RATE, WatchedRobot
 
-from asbuilt.apps.watch.contact import estimate_contact, frame_jacobian
-from asbuilt.apps.watch.observer import Observer
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import gravity_torque
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.apps.watch import Observer, estimate_contact
+from asbuilt.apps.watch.contact import frame_jacobian
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet, TorqueModel, gravity_torque
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 BANDWIDTH = 8.0
 GAIN = 2.0 * np.pi * BANDWIDTH

@@ -16,21 +16,20 @@ import pytest
 from watched_robot import WatchedRobot
 
 from asbuilt import ReadingOptions
-from asbuilt.apps.watch.events import Event
-from asbuilt.apps.watch.observer import Observer
-from asbuilt.apps.watch.stream import (
-    MOST_BROKEN,
-    RowReader,
+from asbuilt.apps.watch import (
+    Event,
+    Observer,
     StreamWatch,
+    make_stream_observer,
     read_lines,
+    watch,
     watch_stream,
 )
-from asbuilt.apps.watch.watching import make_stream_observer, watch
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.apps.watch.stream import MOST_BROKEN, RowReader
+from asbuilt.description import bundled_robot
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.recording import Recording
-from asbuilt.writers.recording_files import write_recording
-from asbuilt.writers.reports.study_files import write_result
+from asbuilt.experiment import Recording
+from asbuilt.writers import write_recording, write_result
 
 
 def pushed(watched: WatchedRobot) -> Recording:

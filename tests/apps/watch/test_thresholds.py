@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from asbuilt.apps.watch import Observed, set_thresholds
 from asbuilt.apps.watch.causal_filter import largest_velocity_error
-from asbuilt.apps.watch.observed import Observed
-from asbuilt.apps.watch.thresholds import MANY, estimate_levels, set_thresholds
+from asbuilt.apps.watch.thresholds import MANY, estimate_levels
 from asbuilt.arrays import Array
 
 HOUR = 3600

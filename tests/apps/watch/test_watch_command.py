@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from watched_robot import WatchedRobot
 
-from asbuilt.writers.recording_files import write_recording
-from asbuilt.writers.reports.study_files import write_result
+from asbuilt.writers import write_recording, write_result
 from command_line import call, document
 
 

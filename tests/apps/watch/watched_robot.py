@@ -8,19 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from asbuilt.apps.watch import Observer, Thresholds, set_thresholds
 from asbuilt.apps.watch.causal_filter import largest_velocity_error
-from asbuilt.apps.watch.observer import Observer
-from asbuilt.apps.watch.thresholds import Thresholds, set_thresholds
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motions.motion import Trajectory
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.excitation import Trajectory, random_fourier
+from asbuilt.experiment import Recording, VirtualRobot
+from asbuilt.identification import IdentificationResult
+from asbuilt.workflow import StudyOptions, identify
 
 RATE = 200.0
 LONGEST = 15.0

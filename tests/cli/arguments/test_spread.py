@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 import pytest
 import typer
 
-from asbuilt.cli.arguments.spread import Common, name_option, spread
+from asbuilt.cli import name_option
+from asbuilt.cli.arguments.spread import Common, spread
 from asbuilt.errors import UsageError
 
 

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.dh import DHRow, read_dh_table, robot_from_dh
+from asbuilt.description import ROOT, DHRow, placement, robot_from_dh
+from asbuilt.description.formats.dh import read_dh_table
 from asbuilt.description.lengths import evaluate_lengths
-from asbuilt.description.model import ROOT
-from asbuilt.description.rotation import placement, rotation_x, rotation_z
+from asbuilt.description.rotation import rotation_x, rotation_z
 from asbuilt.errors import DescriptionError
 
 HEADER = "link,b,a,alpha_deg,m,rx,ry,rz,Ixx,Iyy,Izz,Ixy,Iyz,Izx\n"

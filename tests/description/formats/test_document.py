@@ -7,9 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.document import model_document, model_from_document
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import JointLimits
+from asbuilt.description import JointLimits, load_robot, model_document, model_from_document
 from asbuilt.errors import DescriptionError
 
 

@@ -5,10 +5,9 @@ import contextlib
 import numpy as np
 import pytest
 
+from asbuilt.description import ROOT, load_robot
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import ROOT
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import DescriptionError, MissingExtraError
 
 mujoco = pytest.importorskip("mujoco")

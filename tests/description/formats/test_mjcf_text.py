@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 from pinocchio_oracle import random_robot
 
-from asbuilt.description.appearance import inertia_ellipsoid, link_solids
-from asbuilt.description.catalogue import bundled_robot, robot_names
+from asbuilt.description import (
+    DriveValues,
+    LinkInertia,
+    RobotModel,
+    bundled_robot,
+    link_solids,
+    quaternion_from_rotation,
+    robot_names,
+)
+from asbuilt.description.appearance import inertia_ellipsoid
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.description.rotation import quaternion_from_rotation, rotation_from_quaternion
+from asbuilt.description.rotation import rotation_from_quaternion
 from asbuilt.errors import InertiaError
 
 

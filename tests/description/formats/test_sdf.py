@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import (
+    RobotModel,
+    bundled_robot,
+    load_robot,
+    rotation_from_rpy,
+    rpy_from_rotation,
+)
 from asbuilt.description.formats.sdf import read_sdf
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import rotation_from_rpy, rpy_from_rotation
-from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import inverse_dynamics, link_poses
 from asbuilt.errors import DescriptionError
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asbuilt.description import ROOT, placement, rotation_from_rpy
 from asbuilt.description.formats.toml import read_robot_toml, robot_from_toml
 from asbuilt.description.lengths import evaluate_lengths, parse_length
-from asbuilt.description.model import ROOT
-from asbuilt.description.rotation import placement, rotation_from_rpy, rotation_z
+from asbuilt.description.rotation import rotation_z
 from asbuilt.errors import DescriptionError
 
 ARM = """

@@ -7,11 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from asbuilt.description import ROOT, RobotModel, load_robot
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import round_to_right_angle
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import DescriptionError
 from shared_urdfs import SHARED_URDFS
 

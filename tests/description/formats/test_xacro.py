@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from asbuilt.description import load_robot
 from asbuilt.description.formats.xacro import read_xacro
-from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
 from asbuilt.untrusted import set_xacro_arguments
 

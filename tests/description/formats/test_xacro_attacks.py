@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from asbuilt.description import load_robot
 from asbuilt.description.formats.expansion import BUILTINS, MATH, evaluate
-from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
 from asbuilt.isolation import build_isolated_command
 

@@ -12,15 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
+from asbuilt.description import DHRow, RobotModel, bundled_robot, placement, robot_from_dh
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import placement, rotation_x
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.description.rotation import rotation_x
+from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters, observation_matrix
 from asbuilt.dynamics.base.symbols import replace_lengths
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 
 RIGHT = np.pi / 2

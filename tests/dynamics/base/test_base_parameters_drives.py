@@ -12,10 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import DHRow, robot_from_dh
+from asbuilt.dynamics import DriveSet, available_terms, find_base_parameters, observation_matrix
 
 from .test_base_parameters_random import assert_regroups, first_independent, robots, stacked
 

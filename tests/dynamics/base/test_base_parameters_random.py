@@ -9,19 +9,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, Link, RobotModel
-from asbuilt.description.rotation import (
-    compose_placements,
-    placement,
-    rotation_x,
-    rotation_y,
-    rotation_z,
+from asbuilt.description import ROOT, Joint, Link, LinkInertia, RobotModel, placement
+from asbuilt.description.rotation import compose_placements, rotation_x, rotation_y, rotation_z
+from asbuilt.dynamics import (
+    BaseParameters,
+    DriveSet,
+    find_base_parameters,
+    observation_matrix,
+    observation_rank,
 )
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.base.observation_rank import observation_rank
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
 
 TERMS = ("armature", "viscous", "coulomb", "offset")
 QUARTERS = st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi / 2])

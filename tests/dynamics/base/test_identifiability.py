@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.base.identifiability import StandardParameter
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import DHRow, RobotModel, bundled_robot, robot_from_dh
+from asbuilt.dynamics import DriveSet, StandardParameter, find_base_parameters, observation_matrix
 
 RIGHT = np.pi / 2
 

@@ -7,12 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.description import DHRow, LinkInertia, load_robot, robot_from_dh
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.dynamics.base.regrouping import AXIAL, regroup_structurally, regroup_symbolically
-from asbuilt.dynamics.drives.selection import DriveSet
 
 from .test_base_parameters_random import assert_regroups, first_independent, stacked
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, Link, RobotModel
-from asbuilt.description.rotation import compose_placements, placement, rotation_x, rotation_z
+from asbuilt.description import ROOT, Joint, Link, LinkInertia, RobotModel, placement
+from asbuilt.description.rotation import compose_placements, rotation_x, rotation_z
 from asbuilt.dynamics.base.regrouping_relations import (
     SHIFT_LINEAR,
     SHIFT_SQUARE,

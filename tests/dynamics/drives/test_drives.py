@@ -7,10 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from asbuilt.description.model import DriveValues
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
-from asbuilt.dynamics.drives.torque import drive_columns, drive_torque
+from asbuilt.description import DriveValues
+from asbuilt.dynamics import (
+    DriveSet,
+    DriveTerm,
+    NonlinearParameter,
+    available_terms,
+    drive_columns,
+    drive_torque,
+)
+from asbuilt.dynamics.drives.selection import NO_DRIVE
 from asbuilt.errors import UsageError
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from asbuilt.dynamics import PositionServo
 from asbuilt.dynamics.drives.goal_profile import derive_goal_path
-from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
 
 

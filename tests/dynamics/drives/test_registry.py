@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveTerm, NonlinearParameter, drive_term
 from asbuilt.dynamics.drives.formula import Formula
-from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter, drive_term
 from asbuilt.errors import UsageError
 
 SATURATED = '''

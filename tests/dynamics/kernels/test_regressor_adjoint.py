@@ -11,10 +11,9 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model, random_inertia, random_robot
 
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description import LinkInertia
+from asbuilt.dynamics import RegressorPlan, inverse_dynamics
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 
 

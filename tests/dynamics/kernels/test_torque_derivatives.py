@@ -11,9 +11,9 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model, random_inertia, random_robot
 
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description import LinkInertia
+from asbuilt.dynamics import inverse_dynamics, mass_matrix
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
-from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.errors import UsageError
 
 

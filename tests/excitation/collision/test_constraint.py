@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.rotation import placement, rotation_from_rpy
-from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.description import load_robot, placement, rotation_from_rpy
+from asbuilt.dynamics import link_poses
 from asbuilt.errors import DescriptionError, MotionError, UsageError
+from asbuilt.excitation import DesignOptions, design_motion, design_static_poses
 from asbuilt.excitation.collision.capsules import (
     Capsule,
     build_skeleton_capsules,
@@ -17,10 +17,7 @@ from asbuilt.excitation.collision.capsules import (
 )
 from asbuilt.excitation.collision.constraint import CollisionGuard, ToolBox, build_constraints
 from asbuilt.excitation.collision.distances import find_nearest_on_segments, find_nearest_to_box
-from asbuilt.excitation.design.design import design_motion
-from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.static_poses import design_static_poses
-from asbuilt.writers.tables.design_tables import design_text
+from asbuilt.writers import design_text
 
 coal = pytest.importorskip("coal")
 

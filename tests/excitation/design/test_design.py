@@ -7,21 +7,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.design.design import choose_size, design_motion
+from asbuilt.excitation import (
+    PARAMETRISATIONS,
+    DesignOptions,
+    MotionBounds,
+    SearchProgress,
+    design_motion,
+    information_efficiency,
+    random_fourier,
+)
+from asbuilt.excitation.design.design import choose_size
 from asbuilt.excitation.design.designed_motion import locate_base_parameter
-from asbuilt.excitation.design.multistart import Candidate, Deadline, SearchProgress, search_all
-from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.information.information_bound import information_efficiency
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.tables.design_tables import design_text
+from asbuilt.excitation.design.multistart import Candidate, Deadline, search_all
+from asbuilt.writers import design_text
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 QUICK = DesignOptions(duration=8.0, size=4, starts=2, time_limit=60.0)

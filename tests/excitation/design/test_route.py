@@ -9,13 +9,12 @@ import itertools
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.description import load_robot
+from asbuilt.dynamics import link_poses
 from asbuilt.errors import MotionError
+from asbuilt.excitation import MotionBounds, design_static_poses
 from asbuilt.excitation.collision.constraint import build_constraints
 from asbuilt.excitation.design.route import Roadmap, find_short_tour, plan_route
-from asbuilt.excitation.design.static_poses import design_static_poses
-from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_constraint import StateConstraint
 
 

@@ -7,14 +7,10 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import gravity_torque
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, gravity_torque, observation_matrix
 from asbuilt.errors import UsageError
-from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.static_poses import design_static_poses
-from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation import DesignOptions, MotionBounds, design_static_poses
 
 
 def standing(model, poses, drive=None):

@@ -3,13 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import UsageError
+from asbuilt.excitation import Information
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information, mean_information
+from asbuilt.excitation.information.information import mean_information
 
 
 def prepared(robot: str, drive: str, noise=1.0):

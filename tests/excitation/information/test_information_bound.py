@@ -4,15 +4,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.information.information import Information, draw_states, mean_information
-from asbuilt.excitation.information.information_bound import information_bound
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics, observation_matrix
+from asbuilt.excitation import Information, MotionBounds, information_bound, random_fourier
+from asbuilt.excitation.information.information import draw_states, mean_information
 
 
 @pytest.fixture(scope="module")

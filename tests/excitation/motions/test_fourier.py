@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.bspline import BSplineMotion
-from asbuilt.excitation.motions.fourier import FourierMotion
+from asbuilt.excitation import BSplineMotion, FourierMotion
 
 
 @settings(max_examples=40, deadline=None)

@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.bspline import BSplineMotion
-from asbuilt.excitation.motions.fourier import FourierMotion
-from asbuilt.excitation.motions.motion import BasisMotion, Motion, Trajectory
-from asbuilt.excitation.motions.motion_csv import SampledMotion
-from asbuilt.excitation.motions.piecewise import Concatenated, PiecewisePolynomial
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.spline import SplineMotion
+from asbuilt.excitation import (
+    BSplineMotion,
+    Concatenated,
+    FourierMotion,
+    Motion,
+    PointToPointMotion,
+    QuinticMotion,
+    SampledMotion,
+    SplineMotion,
+    Trajectory,
+)
+from asbuilt.excitation.motions.motion import BasisMotion
+from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 POSES = np.random.default_rng(7).uniform(-2, 2, size=(6, 3))
 LIMITS = {"velocity": [1.5, 1.0, 2.0], "acceleration": 4.0}

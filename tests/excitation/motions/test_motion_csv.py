@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import Joint, Link, RobotModel
+from asbuilt.description import Joint, Link, LinkInertia, RobotModel
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.fourier import FourierMotion
-from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.writers.recording_files import write_motion
+from asbuilt.excitation import FourierMotion, read_motion
+from asbuilt.writers import write_motion
 
 NAMES = ("shoulder", "elbow", "joint 3")
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.excitation.motions.on_legs import LegMotion, leg_motions
 
 pin = pytest.importorskip("pinocchio")

@@ -11,11 +11,9 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model
 
-from asbuilt.description.load import load_robot
-from asbuilt.excitation.design.design import design_motion
-from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion, pace_moves
+from asbuilt.description import load_robot
+from asbuilt.excitation import DesignOptions, MotionBounds, PointToPointMotion, design_motion
+from asbuilt.excitation.motions.point_to_point import pace_moves
 from asbuilt.excitation.state_constraint import StateConstraint, WeightLimit
 
 PLANE = MotionBounds(*(np.array([value, value]) for value in (-1.0, 1.0, 1.0, 4.0, np.inf, np.inf)))

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.quintic import QuinticMotion
+from asbuilt.excitation import PointToPointMotion, QuinticMotion
 
 
 @settings(max_examples=80, deadline=None)

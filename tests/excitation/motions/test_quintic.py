@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.quintic import QuinticMotion
+from asbuilt.excitation import QuinticMotion
 
 number = st.floats(-3, 3, allow_nan=False)
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import read_motion
 
 MIRRORED = """
 from dataclasses import dataclass

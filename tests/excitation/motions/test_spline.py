@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.spline import SplineMotion
+from asbuilt.excitation import SplineMotion
 
 POINTS = np.random.default_rng(5).uniform(-2, 2, size=(8, 3))
 TIMES = np.array([0.0, 0.7, 1.1, 2.0, 2.4, 3.5, 4.0, 5.2])

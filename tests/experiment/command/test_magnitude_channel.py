@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import PositionServo
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording, read_recording
 from asbuilt.experiment.command.magnitude import (
     fit_logged_magnitude_laws,
     fit_magnitude_laws,
@@ -14,9 +15,7 @@ from asbuilt.experiment.command.magnitude import (
     sign_by_command,
 )
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.signal_checks import describe_laws
-from asbuilt.experiment.recording import Recording
 
 DUTY, VOLTAGE, RESISTANCE, INDUCED = 3.0, 12.0, 4.0, 1.8
 LAG = INDUCED / (DUTY * VOLTAGE)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import PositionServo
+from asbuilt.experiment import Recording, SignalChain, prepare_samples
 from asbuilt.experiment.command.servo_torque import (
     drive_by_command,
     drop_saturated,
@@ -14,9 +15,6 @@ from asbuilt.experiment.command.servo_torque import (
     find_saturated,
     hold_command,
 )
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 
 PERIOD, STEP = 0.01, 0.001
 ROBOT = """

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
+from asbuilt.description import load_robot
+from asbuilt.experiment import prepare_samples, read_recording
 from asbuilt.experiment.logs.columns.roles import recognise
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import identify
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.experiment import check_recording, propose_sheet, read_recording
-from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.experiment import RecordingSheet, check_recording, propose_sheet, read_recording
 from asbuilt.untrusted import parse_toml
 from command_line import call
 

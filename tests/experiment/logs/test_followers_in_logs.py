@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment import check_recording, read_fitted_recordings
 from coupled_robots import palletizer
 
 NAMES = ("a1", "a2", "a3", "level", "a6", "f1", "f2", "f3")

@@ -13,9 +13,9 @@ import pytest
 
 from asbuilt import children
 from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.experiment import LogTable, read_isolated
 from asbuilt.experiment.logs.formats import isolated
-from asbuilt.experiment.logs.formats.isolated import FileKind, read_isolated
-from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.isolated import FileKind
 
 READERS = '''
 import os, resource, signal, time

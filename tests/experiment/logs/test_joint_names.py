@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.description.joint_matching import match_joints
-from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.experiment import Recording, read_recording
+from asbuilt.writers import write_recording
 
 NAMES = (
     ("j1", "j2", "j3", "hand"),

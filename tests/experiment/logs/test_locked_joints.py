@@ -8,22 +8,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.document import model_document, model_from_document
+from asbuilt.description import (
+    Joint,
+    JointLimits,
+    Link,
+    LinkInertia,
+    Mimic,
+    RobotModel,
+    bundled_robot,
+    model_document,
+    model_from_document,
+)
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.joint_matching import find_unlabelled_joints
-from asbuilt.description.model import Joint, JointLimits, Link, Mimic, RobotModel
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    ReadingOptions,
+    check_recording,
+    read_fitted_recordings,
+    simulate_recording,
+)
+from asbuilt.workflow import StudyOptions, identify
+from asbuilt.writers import write_recording
 
 SHARED = Path(__file__).parents[3] / ".." / "shared"
 

@@ -8,19 +8,24 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.load import load_robot
+from asbuilt.description import load_robot
 from asbuilt.errors import RecordingError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    RecordingStream,
+    SignalChain,
+    as_recordings,
+    hold_out,
+    is_long,
+    prepare_samples,
+    read_recording,
+    resolve_chain,
+    simulate_recording,
+)
 from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.formats import delimited
-from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long, stream_recording
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import as_recordings
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.experiment.logs.long_recordings import stream_recording
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import RecordingSheet, read_recording
 from asbuilt.experiment.logs.formats.mcap import read_mcap
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.sheet import RecordingSheet
 from studied_cases import first_of
 
 pytest.importorskip("mcap")

@@ -11,13 +11,10 @@ import polars as pl
 import pytest
 from scipy.io import savemat
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
+from asbuilt.description import bundled_robot, load_robot
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment import Recording, RecordingSheet, read_recording, read_recordings
 from asbuilt.experiment.logs.long_recordings import stream_recording
-from asbuilt.experiment.logs.readers import read_recording, read_recordings
-from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.experiment.recording import Recording
 
 UR10E_GAINS = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
 UR10E_SHEET = f"""

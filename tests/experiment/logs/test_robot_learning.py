@@ -13,11 +13,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.load import load_robot
+from asbuilt.description import load_robot
 from asbuilt.errors import DescriptionError, RecordingError
+from asbuilt.experiment import read_fitted_recordings, read_recording
 from asbuilt.experiment.logs.options import parse_servo_numbers
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
 
 SHARED = Path(__file__).parents[3].parent / "shared"
 

@@ -8,7 +8,8 @@ import pytest
 
 from asbuilt.description.joint_matching import match_joints
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.roles import parse_file_quantity, parse_unit_scale, recognise
+from asbuilt.experiment import parse_unit_scale
+from asbuilt.experiment.logs.columns.roles import parse_file_quantity, recognise
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import RecordingSheet, read_recording
 from asbuilt.experiment.logs.formats.ros.bags import read_ros_bag
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
@@ -20,8 +21,6 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     TRAJECTORY,
     choose_topics,
 )
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.sheet import RecordingSheet
 
 JOINTS = ("base", "elbow", "wrist")
 STATE = "sensor_msgs/msg/JointState"

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.layout import find_layout
-from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.sheet import RecordingSheet, find_sheet_beside, read_sheet
+from asbuilt.experiment import LogTable, RecordingSheet, find_layout, read_recording, read_sheet
+from asbuilt.experiment.logs.sheet import find_sheet_beside
 
 FULL = """
 rate = 100

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment import read_recording
 
 MODEL = bundled_robot("two-link")
 

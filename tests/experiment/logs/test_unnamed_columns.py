@@ -10,13 +10,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import RecordingError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, read_recording
 from asbuilt.experiment.logs.long_recordings import stream_recording
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
 
 MODEL = bundled_robot("ur10e")
 NAMES = {"position": "q", "velocity": "v", "torque": "f"}

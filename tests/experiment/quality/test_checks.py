@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import RobotModel, bundled_robot, load_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import RecordingError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording, read_recordings
-from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    RecordingSheet,
+    check_recording,
+    prepare_samples,
+    read_recording,
+    read_recordings,
+)
 from fourier_recording import record
 
 HARD_STOPS = ("20_01_31", "14harm50sec")

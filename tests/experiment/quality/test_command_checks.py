@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.description import bundled_robot, load_robot
+from asbuilt.dynamics import PositionServo
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import ReadingOptions, Recording, check_recording, read_fitted_recordings
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.quality.checks import FROM_COMMANDS, check_recording
+from asbuilt.experiment.quality.checks import FROM_COMMANDS
 from asbuilt.experiment.quality.command_checks import check_commands
-from asbuilt.experiment.recording import Recording
 
 SHARED = Path(__file__).parents[4] / "shared"
 MODEL = bundled_robot("so-101")

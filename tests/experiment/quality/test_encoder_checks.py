@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.description import load_robot
+from asbuilt.experiment import check_recording, read_recording
 from asbuilt.experiment.quality.position_checks import estimate_encoder_lag
 
 KR300 = {

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, check_recording, simulate_recording
 from studied_cases import first_of
 
 ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, check_recording, simulate_recording
 from asbuilt.findings import Finding
 from studied_cases import first_of
 

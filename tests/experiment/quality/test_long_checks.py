@@ -12,16 +12,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, bundled_robot
 from asbuilt.errors import RecordingError
+from asbuilt.experiment import Recording, RecordingStream, check_recording, read_recording
 from asbuilt.experiment.logs import long_recordings
-from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.quality.passes import run_first_pass
-from asbuilt.experiment.recording import Recording
-from asbuilt.workflow.information_efficiency import recorded_information
+from asbuilt.workflow import recorded_information
 from command_line import document
 from fourier_recording import record
 

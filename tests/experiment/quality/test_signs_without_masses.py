@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.experiment import Recording, check_recording, read_recording
 
 UR10E = """
 header = false

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from asbuilt import load_robot, read_recording
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, check_recording, simulate_recording
 
 
 @pytest.fixture(scope="module")

@@ -9,22 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.description import RobotModel, bundled_robot, load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, VirtualRobot, check_recording, read_recordings
 from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
     find_swapped_torques,
     friction_bases,
 )
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from studied_cases import first_of
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.dynamics import inverse_dynamics
+from asbuilt.experiment import Recording, check_recording
 
 
 def recorded(*, magnitudes: bool) -> tuple[RobotModel, Recording]:

@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import check_recording, simulate_recording
 
 CODE = "torque_unsigned"
 

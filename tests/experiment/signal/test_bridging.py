@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.resampling import plan_uniform_grid
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import Recording, SignalChain, plan_uniform_grid, prepare_samples
 
 NOISE = 1e-5
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import UsageError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import Recording, SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import stream_samples
 
 W = 2 * np.pi * np.array([0.7, 1.9])
 

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment import Samples, hold_out
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
-from asbuilt.experiment.signal.samples import Samples
 
 
 def made(seconds=60.0, rate=100.0, parallel=None, segments=()):

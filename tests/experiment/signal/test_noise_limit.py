@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    SensorNoise,
+    SignalChain,
+    VirtualRobot,
+    check_recording,
+    prepare_samples,
+    resolve_chain,
+)
 from asbuilt.experiment.signal.band_choice import estimate_noise_limit
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.prediction import validate_samples
+from asbuilt.identification import identify_samples
+from asbuilt.validation import validate_samples
 from studied_cases import first_of
 
 COARSE = {"three decimals": (2e3 * np.pi, 1000.0), "counts": (4096.0, 1000.0), "slow": (16491, 195)}

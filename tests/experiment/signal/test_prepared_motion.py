@@ -7,16 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, SignalChain, prepare_samples, simulate_recording
 from asbuilt.experiment.signal.filter_plan import FilterPlan
-from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
+from asbuilt.experiment.signal.preparation import stream_samples
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import StudyOptions, identify
 
 W = 2.0 * np.pi * np.array([0.4, 1.3])
 FIELDS = ("t", "q", "qd", "qdd", "tau", "tau_raw")

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.resampling import plan_uniform_grid
+from asbuilt.experiment import Recording, plan_uniform_grid
 
 W = 2 * np.pi * np.array([0.5, 1.0])
 

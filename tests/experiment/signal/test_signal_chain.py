@@ -5,9 +5,8 @@ import pytest
 from scipy import signal
 
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain, stream_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import Recording, SignalChain, prepare_samples, resolve_chain
+from asbuilt.experiment.signal.preparation import stream_samples
 
 W = 2 * np.pi * np.array([0.3, 0.45])
 

@@ -12,12 +12,19 @@ import pytest
 from pinocchio_oracle import random_robot
 from scipy.integrate import solve_ivp
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, Joint, Link, RobotModel
-from asbuilt.dynamics.newton_euler import forward_dynamics
+from asbuilt.description import (
+    DriveValues,
+    Joint,
+    Link,
+    LinkInertia,
+    RobotModel,
+    bundled_robot,
+    robot_names,
+)
+from asbuilt.dynamics import forward_dynamics
 from asbuilt.errors import InertiaError, UsageError
-from asbuilt.experiment.virtual.simulation import find_heaviest_pose, run_free
+from asbuilt.experiment import run_free
+from asbuilt.experiment.virtual.simulation import find_heaviest_pose
 from studied_cases import first_of
 
 

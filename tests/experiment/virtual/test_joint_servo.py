@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import PositionServo
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.motion import Trajectory
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.excitation import Trajectory, random_fourier
+from asbuilt.experiment import (
+    SignalChain,
+    VirtualRobot,
+    prepare_samples,
+    read_recording,
+    with_settings,
+)
 from asbuilt.experiment.virtual.drive_train import JointServo
-from asbuilt.experiment.virtual.settings import with_settings
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import cut_windows
-from asbuilt.writers.recording_files import write_simulation
+from asbuilt.writers import write_simulation
 
 ROBOTS = ("so-101", "go2", "g1-arms")
 

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from pinocchio_oracle import random_robot
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import forward_dynamics, inverse_dynamics
+from asbuilt.description import LinkInertia, RobotModel, bundled_robot, robot_names
+from asbuilt.dynamics import forward_dynamics, inverse_dynamics
 from asbuilt.errors import InertiaError, MissingExtraError
 from asbuilt.experiment.virtual.physics import Physics
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.settings import list_settings, with_settings
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, VirtualRobot, with_settings
+from asbuilt.experiment.virtual.settings import list_settings
 
 NEEDED = {
     "behind": ("torque=sensor", "coulomb=1"),

@@ -6,19 +6,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import LinkInertia, RobotModel, bundled_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import QuinticMotion, random_fourier
+from asbuilt.experiment import SensorNoise, VirtualRobot, simulate_recording
 from asbuilt.experiment.virtual.presets import perturb_links
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 ALL_DRIVES = DriveSet.parse("armature,viscous,coulomb,offset")
 
@@ -192,7 +185,7 @@ def test_sensors_distort_as_stated(iiwa: RobotModel) -> None:
 
 
 def test_quantisation_counts_per_metre_on_a_sliding_joint() -> None:
-    from asbuilt.description.model import Joint, Link
+    from asbuilt.description import Joint, Link
 
     slide = RobotModel(
         "slide",

@@ -11,19 +11,13 @@ import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import DriveValues, LinkInertia, RobotModel, bundled_robot, robot_names
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import QuinticMotion, random_fourier
+from asbuilt.experiment import DataLogger, SensorNoise, VirtualRobot
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
 from asbuilt.experiment.virtual.presets import PRESETS
-from asbuilt.experiment.virtual.sensors import DataLogger, SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from studied_cases import first_of
 
 CLEAN = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")

@@ -11,10 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.inertia import LinkInertia, pseudo_inertias
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
-from asbuilt.identification.bodies.cad_prior import build_cad_prior, smat, svec
+from asbuilt.description import LinkInertia, bundled_robot, robot_names
+from asbuilt.description.inertia import pseudo_inertias
+from asbuilt.dynamics import DriveSet
+from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.identification import build_cad_prior
+from asbuilt.identification.bodies.cad_prior import smat, svec
 
 
 def changed(model, number, **fields):

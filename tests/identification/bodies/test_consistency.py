@@ -9,12 +9,11 @@ import csv
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, parameter_values
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification import consistency_margin
+from asbuilt.identification.bodies.consistency import margin_is_consistent
 
 
 def pseudo_inertia(chi):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from asbuilt import StudyOptions, identify, load_robot, simulate_recording
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
-from asbuilt.writers.models.export import export_result
+from asbuilt.excitation import random_fourier
+from asbuilt.identification import consistency_margin
+from asbuilt.identification.bodies.consistency import margin_is_consistent
+from asbuilt.writers import export_result
 
 LINK = """
 [[links]]

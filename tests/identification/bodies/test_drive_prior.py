@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
-from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
+from asbuilt.identification import (
+    build_cad_prior,
+    estimate_block_uncertainty,
+    identify_samples,
+    with_drive_scale,
+)
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
-from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.validation.prediction import validate_samples
+from asbuilt.validation import validate_samples
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from asbuilt.description.inertia import LinkInertia, pseudo_inertias
+from asbuilt.description import LinkInertia
+from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.body_bounds import bound_passive_drives
 from asbuilt.identification.bodies.cad_prior import smat

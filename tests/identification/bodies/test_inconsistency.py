@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description import LinkInertia
+from asbuilt.identification import triangular_factor
 from asbuilt.identification.bodies.body_bounds import bound_passive_drives
 from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.consistency import find_inconsistency
-from asbuilt.identification.information.triangular import triangular_factor
 
 
 def pushed_out(trial, robot, drive, seed):

@@ -5,17 +5,15 @@ import pytest
 
 from asbuilt import StudyOptions, identify, load_robot, simulate_recording
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
+from asbuilt.identification import IdentificationResult, as_built_parameters, build_cad_prior
 from asbuilt.identification.bodies.body_bounds import bound_known_masses, bound_widely
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
 from asbuilt.identification.bodies.known_masses import (
     limits_from_text,
     link_masses_from_text,
     total_mass_from_text,
     with_known_masses,
 )
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
 
 
 def masses(result):

@@ -8,11 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
+from asbuilt.description import bundled_robot, robot_names
 from asbuilt.description.consistency import find_inconsistencies
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import DriveSet, find_base_parameters, inverse_dynamics
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.standard_parameters import find_standard_parameters

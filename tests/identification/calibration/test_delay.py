@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    SensorNoise,
+    SignalChain,
+    prepare_samples,
+    read_recording,
+    resolve_chain,
+    simulate_recording,
+)
 from asbuilt.identification.calibration.delay import (
     DelayEstimate,
     find_delays,

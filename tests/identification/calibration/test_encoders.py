@@ -12,20 +12,18 @@ import numpy as np
 import pytest
 
 from asbuilt import identify
+from asbuilt.description import load_robot
 from asbuilt.description.formats.toml import robot_from_toml
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
+from asbuilt.dynamics import gravity_torque, inverse_dynamics, mass_matrix
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, read_recording
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.identification.calibration.encoders import identify_encoders
 from asbuilt.identification.effects.families.elastic import OFF, rigid_limit
-from asbuilt.workflow.study import Study
-from asbuilt.writers.models.export import export_result
+from asbuilt.workflow import Study
+from asbuilt.writers import export_result, report_html
 from asbuilt.writers.models.mjcf import export_mjcf
-from asbuilt.writers.reports.report import report_html
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asbuilt import StudyOptions, identify, load_robot, simulate_recording
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
 from asbuilt.identification.calibration.gain_uncertainty import (
     UNCALIBRATED,
     USUAL_UNCERTAINTY,

@@ -11,27 +11,27 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import Frame
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import Frame, LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.excitation.motions.fourier import FourierMotion
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.calibration.payload import (
+from asbuilt.excitation import FourierMotion, random_fourier
+from asbuilt.experiment import (
+    Samples,
+    SensorNoise,
+    SignalChain,
+    VirtualRobot,
+    prepare_samples,
+    read_recordings,
+    resolve_chain,
+)
+from asbuilt.identification import (
+    IdentificationResult,
     Payload,
     choose_payload_frame,
     identify_payload_samples,
+    identify_samples,
 )
-from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
-from asbuilt.identification.result.result import IdentificationResult
 
 TOOL = LinkInertia.from_com(
     1.8,

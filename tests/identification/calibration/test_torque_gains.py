@@ -10,18 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia, shift_matrix
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import LinkInertia, bundled_robot, load_robot
+from asbuilt.description.inertia import shift_matrix
+from asbuilt.dynamics import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.identification.calibration.torque_gains import identify_gains
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import SignalChain, prepare_samples, read_recordings, simulate_recording
+from asbuilt.identification import choose_payload_frame, identify_gains
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
 GAINS = np.array([12.0, 9.0, 14.0, 8.0, 11.0, 7.0, 5.0])

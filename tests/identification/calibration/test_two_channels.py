@@ -7,20 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet, drive_torque, find_base_parameters, inverse_dynamics
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.calibration.two_channels import (
-    LINK_SIDE,
-    MOTOR_SIDE,
-    identify_two_channels,
-)
-from asbuilt.identification.identify import identify_samples
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
+from asbuilt.identification import identify_samples, identify_two_channels
+from asbuilt.identification.calibration.two_channels import LINK_SIDE, MOTOR_SIDE
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
 

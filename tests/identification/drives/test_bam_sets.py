@@ -2,13 +2,11 @@
 
 import numpy as np
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify_samples
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import SignalChain, VirtualRobot, prepare_samples, resolve_chain
+from asbuilt.identification import identify_samples
 
 
 def test_directional_load_friction_is_recovered() -> None:

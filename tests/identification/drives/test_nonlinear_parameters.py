@@ -10,28 +10,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import DriveValues, JointLimits
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import choose_usual_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import (
+    DHRow,
+    DriveValues,
+    JointLimits,
+    LinkInertia,
+    bundled_robot,
+    load_robot,
+    robot_from_dh,
+)
+from asbuilt.dynamics import DriveSet, drive_torque, inverse_dynamics
+from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import DescriptionError, IdentifiabilityError, UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples, SignalChain, hold_out, prepare_samples, read_recordings
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.drives.drive_choice import settle_drive
-from asbuilt.identification.drives.motor_side import motor_side_parameters
+from asbuilt.identification import (
+    IdentificationResult,
+    identify_samples,
+    motor_side_parameters,
+    settle_drive,
+)
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.prediction import validate_samples
+from asbuilt.validation import validate_samples
 
 PLAIN = DriveSet.parse("viscous,coulomb,offset")
 

@@ -7,10 +7,9 @@ import pytest
 from pinocchio_oracle import pinocchio_model
 from scipy.integrate import solve_ivp
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
 from asbuilt.identification.effects.families.elastic import elastic_columns as of_joint
 
 pin = pytest.importorskip("pinocchio")

@@ -9,18 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.effects.search import find_effects
-from asbuilt.identification.errors.block_scatter import ErrorKind, widening
-from asbuilt.identification.identify import Fit, fit_samples, identify_samples
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples, VirtualRobot, prepare_samples
+from asbuilt.identification import find_effects, identify_samples, widening
+from asbuilt.identification.errors.block_scatter import ErrorKind
+from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
+from asbuilt.workflow import StudyOptions, identify
 
 MODEL = bundled_robot("two-link")
 FITTED = DriveSet.parse("viscous,coulomb,offset")

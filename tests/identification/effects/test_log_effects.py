@@ -10,18 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.description import RobotModel, bundled_robot
+from asbuilt.dynamics import DriveSet, inverse_dynamics
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
-from asbuilt.identification.effects.effect import FoundEffect
+from asbuilt.identification import FoundEffect, find_effects
 from asbuilt.identification.effects.report import report_effects
-from asbuilt.identification.effects.search import find_effects
 from asbuilt.validation.generalisation.plateaus import (
     drop_plateaus,
     find_plateaus,

@@ -11,20 +11,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, available_terms
 from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.effects.effect import EFFECTS, Described
+from asbuilt.experiment import SignalChain, prepare_samples, read_recordings, resolve_chain
+from asbuilt.identification import EFFECTS, find_effects, identify_samples
+from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.report import describe_stated
-from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.effects.wanted import EffectsWanted
-from asbuilt.identification.identify import fit_samples, identify_samples
-from asbuilt.validation.prediction import validate_samples
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import identify
+from asbuilt.identification.identify import fit_samples
+from asbuilt.validation import validate_samples
+from asbuilt.workflow import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.effects.search import find_effects
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.experiment import (
+    SignalChain,
+    hold_out,
+    prepare_samples,
+    read_recordings,
+    resolve_chain,
+)
+from asbuilt.identification import find_effects
+from asbuilt.workflow import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 

@@ -5,13 +5,10 @@ from functools import cache
 
 import numpy as np
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.experiment.virtual.presets import perturb_links
-from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
-from asbuilt.identification.result.torque_prediction import torque_metrics
+from asbuilt.identification import IdentificationResult, IdentifiedParameter, torque_metrics
 from asbuilt.identification.servo.servo_errors import ServoErrors
 
 FRICTION = (0.2, 0.5, 0.1, 0.3)

@@ -5,22 +5,20 @@ import pytest
 from scipy.stats import t as student
 from tests.identification.ensembles.example_results import servo_result, two_link_result
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
 from asbuilt.description.inertia import pseudo_inertias
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.errors import UsageError
 from asbuilt.executor import open_workers
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.ensembles.ensemble import (
-    AT_ONCE,
-    FAITHFUL,
+from asbuilt.identification import (
     Ensemble,
+    IdentificationResult,
+    build_cad_prior,
     draw_ensemble,
-    make_draws_consistent,
+    widening,
 )
-from asbuilt.identification.errors.block_scatter import BlockScatter, mean_degrees, widening
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.ensembles.ensemble import AT_ONCE, FAITHFUL, make_draws_consistent
+from asbuilt.identification.errors.block_scatter import BlockScatter, mean_degrees
 
 NORMAL_95 = 1.644854
 

@@ -16,17 +16,15 @@ from tests.identification.errors.test_common_growth import (
     W,
 )
 
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.uncertainty import (
-    estimate_block_uncertainty,
-    estimate_recording_variances,
-)
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.square_root_information import (
+from asbuilt.experiment import Samples
+from asbuilt.identification import (
     SquareRootInformation,
-    accumulate,
+    estimate_block_uncertainty,
+    fit_least_squares,
+    widening,
 )
+from asbuilt.identification.errors.uncertainty import estimate_recording_variances
+from asbuilt.identification.information.square_root_information import accumulate
 
 WEIGHTS = np.ones(MODEL.n_joints)
 

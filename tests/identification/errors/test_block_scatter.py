@@ -10,13 +10,13 @@ from scipy import stats
 
 from asbuilt.codec import make_plain, restore_dataclass
 from asbuilt.errors import ResultError
+from asbuilt.identification import widening
 from asbuilt.identification.errors.block_scatter import (
     MOST_GROUPS,
     BlockScatter,
     effective_rank,
     student_probability,
     sum_degrees,
-    widening,
 )
 from asbuilt.validation.comparison.significance import joint_test
 

@@ -9,25 +9,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.bodies.cad_prior import build_cad_prior, design_values
-from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
-from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.estimate import EstimationData
-from asbuilt.identification.information.square_root_information import (
+from asbuilt.experiment import Samples
+from asbuilt.identification import (
+    EstimationData,
     SquareRootInformation,
-    accumulate,
+    build_cad_prior,
+    design_values,
+    estimate_block_uncertainty,
+    fit_least_squares,
+    identify_samples,
+    methods,
+    summarise,
 )
-from asbuilt.identification.result.summary import summarise
+from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.information.square_root_information import accumulate
 
 MODEL, DRIVE = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
 BASE = find_base_parameters(MODEL, DRIVE)

@@ -7,21 +7,20 @@ import pytest
 from scipy.signal import fftconvolve, lfilter
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.block_scatter import BlockScores
-from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty, estimate_scatter
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.held_out import group_different_motions
-from asbuilt.identification.information.rows import TimeBlock
-from asbuilt.identification.information.square_root_information import (
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
+from asbuilt.identification import (
     SquareRootInformation,
-    accumulate,
+    TimeBlock,
+    estimate_block_uncertainty,
+    fit_least_squares,
 )
+from asbuilt.identification.errors.block_scatter import BlockScores
+from asbuilt.identification.errors.uncertainty import estimate_scatter
+from asbuilt.identification.information.held_out import group_different_motions
+from asbuilt.identification.information.square_root_information import accumulate
 
 MODEL = load_robot("scara")
 BASE = find_base_parameters(MODEL, DriveSet.parse("viscous,offset"))

@@ -11,24 +11,24 @@ from itertools import product
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.drives.drive_choice import settle_drive
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet, drive_torque, inverse_dynamics, observation_matrix
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples
+from asbuilt.identification import (
+    EstimationData,
+    IdentificationResult,
+    estimate_wls,
+    identify_samples,
+    settle_drive,
+)
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.block_scatter import ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import estimate_nonlinear_errors
-from asbuilt.identification.estimators.least_squares import estimate_wls
-from asbuilt.identification.identify import identify_samples, set_link_parameters
-from asbuilt.identification.information.estimate import EstimationData
+from asbuilt.identification.identify import set_link_parameters
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import round_with_error
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.workflow import StudyOptions, identify
 
 NONLINEAR = {
     "power": ("coulomb,power:exponent=0.6,offset", [1.0, 2.0, 0.3], "coulomb,power,offset"),

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.description import load_robot
+from asbuilt.dynamics import find_base_parameters, inverse_dynamics
 from asbuilt.dynamics.drives.selection import NO_DRIVE
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import Recording, SignalChain, prepare_samples
 from asbuilt.identification.errors.pose_noise import expect_pose_noise
 from asbuilt.identification.information.square_root_information import accumulate
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
-from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.experiment import Samples
+from asbuilt.identification import estimate_block_uncertainty, fit_least_squares
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.square_root_information import accumulate
 
 RATE = 50.0

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from three_links import DRIVE, arm, recording, truth
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.description import DHRow, robot_from_dh
+from asbuilt.dynamics import find_base_parameters
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification import EstimationData, Rows, estimate_wls, identify_samples, summarise
 from asbuilt.identification.estimators.auto import estimate_auto
-from asbuilt.identification.estimators.least_squares import estimate_wls
-from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information import rows
-from asbuilt.identification.information.estimate import EstimationData
-from asbuilt.identification.information.rows import Rows
-from asbuilt.identification.result.summary import summarise
 
 
 def chosen(robot, samples):

@@ -7,17 +7,17 @@ import pytest
 from scipy.stats import ttest_rel
 from three_links import DRIVE, recording
 
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import observation_matrix
+from asbuilt.identification import accumulate_stream, divide_into_folds
 from asbuilt.identification.estimators.held_out_choice import (
     Candidate,
     choose_candidate,
 )
-from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
+from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.random_motion import (
     build_random_motion_rows,
     measure_recorded_rates,
 )
-from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.statistics import exceeds
 
 

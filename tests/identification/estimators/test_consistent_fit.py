@@ -9,21 +9,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from asbuilt.description import LinkInertia, load_robot
 from asbuilt.description.consistency import find_inconsistencies
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment import (
+    SignalChain,
+    hold_out,
+    prepare_samples,
+    read_recordings,
+    resolve_chain,
+)
+from asbuilt.identification import (
+    EstimationData,
+    build_cad_prior,
+    consistency_margin,
+    estimate_block_uncertainty,
+    fit_least_squares,
+    identify_samples,
+    known_information,
+    methods,
+    noise_floor,
+    summarise,
+)
 from asbuilt.identification.bodies.body_bounds import bound_bodies
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
-from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
-from asbuilt.identification.errors.uncertainty import estimate_block_uncertainty
+from asbuilt.identification.bodies.consistency import margin_is_consistent
 from asbuilt.identification.estimators.consistent_fit import (
     QUIETEST,
     choose_cad_weight,
@@ -32,13 +42,7 @@ from asbuilt.identification.estimators.consistent_fit import (
     quietest_noise,
 )
 from asbuilt.identification.estimators.held_out_choice import DEFAULT_WEIGHT
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.estimate import EstimationData, noise_floor
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.result.as_built_parameters import known_information
-from asbuilt.identification.result.summary import summarise
 from studied_cases import first_of
 
 ROBOTS = ["kuka-iiwa7-r800", "ur10e", "puma-560", "scara", "franka-panda"]

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from three_links import DRIVE, arm, recording
 
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics import find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.summary import summarise
+from asbuilt.experiment import Samples
+from asbuilt.identification import IdentificationResult, identify_samples, methods, summarise
 
 every_method = pytest.mark.parametrize("method", list(methods))
 

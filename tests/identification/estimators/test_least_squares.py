@@ -11,16 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix, parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.experiment import Samples
+from asbuilt.identification import fit_least_squares, solve_factor, triangular_factor
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.information.triangular import solve_factor, triangular_factor
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 NIST = Path(__file__).parent / "nist"

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from three_links import DRIVE, recording, truth
 
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.description import LinkInertia
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.recursive import RecursiveIdentification
+from asbuilt.experiment import VirtualRobot
+from asbuilt.identification import RecursiveIdentification, fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate
 
 
@@ -35,7 +34,7 @@ def test_without_forgetting_it_is_least_squares_of_all_samples(robot):
 def test_forgetting_is_a_weight_that_decays(robot):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.3, seconds=10.0, parallel=False)
-    from asbuilt.dynamics.regressor import observation_matrix
+    from asbuilt.dynamics import observation_matrix
 
     W = observation_matrix(
         model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns

@@ -9,11 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from three_links import DRIVE, full_rows, recording
 
+from asbuilt.identification import EstimationData, accumulate_stream, identify_samples, methods
 from asbuilt.identification.estimators import robust
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.estimate import EstimationData
-from asbuilt.identification.information.square_root_information import accumulate_stream
 
 
 @pytest.fixture(scope="module")

@@ -11,40 +11,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, RegressorPlan, find_base_parameters, observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recording, Samples, SignalChain, prepare_samples
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
-from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.errors.pose_noise import ExpectedScores
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information import rows as rows_module
-from asbuilt.identification.information import square_root_information
-from asbuilt.identification.information.estimate import EstimationData
-from asbuilt.identification.information.rows import (
+from asbuilt.experiment.signal.preparation import stream_samples
+from asbuilt.identification import (
+    EstimationData,
     FurtherColumns,
-    KeptRows,
-    Rows,
-    TimeBlock,
-    divide_into_blocks,
-)
-from asbuilt.identification.information.square_root_information import (
-    MOST_BLOCKS,
-    SquareRootInformation,
-    accumulate,
-    accumulate_stream,
-    reduce_rows,
-)
-from asbuilt.identification.information.triangular import (
     GrowingFactor,
+    Rows,
+    SquareRootInformation,
+    TimeBlock,
+    accumulate_stream,
+    fit_least_squares,
+    reduce_rows,
     solve_factor,
     triangular_factor,
 )
+from asbuilt.identification.errors.pose_noise import ExpectedScores
+from asbuilt.identification.information import rows as rows_module
+from asbuilt.identification.information import square_root_information
+from asbuilt.identification.information.rows import KeptRows, divide_into_blocks
+from asbuilt.identification.information.square_root_information import MOST_BLOCKS, accumulate
 from studied_cases import first_of
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

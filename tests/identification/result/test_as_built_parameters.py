@@ -7,11 +7,9 @@ import pytest
 from three_links import DRIVE, recording
 
 from asbuilt.description.inertia import pseudo_inertias
-from asbuilt.identification.bodies.cad_prior import build_cad_prior
+from asbuilt.identification import as_built_parameters, build_cad_prior, identify_samples
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.standard_parameters import LIMIT, find_standard_parameters
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.validation.prediction import predict_both
 
 

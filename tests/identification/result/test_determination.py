@@ -1,15 +1,10 @@
 import numpy as np
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.determination import determination
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Samples, VirtualRobot
+from asbuilt.identification import IdentificationResult, determination, identify_samples
 
 
 def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) -> Samples:

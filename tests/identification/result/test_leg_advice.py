@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from asbuilt import identify
-from asbuilt.description.load import load_robot
-from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.identification.result.as_built_parameters import known_information
+from asbuilt.description import load_robot
+from asbuilt.experiment import check_recording, prepare_samples, read_recording
+from asbuilt.identification import known_information
 from asbuilt.identification.result.determination import (
     LIMITS,
     error_ratios,
@@ -22,7 +20,7 @@ from asbuilt.identification.result.determination import (
     weak_parameters,
 )
 from asbuilt.identification.result.leg_advice import standing_posture
-from asbuilt.workflow.prepare import prepare
+from asbuilt.workflow import prepare
 
 
 @pytest.mark.study

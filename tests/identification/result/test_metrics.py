@@ -9,11 +9,8 @@ import pytest
 
 from asbuilt.codec import restore_dataclass
 from asbuilt.errors import ResultError
-from asbuilt.identification.result.torque_prediction import (
-    TorqueMetrics,
-    TorqueTally,
-    torque_metrics,
-)
+from asbuilt.identification import TorqueMetrics, torque_metrics
+from asbuilt.identification.result.torque_prediction import TorqueTally
 
 
 def torques(n_samples=500, n=3, seed=0):

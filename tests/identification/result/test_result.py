@@ -12,27 +12,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import load_robot
+from asbuilt.dynamics import (
+    DriveSet,
+    find_base_parameters,
+    inverse_dynamics,
+    observation_matrix,
+    parameter_values,
+)
 from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
+from asbuilt.experiment import Samples
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.cad_prior import design_values
-from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.identification.result.conclusion import conclude
-from asbuilt.identification.result.result import (
+from asbuilt.identification import (
     IdentificationResult,
     IdentifiedParameter,
+    conclude,
+    design_values,
+    fit_least_squares,
+    identify_samples,
+    summarise,
+    torque_metrics,
 )
-from asbuilt.identification.result.summary import summarise
-from asbuilt.identification.result.torque_prediction import set_link_parameters, torque_metrics
+from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.identification.statistics import confidence_intervals
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

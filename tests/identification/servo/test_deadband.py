@@ -6,12 +6,9 @@ import pytest
 from tests.identification.servo.test_servo_estimate import KP, RATE, ROBOT, STEP
 
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, PositionServo
+from asbuilt.experiment import Recording, SignalChain, resolve_chain
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.servo import describe_servo_torque, report_servo
 

@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo, read_described_servo
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
+from asbuilt.dynamics.drives.position_servo import read_described_servo
+from asbuilt.experiment import Recording, SignalChain, prepare_samples, resolve_chain
 from asbuilt.experiment.command.servo_torque import drive_by_command, hold_command
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.identification.servo.servo_fits import estimate_servo_delay_errors
-from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow import StudyOptions, identify
 from asbuilt.workflow.servo import report_servo
-from asbuilt.workflow.study import identify
 from studied_cases import first_of
 
 KP, DELAY, STEP, RATE = (15.0, 15.0, 15.0), 0.013, 0.001, 100.0

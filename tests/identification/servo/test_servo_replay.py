@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from asbuilt.description import DriveValues
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.model import DriveValues
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
+from asbuilt.experiment import Recording, SignalChain, prepare_samples, resolve_chain
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.identification.servo.servo_replay import (

@@ -8,12 +8,11 @@ import mujoco
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import DriveValues, RobotModel, bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.recording import Recording
+from asbuilt.dynamics import PositionServo
+from asbuilt.experiment import Recording
 
 DRIVE = DriveValues(armature=0.05, viscous=0.6, coulomb=0.25)
 SERVO = PositionServo(kp=(40.0, 25.0), kd=(1.0, 0.5), torque_limit=(20.0, 10.0), delay=0.006)

@@ -9,11 +9,9 @@ import pytest
 from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics import DriveSet, parameter_values
+from asbuilt.experiment import SignalChain, prepare_samples
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.trajectories.objective import Quadratic, Weights
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit

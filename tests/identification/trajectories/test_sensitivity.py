@@ -10,7 +10,7 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from tests.identification.trajectories.test_simulation import samples_of
 
 from asbuilt.arrays import Mask
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics import find_base_parameters
 from asbuilt.identification.trajectories.sensitivity import Motion, Trajectories
 from asbuilt.identification.trajectories.simulated_robot import (
     SimulatedRobot,

@@ -11,11 +11,9 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics import DriveSet, PositionServo, find_base_parameters
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment import Samples
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import (
@@ -129,7 +127,7 @@ def test_both_engines_agree_under_dry_friction(windows: Windows) -> None:
 @pytest.mark.parametrize("engine", ["mujoco", "own"])
 def test_pendulum_under_torque_and_stribeck_friction(engine: str) -> None:
     """The equation of motion by SciPy's integrator, friction smooth in it."""
-    from asbuilt.description.catalogue import bundled_robot
+    from asbuilt.description import bundled_robot
 
     model = bundled_robot("two-link").locked(["joint_2"])
     chi = model.parameters
@@ -138,7 +136,7 @@ def test_pendulum_under_torque_and_stribeck_friction(engine: str) -> None:
     values = np.array([[0.3, 0.4, 0.3, 0.1]])
 
     def rate(t: float, x: Array) -> list[float]:
-        from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
+        from asbuilt.dynamics import inverse_dynamics, mass_matrix
 
         sign = np.tanh(x[1] / 1e-4)
         friction = 0.3 * x[1] + 0.4 * sign + 0.3 * sign * np.exp(-((x[1] / 0.2) ** 2)) + 0.1

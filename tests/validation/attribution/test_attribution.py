@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from virtual_causes import TOOL, divided, identified, recorded
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import load_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import ResultError
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.attribution.attribute import attribute
+from asbuilt.identification import IdentificationResult
+from asbuilt.validation import attribute
 from asbuilt.writers.figures.comparison_figures import draw_attribution
 from asbuilt.writers.tables.tabular import format_json
 

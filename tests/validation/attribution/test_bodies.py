@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters
 from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
 
 MODEL = load_robot("kuka-iiwa7-r800")

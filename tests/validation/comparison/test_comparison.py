@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.validation.comparison.comparison import compare
-from asbuilt.validation.prediction import validate_samples
+from asbuilt.validation import compare, validate_samples
 from asbuilt.writers.tables.tabular import format_json
 
 

@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from virtual_causes import identified, recorded
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import load_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import RecordingError, ResultError
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.result.torque_prediction import predict_torque
-from asbuilt.validation.comparison.drift import compare_results
-from asbuilt.workflow.controller_model import compare_controller
-from asbuilt.workflow.options import ControllerOptions
+from asbuilt.experiment import SignalChain, hold_out, prepare_samples
+from asbuilt.identification import predict_torque, widening
+from asbuilt.validation import compare_results
+from asbuilt.workflow import ControllerOptions, compare_controller
 from asbuilt.writers.reports.compare_files import render_drift
 
 ARM = "kuka-iiwa7-r800"

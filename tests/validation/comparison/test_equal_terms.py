@@ -10,21 +10,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import LinkInertia, bundled_robot
+from asbuilt.dynamics import observation_matrix
 from asbuilt.errors import ResultError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.comparison.drift import Drift, compare_results
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import SignalChain, VirtualRobot, hold_out, prepare_samples
+from asbuilt.identification import IdentificationResult, identify_samples
+from asbuilt.validation import Drift, compare_results
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import chi_square
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.workflow import StudyOptions, identify
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
 SEED = 14

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.study import Study, StudyOptions, identify
+from asbuilt.description import bundled_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot
+from asbuilt.workflow import Study, StudyOptions, identify
 
 
 def study_of_a_robot_as_designed(name: str, seed: int) -> Study:

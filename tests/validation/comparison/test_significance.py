@@ -2,17 +2,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.description import LinkInertia, load_robot
+from asbuilt.dynamics import find_base_parameters
 from asbuilt.errors import UsageError
-from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.comparison.significance import (
-    benjamini_hochberg,
-    chi_square,
-    holm,
-    size_probability,
-)
+from asbuilt.validation import CadTolerance, benjamini_hochberg
+from asbuilt.validation.comparison.significance import chi_square, holm, size_probability
 
 
 def test_false_discovery_rates_are_those_of_scipy() -> None:

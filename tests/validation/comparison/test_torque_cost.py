@@ -3,22 +3,14 @@ from dataclasses import replace
 import numpy as np
 from virtual_causes import identified, recorded
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.motions.fourier import FourierMotion
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify_samples
+from asbuilt.description import load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
+from asbuilt.excitation import FourierMotion
+from asbuilt.experiment import SensorNoise, SignalChain, VirtualRobot, hold_out, prepare_samples
+from asbuilt.identification import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
-from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-from asbuilt.validation.comparison.comparison import compare
+from asbuilt.validation import CadTolerance, compare, validate_samples
 from asbuilt.validation.comparison.torque_change import evaluate_torque_cost
-from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.figures.comparison_figures import draw_differences
 
 ARM = "kuka-iiwa7-r800"

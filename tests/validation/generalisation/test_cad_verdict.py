@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from asbuilt.identification.result.torque_prediction import Prediction
-from asbuilt.validation.generalisation.cad_verdict import cad_verdict, report_cad_verdicts
-from asbuilt.validation.prediction import Validation
+from asbuilt.identification import Prediction
+from asbuilt.validation import Validation, cad_verdict
+from asbuilt.validation.generalisation.cad_verdict import report_cad_verdicts
 
 N, RATE = 2000, 100.0
 

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.description import bundled_robot, load_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import (
+    Recording,
+    Samples,
+    VirtualRobot,
+    hold_out,
+    prepare_samples,
+    read_recordings,
+)
 from asbuilt.validation.generalisation.coverage import measure_repeated_share
-from asbuilt.workflow.study import StudyOptions, identify
+from asbuilt.workflow import StudyOptions, identify
 
 ROBOT = bundled_robot("scara")
 

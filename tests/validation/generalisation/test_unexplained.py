@@ -7,20 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.description import bundled_robot
+from asbuilt.dynamics import DriveSet
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
-from asbuilt.identification.identify import identify_samples
+from asbuilt.identification import identify_samples
+from asbuilt.validation import validate_samples
 from asbuilt.validation.generalisation.unexplained import (
     report_nameless,
     report_unexplained,
     returning_share,
 )
-from asbuilt.validation.prediction import validate_samples
 
 MODEL = bundled_robot("ur10e")
 

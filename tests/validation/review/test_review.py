@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 
 from asbuilt import load_robot, review, simulate_recording
+from asbuilt.description import LinkInertia
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics import DriveSet, PositionServo, parameter_values
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording
 from asbuilt.experiment.command.servo_torque import drive_by_command
-from asbuilt.experiment.recording import Recording
-from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+from asbuilt.validation import CadTolerance
 from asbuilt.validation.review.claimed_numbers import (
     ClaimedNumber,
     list_claimed_numbers,
     profile_numbers,
 )
-from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow import StudyOptions
 from studied_cases import first_of
 
 STEP, RATE = 0.001, 100.0

@@ -15,15 +15,13 @@ sys.path.append(str(Path(__file__).parents[3] / "benchmarks"))
 
 from asbuilt import identify, roll_out_robot
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel
 from asbuilt.description.structure.parts import Contact
 from asbuilt.errors import MissingExtraError, UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import read_fitted_recordings
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import ReadingOptions, Recording, read_fitted_recordings
 from asbuilt.identification.trajectories.ground import measure_ground
+from asbuilt.validation import Rollout
 from asbuilt.validation.rollout.errors import measure_rollout_errors
-from asbuilt.validation.rollout.rollout import Rollout
 from legged_robots import LEGGED
 from legs import PLACE_NOISE, described, recorded
 from outside_robot import other_bodies

@@ -8,23 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.load import load_robot
+from asbuilt.description import load_robot
 from asbuilt.description.model import MassRange
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, SignalChain, VirtualRobot, prepare_samples
 from asbuilt.findings import Finding
-from asbuilt.identification.effects.effect import FoundEffect
+from asbuilt.identification import FoundEffect
 from asbuilt.tables import format_share
-from asbuilt.validation.prediction import validate_description
-from asbuilt.validation.verdicts.verdict import study_verdict
+from asbuilt.validation import study_verdict, validate_description
+from asbuilt.workflow import Study, identify, validate
 from asbuilt.workflow.prepare import group_by_motion
-from asbuilt.workflow.study import Study, identify
-from asbuilt.workflow.validation import validate
-from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers import as_built, write_robot_toml
 
 
 @pytest.fixture(scope="module")

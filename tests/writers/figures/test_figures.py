@@ -8,9 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from asbuilt.errors import UsageError
-from asbuilt.validation.prediction import validate_samples
-from asbuilt.writers.figures.figure_style import save_figure
-from asbuilt.writers.figures.study_figures import torque_figure
+from asbuilt.validation import validate_samples
+from asbuilt.writers import save_figure, torque_figure
 
 
 @pytest.fixture(scope="module")

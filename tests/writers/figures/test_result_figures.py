@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from asbuilt.errors import UsageError
-from asbuilt.validation.prediction import validate_samples
+from asbuilt.validation import validate_samples
 
 
 def test_residuals_of_a_recording_are_measured_less_predicted(example: Any) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asbuilt.writers.figures.thinning import thin_curves
+from asbuilt.writers import thin_curves
 
 
 @given(st.integers(1, 3000), st.integers(2, 400), st.integers(0, 5))

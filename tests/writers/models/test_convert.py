@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import bundled_robot, load_robot, robot_names
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import DescriptionError, InertiaError, UsageError
-from asbuilt.writers.models.convert import Conversion, convert_robot
+from asbuilt.writers import Conversion, convert_robot
 
 SHARED = Path(__file__).parents[3] / ".." / "shared" / "models"
 FILES = (

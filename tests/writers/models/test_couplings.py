@@ -13,15 +13,24 @@ import numpy as np
 import pytest
 from reload_oracle import as_if_identified
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.document import model_document, model_from_document
+from asbuilt.description import (
+    Joint,
+    Link,
+    Mimic,
+    RobotModel,
+    bundled_robot,
+    load_robot,
+    model_document,
+    model_from_document,
+)
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import Joint, Link, Mimic, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
-from asbuilt.dynamics.regressor import regressor
+from asbuilt.dynamics import (
+    DriveSet,
+    find_base_parameters,
+    gravity_torque,
+    inverse_dynamics,
+    regressor,
+)
 from asbuilt.errors import DescriptionError
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.writers.models.c.c_code import generate_c_code, write_c

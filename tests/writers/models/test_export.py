@@ -8,24 +8,16 @@ import numpy as np
 import pytest
 from reload_oracle import as_if_identified, mujoco_torques, pinocchio_torques
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import DriveValues, RobotModel, bundled_robot, load_robot
+from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix, parameter_values
 from asbuilt.errors import DescriptionError, InertiaError, UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
-from asbuilt.identification.result.torque_prediction import torque_metrics
-from asbuilt.workflow.study import StudyOptions, identify
-from asbuilt.writers.models.export import export_result
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot, read_recordings
+from asbuilt.identification import IdentificationResult, IdentifiedParameter, torque_metrics
+from asbuilt.workflow import StudyOptions, identify
+from asbuilt.writers import export_result, write_recording
 from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.urdf import format_urdf
-from asbuilt.writers.recording_files import write_recording
 from command_line import call
 from studied_cases import first_of
 

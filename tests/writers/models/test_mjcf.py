@@ -8,11 +8,8 @@ import pytest
 from pinocchio_oracle import random_robot
 from reload_oracle import as_if_identified, drive_torques, mujoco_torques, two_armed
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.description import DriveValues, LinkInertia, RobotModel, bundled_robot, load_robot
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import InertiaError
 from asbuilt.writers.models.mjcf import export_mjcf, write_mjcf
 from asbuilt.writers.models.sample_states import draw_sample_states

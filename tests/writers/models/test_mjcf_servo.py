@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import DriveValues, RobotModel, bundled_robot
 from asbuilt.description.formats.mjcf import read_mjcf
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics import PositionServo
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import build_robot_as_described
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows

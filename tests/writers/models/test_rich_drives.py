@@ -14,20 +14,21 @@ import pytest
 from reload_oracle import as_if_identified, mujoco_torques
 from test_export import call, result_of
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.parameters import parameter_names
+from asbuilt.description import DriveValues, RobotModel, bundled_robot, load_robot
+from asbuilt.dynamics import (
+    DriveSet,
+    described_drive,
+    drive_torque,
+    find_base_parameters,
+    inverse_dynamics,
+    parameter_names,
+)
 from asbuilt.errors import DescriptionError, InertiaError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot
+from asbuilt.identification import IdentificationResult
 from asbuilt.validation.prediction import derive_cad_values
-from asbuilt.writers.models.export import export_result
+from asbuilt.writers import export_result
 from asbuilt.writers.models.mjcf import export_mjcf
 from asbuilt.writers.models.robot_toml import format_robot_toml
 from asbuilt.writers.models.sample_states import draw_sample_states

@@ -5,16 +5,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from asbuilt.description import ROOT, Frame, RobotModel, load_robot
 from asbuilt.description.consistency import find_inconsistencies
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import ROOT, Frame, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.models.robot_toml import format_robot_toml, write_robot_toml
+from asbuilt.dynamics import (
+    DriveSet,
+    find_base_parameters,
+    inverse_dynamics,
+    observation_matrix,
+    parameter_values,
+)
+from asbuilt.writers import as_built, write_robot_toml
+from asbuilt.writers.models.robot_toml import format_robot_toml
 
 
 def same_torques(one: RobotModel, two: RobotModel) -> None:

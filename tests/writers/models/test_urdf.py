@@ -9,14 +9,13 @@ import pytest
 from pinocchio_oracle import random_robot
 from reload_oracle import as_if_identified, pinocchio_torques, two_armed
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import JointLimits, LinkInertia, RobotModel, bundled_robot
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import JointLimits, RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import InertiaError
+from asbuilt.writers import write_urdf
 from asbuilt.writers.models.sample_states import draw_sample_states
-from asbuilt.writers.models.urdf import format_urdf, write_urdf
+from asbuilt.writers.models.urdf import format_urdf
 
 BUNDLED = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara", "two-link")
 

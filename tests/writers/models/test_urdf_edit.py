@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from reload_oracle import as_if_identified, pinocchio_torques
 
+from asbuilt.description import DriveValues, LinkInertia, RobotModel
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import inverse_dynamics
 from asbuilt.errors import DescriptionError, InertiaError
 from asbuilt.writers.models.sample_states import draw_sample_states
 from asbuilt.writers.models.urdf_edit import edit_urdf, measure_torque_difference

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation import QuinticMotion, random_fourier
+from asbuilt.writers import write_picture
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
-from asbuilt.writers.pictures.view import write_picture
 
 
 @pytest.mark.study

@@ -16,13 +16,12 @@ import pytest
 from chromium import chromium
 from PIL import Image
 
-from asbuilt.description.appearance import Solid
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.description import Solid, bundled_robot
+from asbuilt.dynamics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
-from asbuilt.excitation.motions.quintic import QuinticMotion
+from asbuilt.excitation import QuinticMotion
+from asbuilt.writers import Viewer
 from asbuilt.writers.pictures.skeleton import build_round_mesh
-from asbuilt.writers.pictures.viewer import Viewer
 
 
 @pytest.fixture(scope="module")

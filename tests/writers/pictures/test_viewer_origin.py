@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description import bundled_robot
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def test_only_the_own_origin_may_connect(origin: str | None, accepted: bool) -> 
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
-    from asbuilt.writers.pictures.viewer import Viewer
+    from asbuilt.writers import Viewer
 
     viewer = Viewer(bundled_robot("two-link"))
     try:

@@ -7,10 +7,9 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from asbuilt.description.load import load_robot
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.description import load_robot
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import VirtualRobot, check_recording
 from asbuilt.writers import write_check_page
 
 

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 from chromium import chromium
 
-from asbuilt.identification.result.determination import determination
-from asbuilt.validation.attribution.attribute import attribute
-from asbuilt.validation.comparison.comparison import compare
-from asbuilt.writers.reports.compare_files import CadVerdict, write_comparison
+from asbuilt.identification import determination
+from asbuilt.validation import attribute, compare
+from asbuilt.writers import CadVerdict, write_comparison
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "validation"))
 from virtual_causes import identified

@@ -17,13 +17,13 @@ import pytest
 from chromium import chromium
 from matplotlib.patches import Rectangle
 
-from asbuilt.description.load import load_robot
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.workflow.controller_model import ControllerComparison, compare_controller
-from asbuilt.workflow.options import ControllerOptions
+from asbuilt.description import load_robot
+from asbuilt.dynamics import inverse_dynamics
+from asbuilt.validation import Drift, compare_results
+from asbuilt.workflow import ControllerComparison, ControllerOptions, compare_controller
+from asbuilt.writers import write_drift
 from asbuilt.writers.figures.comparison_figures import draw_drift
-from asbuilt.writers.reports.compare_files import render_drift, write_drift
+from asbuilt.writers.reports.compare_files import render_drift
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "validation"))
 from virtual_causes import identified, recorded

@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 from chromium import chromium
 
-from asbuilt.validation.attribution.attribute import attribute
-from asbuilt.validation.prediction import validate_samples
-from asbuilt.workflow.study import Study
+from asbuilt.validation import attribute, validate_samples
+from asbuilt.workflow import Study
+from asbuilt.writers import report_html, write_report
 from asbuilt.writers.reports.cards import make_study_cards
-from asbuilt.writers.reports.report import report_html, write_report
 from asbuilt.writers.reports.sections.parameters import place_interval
 from command_line import call_elsewhere
 

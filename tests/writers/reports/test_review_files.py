@@ -8,9 +8,8 @@ import pytest
 
 from asbuilt import load_robot, review, simulate_recording
 from asbuilt.codec import make_plain
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.files import with_files
-from asbuilt.writers.reports.review_files import review_document, write_review
+from asbuilt.excitation import random_fourier
+from asbuilt.writers import review_document, with_files, write_review
 
 
 @pytest.fixture(scope="module")

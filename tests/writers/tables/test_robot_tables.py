@@ -2,10 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import Joint, Link, RobotModel
-from asbuilt.description.rotation import placement, rotation_from_rpy
+from asbuilt.description import (
+    Joint,
+    Link,
+    LinkInertia,
+    RobotModel,
+    load_robot,
+    placement,
+    rotation_from_rpy,
+)
 from asbuilt.writers.tables.robot_tables import tabulate_robot_links
 
 

@@ -6,18 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.validation.prediction import validate_samples
-from asbuilt.workflow.study import Study
-from asbuilt.writers.tables.tabular import (
-    base_document,
-    format_json,
-    identify_document,
-    tabulate_identified,
-    tabulate_prediction,
-    validate_document,
-    write_json,
-)
+from asbuilt.dynamics import parameter_values
+from asbuilt.validation import validate_samples
+from asbuilt.workflow import Study
+from asbuilt.writers import base_document, identify_document, validate_document, write_json
+from asbuilt.writers.tables.tabular import format_json, tabulate_identified, tabulate_prediction
 
 METRICS = {"source", "rms", "max_abs", "r_squared", "relative_error"}
 

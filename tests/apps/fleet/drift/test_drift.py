@@ -9,21 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asbuilt.apps.fleet import (
+    FleetDrift,
+    FleetDriftOptions,
+    FleetOptions,
+    add_logs,
+    fleet_drift,
+    open_ledger,
+    write_fleet_report,
+)
 from asbuilt.apps.fleet.drift.columns import make_day, merge_by_day
-from asbuilt.apps.fleet.drift.drift import FleetDrift, fleet_drift
 from asbuilt.apps.fleet.ledger.entry import read_entry
-from asbuilt.apps.fleet.ledger.ledger import open_ledger
-from asbuilt.apps.fleet.options import FleetDriftOptions, FleetOptions
-from asbuilt.apps.fleet.reduction.add import add_logs, make_identity_finder
-from asbuilt.apps.fleet.report import render_fleet, write_fleet_report
-from asbuilt.description.inertia import LinkInertia
+from asbuilt.apps.fleet.reduction.add import make_identity_finder
+from asbuilt.apps.fleet.report import render_fleet
+from asbuilt.description import LinkInertia
 from asbuilt.description.rotation import find_axes_across
-from asbuilt.dynamics.newton_euler import gravity_torque
+from asbuilt.dynamics import gravity_torque
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.excitation import random_fourier
+from asbuilt.experiment import Recording, VirtualRobot
+from asbuilt.writers import write_recording
 from command_line import call, document
 from fleet_logs import MODEL
 

@@ -11,14 +11,16 @@ import pytest
 from pinocchio_oracle import pinocchio_model, random_robot
 from reload_oracle import as_if_identified, drive_torques, two_armed
 
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
-from asbuilt.dynamics.regressor import regressor
+from asbuilt.description import RobotModel, bundled_robot, load_robot
+from asbuilt.dynamics import (
+    DriveSet,
+    available_terms,
+    drive_torque,
+    find_base_parameters,
+    gravity_torque,
+    inverse_dynamics,
+    regressor,
+)
 from asbuilt.errors import UsageError
 from asbuilt.writers.models.c.c_code import generate_c_code, write_c
 from asbuilt.writers.models.c.c_expressions import StraightLine, Term
