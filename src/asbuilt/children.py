@@ -36,7 +36,8 @@ from asbuilt.isolation import (
 PROGRAM = "from asbuilt.children import serve; serve({parent})"
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux."""
-WAITED_FOR, NOT_YET = 0x0010_0000, 0x102
+WAITED_FOR = 0x0010_0000
+NOT_YET = 0x102
 """SYNCHRONIZE and WAIT_TIMEOUT of Windows."""
 ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process, where the system does not look."""
@@ -132,7 +133,8 @@ class Child:
 
     def _ask(self, request: bytes, limits: Sequence[Any], largest: float) -> list[bytearray]:
         """Send a request with its limits, and return the answer."""
-        stdin, stdout = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
+        stdin = cast(BinaryIO, self._process.stdin)
+        stdout = cast(BinaryIO, self._process.stdout)
         head = json.dumps([len(request), *limits])
         with contextlib.suppress(BrokenPipeError):
             stdin.write(head.encode() + b"\n" + request)

@@ -89,11 +89,13 @@ def decode_fields(
     """Return the fields of a dataclass, except those in `but`, made by `restore_dataclass`."""
     if not isinstance(data, Mapping):
         raise TypeError(f"{kind.__name__} is stored as an object, got {type(data).__name__}")
-    hints, given = _hints(kind), {}  # type: ignore[arg-type]
+    hints = _hints(kind)  # type: ignore[arg-type]
+    given = {}
     for item in fields(kind):
         if item.name in but:
             continue
-        key, decode = _choose_key(item), item.metadata.get("decode")
+        key = _choose_key(item)
+        decode = item.metadata.get("decode")
         if key in data:
             try:
                 given[item.name] = (
@@ -121,7 +123,8 @@ def _choose_key(item: Field[Any]) -> str:
 
 def _convert(hint: Any, value: Any, missing: float = math.nan) -> Any:
     """Return plain data as what a type hint asks for."""
-    origin, arguments = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    arguments = get_args(hint)
     if hint is Any:
         return value
     if origin in (Union, UnionType):

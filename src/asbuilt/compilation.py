@@ -252,7 +252,8 @@ def parse_types(signature: str) -> tuple[Any, ...]:
 
 
 def _parse_type(word: str) -> Any:
-    letter, n_axes = word[0], word[1:]
+    letter = word[0]
+    n_axes = word[1:]
     number: Any = NUMBERS[letter.lower()]
     if not n_axes:
         return number

@@ -25,13 +25,15 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 TOGETHER = 0.25
 """Time [s] of tasks that are submitted together: a submission to a cluster takes milliseconds."""
-LONGEST_TOGETHER, LATE_TOGETHER = 1.0, 0.04
+LONGEST_TOGETHER = 1.0
+LATE_TOGETHER = 0.04
 """The same after a while, and the share of the time so far that it may take: with few tasks left,
 some workers wait that long for others."""
 MOST_TOGETHER = 100
 ATTEMPTS = 2
 """Times that a task is run alone after its process died."""
-CONNECTING, GIVEN_UP = 5.0, 8.0
+CONNECTING = 5.0
+GIVEN_UP = 8.0
 """Seconds until a scheduler that does not answer is given up: by Dask, and by us if it is not."""
 ADDRESS = re.compile(r"(?:(?:tcp|tls|ucx|wss?)://)?[\w.:%\[\]-]{1,250}:\d{1,5}")
 """Addresses that Dask connects to; for others it starts a cluster here, or asks the network."""
@@ -86,7 +88,9 @@ class Workers:
         end, one at a time, so that only the one that kills its process, whatever memory the others
         took, fails.
         """
-        waiting, done, spent = iter(tasks), 0, 0.0
+        waiting = iter(tasks)
+        done = 0
+        spent = 0.0
         running: dict[Future[_Done], list[Task]] = {}
         suspects: list[Task] = []
         while True:
@@ -108,7 +112,8 @@ class Workers:
                     else:
                         suspects += batch
                     continue
-                done, spent = done + len(batch), spent + seconds
+                done = done + len(batch)
+                spent = spent + seconds
                 yield from (Outcome(task, *each) for task, each in zip(batch, found, strict=True))
         yield from (self._run_alone(function, task) for task in suspects)
 

@@ -162,7 +162,8 @@ def rank_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
-MOST_LISTED, MOST_INFOS = 10, 3
+MOST_LISTED = 10
+MOST_INFOS = 3
 """Number of findings, and of those for information, that are listed unless all are."""
 
 
@@ -188,7 +189,8 @@ def list_findings(
         merged: dict[Any, list[Finding]] = {}
         seen: Counter[Any] = Counter()
         for finding in ranked:
-            kind, place = (finding.severity, finding.code), finding.joint or finding.link
+            kind = (finding.severity, finding.code)
+            place = finding.joint or finding.link
             # The same joint again is of another log, which its message names.
             seen[kind, place] += 1
             alone = not place or finding.severity == "error"

@@ -48,7 +48,8 @@ def check_ranges(options: Any) -> None:
     asbuilt.errors.UsageError: duration is nan; it must be a number from 0.01 to 3600 s
     """
     for item in fields(options):
-        allowed, given = item.metadata.get("range"), getattr(options, item.name)
+        allowed = item.metadata.get("range")
+        given = getattr(options, item.name)
         if allowed is None or given is None or isinstance(given, str):
             continue
         for value in given if isinstance(given, tuple) else (given,):

@@ -86,7 +86,8 @@ def divide_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dic
 
 def _read(value: Any, metadata: Mapping[str, Any]) -> Any:
     """Return what a text stands for, other values as they are."""
-    choices, parse = metadata.get("choices"), metadata.get("parse")
+    choices = metadata.get("choices")
+    parse = metadata.get("parse")
     if not isinstance(value, str):
         return value
     if isinstance(choices, Mapping):

@@ -64,12 +64,15 @@ def round_with_error(value: float, error: float | None) -> tuple[str, str]:
         lead = max(abs(value), error)
         exponent = int(f"{lead:.{max(0, decimals + math.floor(math.log10(lead)))}e}".split("e")[1])
         kept = decimals + exponent
-        lifted, uncertainty = Decimal(value).scaleb(-exponent), Decimal(error).scaleb(-exponent)
+        lifted = Decimal(value).scaleb(-exponent)
+        uncertainty = Decimal(error).scaleb(-exponent)
         power = f"e{exponent:+03d}" if exponent else ""
         return f"{lifted:z.{kept}f}{power}", f"{uncertainty:.{kept}f}{power}"
     if decimals < 0:
         step = 10.0**-decimals
-        value, error, decimals = round(value / step) * step, round(error / step) * step, 0
+        value = round(value / step) * step
+        error = round(error / step) * step
+        decimals = 0
     # z: no minus before a zero.
     return f"{value:z.{decimals}f}", f"{error:.{decimals}f}"
 
@@ -157,7 +160,9 @@ def format_range(least: float, greatest: float, unit: str = "") -> str:
     >>> format_range(3.884, math.inf, "kg"), format_range(0.0, 0.0945, "kg m^2")
     ('3.88 kg or more', '0 to 0.0945 kg m^2')
     """
-    low, high, unit = round_significant(least), round_significant(greatest), f" {unit}".rstrip()
+    low = round_significant(least)
+    high = round_significant(greatest)
+    unit = f" {unit}".rstrip()
     if math.isinf(least) and math.isinf(greatest):
         return "any value"
     if math.isinf(greatest):
@@ -452,7 +457,8 @@ def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]
         max(len(column.header), len(column.unit), *(len(row[k]) for row in body), 0)
         for k, column in enumerate(columns)
     ]
-    fitted, legend = _narrow_columns(widths, columns), list[str]()
+    fitted = _narrow_columns(widths, columns)
+    legend = list[str]()
     for k, column in enumerate(columns):
         room = min(fitted[k], column.width or WIDTH)
         names = list(dict.fromkeys(row[k] for row in body))

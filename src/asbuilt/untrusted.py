@@ -238,7 +238,8 @@ def measure_depth(content: Any) -> int:
     >>> measure_depth({"a": [1, {"b": 2}]})
     3
     """
-    level, layer = 0, [content]
+    level = 0
+    layer = [content]
     while layer := [each for each in layer if isinstance(each, dict | list)]:
         level += 1
         if level > DEEPEST:

@@ -109,14 +109,17 @@ def check_replaceable(target: Path, *, own: bool = False) -> None:
     except (OSError, ValueError) as error:
         raise _make_unwritable_error(shorten_path(target), error) from None
     if stat.S_ISDIR(state.st_mode):
-        why, cure = "it is a folder", "give the name of a file in it"
+        why = "it is a folder"
+        cure = "give the name of a file in it"
     elif stat.S_ISLNK(state.st_mode):
         why = f"it is a symbolic link to {os.readlink(target)}"
         cure = "give the name of the file itself, or remove the link"
     elif not stat.S_ISREG(state.st_mode):
-        why, cure = "it is a device, pipe or socket", "give the name of a regular file"
+        why = "it is a device, pipe or socket"
+        cure = "give the name of a regular file"
     elif is_input(target) and not own:
-        why, cure = "this command reads it", "give another name"
+        why = "this command reads it"
+        cure = "give another name"
     else:
         return
     raise UsageError(f"cannot write {target}: {why}", cure=Cure(cure), file=str(target))

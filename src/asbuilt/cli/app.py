@@ -213,7 +213,9 @@ def _return_freed_memory() -> None:
     Else it keeps room for the largest so far, in pieces that the next do not fit, and for each
     thread apart.
     """
-    largest_kept, of_arrays, of_threads = 1 << 20, -3, -8  # bytes; M_MMAP_THRESHOLD, M_ARENA_MAX
+    largest_kept = 1 << 20  # bytes; M_MMAP_THRESHOLD, M_ARENA_MAX
+    of_arrays = -3
+    of_threads = -8
     with contextlib.suppress(OSError, AttributeError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(of_arrays, largest_kept)
@@ -265,14 +267,16 @@ def _run_for_status(given: list[str]) -> int:
 
 def _describe_failure(problem: Exception) -> tuple[str, str, str, dict[str, Any], int]:
     """Return kind, message, hint, values for programs, and exit status of an error."""
-    kind, text = type(problem).__name__, str(problem)
+    kind = type(problem).__name__
+    text = str(problem)
     if isinstance(problem, AsbuiltError):
         status = 2 if isinstance(problem, UsageError) else 1
         return kind, problem.message, describe_cure(problem.cure), problem.fields, status
     if isinstance(problem, typer.TyperException):
         place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
         message = " ".join(problem.format_message().split()).rstrip(".")
-        entry, hint = EVERY_COMMAND.get(place.removeprefix("asbuilt ")), ""
+        entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
+        hint = ""
         if entry is not None and "unexpected extra argument" in message:
             hint = entry.surplus
         return "UsageError", message, hint or f"{place} -h lists the options", {}, 2

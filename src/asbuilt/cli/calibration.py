@@ -267,10 +267,12 @@ def payload(
             )
         )
     if moments:
-        name, document = "moments", writers.moments_document(found)
+        name = "moments"
+        document = writers.moments_document(found)
         text = writers.moments_table(found).as_text(full)
     else:
-        name, document = "payload", writers.payload_document(found)
+        name = "payload"
+        document = writers.payload_document(found)
         text = writers.payload_text(found, full)
     files, notes = writers.write_payload(found, places) if places else ({}, {})
     if out is not None:

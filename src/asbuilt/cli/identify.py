@@ -70,7 +70,8 @@ def identify(
     require_distinct_logs(log, validate, payload)
     if not options.rollout:
         refuse_sharing("only rollouts are shared", workers, scheduler)
-    model, swept = load_described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
+    model = load_described_robot(robot, **reading.of_base)
+    swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
     with show_progress() as report, share_workers(workers, scheduler) as shared:
@@ -126,7 +127,8 @@ MORE_MOTION = ("does_not_generalise", "not_excited")
 
 def _suggest_next_command(study: asbuilt.Study, robot: str, files: Mapping[str, Path]) -> str:
     """Return the command that follows from the verdict on a study."""
-    place, reasons = files.get("result"), study.verdict.reasons
+    place = files.get("result")
+    reasons = study.verdict.reasons
     if place is None:
         return "the same with --out DIR, which writes report, robot and result"
     if study.verdict.use == "untested":

@@ -101,14 +101,18 @@ def excite(
     if static is not None:
         refuse_sharing("static poses are found by one process", workers, scheduler)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
-    model, base, prior = load_described_robot(robot, fixed_base=fixed_base), None, None
+    model = load_described_robot(robot, fixed_base=fixed_base)
+    base = None
+    prior = None
     from asbuilt.identification.result.as_built_parameters import known_information
 
     if given is not None:
         known = asbuilt.read_result(given)
         if known.model.joint_names != model.joint_names:
             raise UsageError(f"{given} belongs to {known.robot}, not to {model.name}")
-        model, base, prior = known.model, known.base, known_information(known)
+        model = known.model
+        base = known.base
+        prior = known_information(known)
         if not asked["--noise"]:
             options = replace(options, noise=tuple(known.sigma.tolist()))
     family = "point-to-point" if static is not None else options.parametrisation

@@ -96,7 +96,8 @@ def show(
     )
     result = asbuilt.read_result(Path(robot))
 
-    model, masses = writers.as_built(result).model, writers.exported_masses(result)
+    model = writers.as_built(result).model
+    masses = writers.exported_masses(result)
     answer(
         as_json,
         lambda: (

@@ -253,7 +253,8 @@ def compare(
 
     What differs, what that costs in torque, which causes explain it; or two results of one robot.
     """
-    identified, files = asbuilt.read_result(result), {}
+    identified = asbuilt.read_result(result)
+    files = {}
     if sum(choice is not None for choice in (cad, other, controller)) > 1:
         raise UsageError(
             "--cad, --with and --controller are three different comparisons; give one of them"
@@ -276,7 +277,8 @@ def compare(
     )
     drift: validation.Drift | workflow.ControllerComparison | None = None
     if other is not None:
-        later, names = asbuilt.read_result(other), (str(result), str(other))
+        later = asbuilt.read_result(other)
+        names = (str(result), str(other))
         drift = asbuilt.compare_results(identified, later, labels=names)
     elif recording is not None:
         scoring = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)
@@ -408,7 +410,8 @@ def review(
     supported, contradicted or undetermined, and what each is an alias of.
     """
     require_distinct_logs(log)
-    model, swept = load_described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
+    model = load_described_robot(robot, **reading.of_base)
+    swept = filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     with show_progress() as report:
         report("read", 0.0)

@@ -246,7 +246,9 @@ def pseudo_inertias(parameters: ArrayLike) -> Array:
 
 def _extract_parameters(J: Array) -> Array:
     """Return the ten-vectors (..., 10) of pseudo-inertias (..., 4, 4)."""
-    a, b, c = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
+    a = J[..., 0, 0]
+    b = J[..., 1, 1]
+    c = J[..., 2, 2]
     entries = (
         b + c,
         -J[..., 0, 1],
@@ -296,7 +298,8 @@ def tool_from_text(text: str) -> LinkInertia:
         mass = float(weight)
         com = [float(part) for part in place.split(",")] if place else [0.0, 0.0, 0.0]
     except ValueError:
-        mass, com = np.nan, []
+        mass = np.nan
+        com = []
     if not (np.isfinite(mass) and mass > 0.0 and len(com) == 3 and np.all(np.isfinite(com))):
         raise UsageError(
             "a tool is KG@X,Y,Z: a positive mass and its centre in metres, for example"

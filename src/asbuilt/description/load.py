@@ -125,7 +125,8 @@ def _load(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
         raise DescriptionError(f"{shown} cannot be read: {describe_problem(error)}") from None
     if exists and not is_folder:
         return _read(path, fixed_base, base)
-    suffixes, bundled = ", ".join(list_suffixes()), ", ".join(robot_names())
+    suffixes = ", ".join(list_suffixes())
+    bundled = ", ".join(robot_names())
     if is_folder:
         raise DescriptionError(
             f"{text} is a folder; give a description file ({suffixes}) or a bundled robot"

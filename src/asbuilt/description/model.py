@@ -318,7 +318,8 @@ class RobotModel:
             return carriers[-1]
         if self.n_floating:
             return self.n_floating - 1
-        parents, link = self.parents, self.n_joints - 1
+        parents = self.parents
+        link = self.n_joints - 1
         driven = [set(np.flatnonzero(row).tolist()) for row in self.link_shares]
         while (up := parents[link]) != ROOT and any(
             parent == up and driven[other] == driven[link]
@@ -476,7 +477,8 @@ class RobotModel:
 
     def in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
         """Return the joints of all links, links and frames, parents before their children."""
-        every, order = self.moving_joints, self.link_order
+        every = self.moving_joints
+        order = self.link_order
         place = {link: i for i, link in enumerate(order)} | {ROOT: ROOT}
         return (
             tuple(replace(every[k], parent=place[every[k].parent]) for k in order),

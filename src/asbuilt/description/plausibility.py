@@ -103,7 +103,8 @@ def _word_factor(factor: float) -> str:
 
 def _list_unit_misreadings() -> tuple[_Misreading, ...]:
     """Return one wrong unit, or masses and inertias in units of one family."""
-    masses, inertias = list(MASS_UNITS.items())[1:], list(INERTIA_UNITS.items())[1:]
+    masses = list(MASS_UNITS.items())[1:]
+    inertias = list(INERTIA_UNITS.items())[1:]
     families = [
         _Misreading(m, i, f"{mass} and {inertia}")
         for (mass, m), (inertia, i) in itertools.product(masses, inertias)

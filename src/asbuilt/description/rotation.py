@@ -170,7 +170,8 @@ def snap_entries(matrix: ArrayLike) -> Array:
 def find_rotation_fault(matrix: ArrayLike) -> str | None:
     """Return why a finite 3 x 3 matrix is no rotation, in numbers, or None where it is one."""
     R = np.asarray(matrix, dtype=np.float64)
-    error, determinant = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
+    error = float(np.abs(R @ R.T - np.eye(3)).max())
+    determinant = float(np.linalg.det(R))
     if error <= ORTHOGONALITY and determinant > 0.0:
         return None
     return f"R R^T differs from 1 by {error:.2g} and det R = {determinant:.6g}"

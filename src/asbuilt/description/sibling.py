@@ -119,7 +119,9 @@ def read_sibling(path: str | Path) -> Sibling:
     try:
         document = parse_json(text)
         found = document.get("sibling", document)
-        robot, links, drives = str(found["robot"]), found["links"], found["drives"]
+        robot = str(found["robot"])
+        links = found["links"]
+        drives = found["drives"]
         return Sibling(
             robot,
             {name: _read_link(name, values) for name, values in links.items()},

@@ -33,7 +33,9 @@ def shape_joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, .
 
     Raises `UsageError` where they are not alike, not finite, or of other joints.
     """
-    n, arrays, shapes = model.n_joints, [], {}
+    n = model.n_joints
+    arrays = []
+    shapes = {}
     for name, value in given.items():
         array = np.asarray(value, dtype=np.float64)
         shapes[name] = array.shape

@@ -29,14 +29,17 @@ def contact_jacobians(model: RobotModel, q: Array) -> tuple[Array, ...]:
 
     Shape (N, 3, n), or (N, 6, n) with the angular velocity last if it is flat.
     """
-    jacobians, poses = link_jacobians(model, q), link_poses(model, q)
+    jacobians = link_jacobians(model, q)
+    poses = link_poses(model, q)
     found = []
     for contact in model.contacts:
         link, placement = model.placed(contact.frame)
-        turn, J = poses[:, link, :3, :3], jacobians[:, link]
+        turn = poses[:, link, :3, :3]
+        J = jacobians[:, link]
         swung = np.cross(np.swapaxes(J[:, :3], 1, 2), placement[:3, 3])
         point = J[:, 3:] + np.swapaxes(swung, 1, 2)
-        linear, angular = turn @ point, turn @ J[:, :3]
+        linear = turn @ point
+        angular = turn @ J[:, :3]
         below = np.cross(np.swapaxes(angular, 1, 2), [0.0, 0.0, -(contact.radius or 0.0)])
         linear = linear + np.swapaxes(below, 1, 2)
         found.append(np.concatenate([linear, angular], axis=1) if contact.flat else linear)

@@ -22,7 +22,8 @@ def _evaluate_link_poses(model: RobotModel, q: Array) -> Array:
     motion = np.zeros((samples, n, 4, 4))
     motion[...] = np.eye(4)
     turning = np.array([joint.is_revolute for joint in model.joints])
-    c, s = np.cos(q[:, turning]), np.sin(q[:, turning])
+    c = np.cos(q[:, turning])
+    s = np.sin(q[:, turning])
     (
         motion[:, turning, 0, 0],
         motion[:, turning, 0, 1],
@@ -49,7 +50,8 @@ def draw_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Ar
     Where loops place joints, they are within the limits of the motors, away from singular postures,
     and in the assembly mode of the description. Raises `DescriptionError` where there are none.
     """
-    n, closure = model.n_joints, model.closure
+    n = model.n_joints
+    closure = model.closure
     if closure is None:
         return rng.uniform(-np.pi, np.pi, (count, n))
     home = closure.home[:n]
@@ -108,7 +110,8 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
     motions = _evaluate_link_poses(model, qs)
     jacobians = np.zeros((samples, n, 6, n))
     for i, (joint, parent) in enumerate(zip(model.joints, model.parents, strict=True)):
-        rotation, translation = motions[:, i, :3, :3], motions[:, i, :3, 3]
+        rotation = motions[:, i, :3, :3]
+        translation = motions[:, i, :3, 3]
         if parent != ROOT:
             above = np.swapaxes(jacobians[:, parent], 1, 2)
             linear = above[..., 3:] + np.cross(above[..., :3], translation[:, None, :])

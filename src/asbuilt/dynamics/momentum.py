@@ -38,7 +38,9 @@ def _carry_momentum_out(placement, n, f, out):
     for k in range(3):
         out[k] = placement[k, 0] * n[0] + placement[k, 1] * n[1] + placement[k, 2] * n[2]
         out[3 + k] = placement[k, 0] * f[0] + placement[k, 1] * f[1] + placement[k, 2] * f[2]
-    px, py, pz = placement[0, 3], placement[1, 3], placement[2, 3]
+    px = placement[0, 3]
+    py = placement[1, 3]
+    pz = placement[2, 3]
     out[0] += py * out[5] - pz * out[4]
     out[1] += pz * out[3] - px * out[5]
     out[2] += px * out[4] - py * out[3]
@@ -48,15 +50,24 @@ def _carry_momentum_out(placement, n, f, out):
 def _turn(c, s, six):
     """Turn two vectors about z by the angle of cosine c and sine s."""
     for k in (0, 3):
-        x, y = six[k], six[k + 1]
+        x = six[k]
+        y = six[k + 1]
         six[k], six[k + 1] = c * x - s * y, s * x + c * y
 
 
 @part
 def _add_link_momentum(chi, twist, out):
     """Write moment `I w + h x v` and force `m v - h x w` of a link."""
-    wx, wy, wz, vx, vy, vz = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
-    hx, hy, hz, m = chi[6], chi[7], chi[8], chi[9]
+    wx = twist[0]
+    wy = twist[1]
+    wz = twist[2]
+    vx = twist[3]
+    vy = twist[4]
+    vz = twist[5]
+    hx = chi[6]
+    hy = chi[7]
+    hz = chi[8]
+    m = chi[9]
     out[0] += chi[0] * wx + chi[1] * wy + chi[2] * wz + hy * vz - hz * vy
     out[1] += chi[1] * wx + chi[3] * wy + chi[4] * wz + hz * vx - hx * vz
     out[2] += chi[2] * wx + chi[4] * wy + chi[5] * wz + hx * vy - hy * vx
@@ -69,8 +80,11 @@ def _add_link_momentum(chi, twist, out):
 def write_momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
     """Write `p = M qd` and `C^T qd = dT/dq` (N, n) of states (N, n)."""
     samples, n = q.shape
-    at_joint, of_link, carried = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
-    moved, still = np.zeros(6), np.zeros(6)
+    at_joint = np.zeros((n, 6))
+    of_link = np.zeros((n, 6))
+    carried = np.zeros((n, 6))
+    moved = np.zeros(6)
+    still = np.zeros(6)
     for k in range(samples):
         carried[:] = 0.0
         for i in range(n):
@@ -165,11 +179,13 @@ class Momentum:
         coupling = self._coupling
         moved = None if coupling is None else coupling.motion(q, qd)
         state = (q, qd) if moved is None else (moved.q, moved.qd)
-        p, gradient = np.empty(state[0].shape), np.empty(state[0].shape)
+        p = np.empty(state[0].shape)
+        gradient = np.empty(state[0].shape)
         write_momentum(*self._mechanism, self._chi, *state, p, gradient)
         if coupling is None or moved is None:
             return p, gradient
-        own, turning = moved.torques(gradient), coupling.derivatives(q, qd, np.zeros_like(q))
+        own = moved.torques(gradient)
+        turning = coupling.derivatives(q, qd, np.zeros_like(q))
         if turning is not None:  # kinetic energy also changes as the shares do
             own += np.einsum("si,sij->sj", p, turning.turning)
         return moved.torques(p), own

@@ -31,12 +31,15 @@ def _evaluate_torques(
     threads: int | None,
 ) -> Array:
     if (coupling := model.coupling) is not None:
-        moved, in_tree = coupling.motion(q, qd, qdd), coupling.parameters(chi)
+        moved = coupling.motion(q, qd, qdd)
+        in_tree = coupling.parameters(chi)
         state = moved.q, moved.qd, moved.qdd
         return moved.torques(_evaluate_torques(model.tree, *state, in_tree, gravity, threads))
-    layout, torques = build_layout(model), np.empty(q.shape)
+    layout = build_layout(model)
+    torques = np.empty(q.shape)
     inputs = flatten_array(q), flatten_array(qd), flatten_array(qdd)
-    given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
+    given = np.array(gravity, dtype=np.float64)
+    out = torques.reshape(-1)
     run_over_samples(
         lambda start, stop: rigid_body.newton_euler(
             layout.codes, layout.placements, given, chi, *inputs, start, stop, out
@@ -51,7 +54,8 @@ def _evaluate_joint_space(
     model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool
 ) -> Array:
     if (coupling := model.coupling) is not None:
-        moved, in_tree = coupling.motion(q, qd), coupling.parameters(chi)
+        moved = coupling.motion(q, qd)
+        in_tree = coupling.parameters(chi)
         of_tree = moved.q, moved.qd, in_tree
         found = moved.matrices(_evaluate_joint_space(model.tree, *of_tree, coriolis=coriolis))
         turning = coupling.derivatives(q, qd, np.zeros_like(q)) if coriolis else None
@@ -61,7 +65,9 @@ def _evaluate_joint_space(
         return found + np.swapaxes(moved.shares, 1, 2) @ masses @ turning.turning
     layout, (samples, n) = build_layout(model), q.shape
     matrices = np.empty((samples, n, n))
-    angles, rates, out = flatten_array(q), flatten_array(qd), matrices.reshape(-1)
+    angles = flatten_array(q)
+    rates = flatten_array(qd)
+    out = matrices.reshape(-1)
 
     def work(start: int, stop: int) -> None:
         joint_space_matrices(

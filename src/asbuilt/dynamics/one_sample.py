@@ -28,7 +28,8 @@ def compile_drives(drive: DriveSet, values: Array, shares: Array) -> tuple[Indic
     `values` (n columns_per_joint,) are the drive parameters joint by joint, `shares` (n, n) the
     `motor_shares` of the robot. The program has rows of operation, joint and place of a constant.
     """
-    n, rows = len(shares), list[Row]()
+    n = len(shares)
+    rows = list[Row]()
     for k, own in enumerate(values.reshape(n, -1)):
         left = own.tolist()
         for term in drive.at(k).terms:
@@ -86,7 +87,8 @@ class OneSample:
         self._general = model.coupling is not None
         if self._general:
             return
-        layout, n = build_layout(model), model.n_joints
+        layout = build_layout(model)
+        n = model.n_joints
         program, constants = compile_drives(drive, values, model.motor_shares)
         links = np.hstack([layout.placements, parameters.reshape(n, 10)]).ravel()
         self._n, self._still = n, np.zeros(n)
@@ -110,7 +112,8 @@ class OneSample:
         """Return the torques that hold the rigid bodies at rest [N m or N], shape (n,)."""
         if self._general:
             return None
-        out, still = np.empty(self._n), self._still
+        out = np.empty(self._n)
+        still = self._still
         try:
             return out if self._torque(self._codes, self._numbers, q, still, still, out) else None
         except TypeError:

@@ -66,10 +66,12 @@ def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -
     Links it carries, its own drive, motors it turns; all where contact forces are projected away,
     which mixes the rows.
     """
-    chosen, n = _check_columns(model, drive, columns), model.n_joints
+    chosen = _check_columns(model, drive, columns)
+    n = model.n_joints
     if model.contacts:
         return [np.arange(chosen.size)] * n
-    moved_by, carried = model.link_shares != 0.0, np.zeros((n, model.n_links), dtype=bool)
+    moved_by = model.link_shares != 0.0
+    carried = np.zeros((n, model.n_links), dtype=bool)
     for i in range(model.n_links):
         carried[:, i] = moved_by[list(model.ancestors(i))].any(axis=0)
     links = np.repeat(carried, _PER_LINK, axis=1)
@@ -83,7 +85,8 @@ def find_joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -
 @lru_cache(maxsize=16)
 def _find_moving_coordinates(model: RobotModel) -> Mask:
     """Return which coordinates move which links of the tree, (n_links + 1, n), the root first."""
-    tree, shares = model.tree, model.link_shares[list(model.link_order)] != 0.0
+    tree = model.tree
+    shares = model.link_shares[list(model.link_order)] != 0.0
     moves = np.zeros((model.n_links + 1, model.n_joints), dtype=bool)
     for i in range(model.n_links):
         moves[i + 1] = shares[list(tree.ancestors(i))].any(axis=0)
@@ -189,11 +192,9 @@ class RegressorPlan:
 
         They count from 0; None takes all.
         """
-        chosen, n, per = (
-            _check_columns(model, drive, columns),
-            model.n_joints,
-            drive.columns_per_joint,
-        )
+        chosen = _check_columns(model, drive, columns)
+        n = model.n_joints
+        per = drive.columns_per_joint
         support = tuple(find_joint_support(model, drive, chosen))
         starts = np.cumsum([0, *(positions.size + spare_rows for positions in support)])
         bounds = np.array(
@@ -286,15 +287,20 @@ class RegressorPlan:
         self, inputs: Sequence[Array], target: Array, columns: Indices, threads: int | None
     ) -> None:
         """Write the rows of the links for checked states into `target`, as the kernels do."""
-        places, coupling, shares = self.places, self.model.coupling, np.eye(self.model.n_joints)
+        places = self.places
+        coupling = self.model.coupling
+        shares = np.eye(self.model.n_joints)
         if coupling is not None:
             places = np.ascontiguousarray(places[:, coupling.order])
             moved = coupling.motion(*inputs)
-            inputs, shares = (moved.q, moved.qd, moved.qdd), moved.shares
-        layout, moves = build_layout(self.model.tree), _find_moving_coordinates(self.model)
+            inputs = (moved.q, moved.qd, moved.qdd)
+            shares = moved.shares
+        layout = build_layout(self.model.tree)
+        moves = _find_moving_coordinates(self.model)
         robot = layout.codes, layout.placements, layout.gravity, layout.n_slots
         vectors = [flatten_array(array) for array in inputs]
-        rows, width = target.reshape(-1), target.shape[1]
+        rows = target.reshape(-1)
+        width = target.shape[1]
 
         def work(start: int, stop: int) -> None:
             rigid_body.regressor(

@@ -106,7 +106,8 @@ class MotionBounds:
         acceleration = np.where(
             np.isfinite(given.acceleration), given.acceleration, velocity / ASSUMED.ramp
         )
-        middle, half = (lower + upper) / 2, (upper - lower) / 2
+        middle = (lower + upper) / 2
+        half = (upper - lower) / 2
         return replace(
             given,
             lower=middle - fraction * half,
@@ -305,8 +306,10 @@ def refuse_open_postures(model: RobotModel) -> None:
     closure = model.closure
     if closure is None:
         return
-    n, bounds = model.n_joints, MotionBounds.assumed(model)
-    low, high = bounds.lower, bounds.upper
+    n = model.n_joints
+    bounds = MotionBounds.assumed(model)
+    low = bounds.lower
+    high = bounds.upper
     corners = [np.where(ends, high, low) for ends in product((False, True), repeat=min(n, 7))]
     corners = corners if n <= 7 else []
     q = np.vstack([*corners, np.random.default_rng(0).uniform(low, high, (TRIED, n))])

@@ -148,10 +148,8 @@ class TorqueLimit(StateConstraint):
         # m/s].
         sign = np.tanh(qd / 0.02)
         away = np.abs(qd) + 1e-12
-        ahead, behind = (
-            self._evaluate_exact_friction(q, away, qdd, load),
-            self._evaluate_exact_friction(q, -away, qdd, load),
-        )
+        ahead = self._evaluate_exact_friction(q, away, qdd, load)
+        behind = self._evaluate_exact_friction(q, -away, qdd, load)
         return np.asarray(0.5 * ((1 + sign) * ahead + (1 - sign) * behind))
 
     def _evaluate_exact_friction(self, *state: Array) -> Array:
@@ -214,7 +212,8 @@ class PowerLimit(StateConstraint):
         """State the largest power relative to its limit."""
         used = np.abs(self.values(q, qd, qdd)).max(axis=0)
         k = int(np.argmax(used))
-        joint, limit = self._finite[k], self._limit[self._finite[k]]
+        joint = self._finite[k]
+        limit = self._limit[self._finite[k]]
         return (
             f"power at most {used[k] * limit:.3g} W of the {limit:g} W allowed, by"
             f" {self._joint_names[joint]}",

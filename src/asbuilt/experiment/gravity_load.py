@@ -74,7 +74,8 @@ def _measure_explained_share(model: RobotModel, q: Array, tau: Array, scale: flo
     step, load = _evaluate_load(model, q, scale)
     if load is None:
         return 0.0
-    x, y = load - load.mean(axis=0), tau[::step] - tau[::step].mean(axis=0)
+    x = load - load.mean(axis=0)
+    y = tau[::step] - tau[::step].mean(axis=0)
     power = float(np.sum(y**2))
     rest = min(float(np.sum((y - sign * x) ** 2)) for sign in (1.0, -1.0))
     return max(0.0, 1.0 - rest / power) if power > 0.0 else 0.0

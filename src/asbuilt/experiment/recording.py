@@ -115,7 +115,8 @@ class Recording:
             if name == "tau" or values is not None
         }
         extra = {name: _freeze(values, name, self.source) for name, values in self.extra.items()}
-        t, q = channels["t"], channels["q"]
+        t = channels["t"]
+        q = channels["q"]
         if t.ndim != 1 or t.size == 0:
             raise RecordingError(
                 f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
@@ -362,7 +363,8 @@ class Recording:
             return None
         # A sample at the very edge counts, however the clock is rounded.
         reach = margin + (0.5 + 1e-6) / self.rate
-        first, last = np.searchsorted(self.t, t - reach), np.searchsorted(self.t, t + reach)
+        first = np.searchsorted(self.t, t - reach)
+        last = np.searchsorted(self.t, t + reach)
         counts = np.cumsum(np.nan_to_num(self.contact, nan=1.0) > 0.5, axis=0, dtype=np.float64)
         counts = np.vstack([np.zeros((1, counts.shape[1])), counts])
         return np.asarray(counts[last] - counts[first] > 0.0, dtype=np.float64)

@@ -101,7 +101,8 @@ class Fit:
         IdentifiabilityError
             If too little is left.
         """
-        own, method = self.estimate.information or self.information, self.estimate.method
+        own = self.estimate.information or self.information
+        method = self.estimate.method
         kept = own.select([b for b, block in enumerate(own.blocks) if block.source not in sources])
         refuse_few_rows(kept)
         if self.estimate.refit is not None:
@@ -251,7 +252,8 @@ def fit_samples(
     fitted: NonlinearFit | None = None
     if base is None and not drive.is_linear:
         fitted = fit_nonlinear(model, drive, samples)
-        drive, fitted_nonlinear = fitted.drive, fitted.places
+        drive = fitted.drive
+        fitted_nonlinear = fitted.places
     base = base or find_base_parameters(model, drive)
     design = design_values(model, base)
 
@@ -283,7 +285,8 @@ def fit_samples(
     data = reduce(seen)
     if base.drive.needs_load:
         data = _settle_own_load(data, lambda loading: reduce(accumulate(loading), loading))
-    information, estimate = data.information, estimator.estimate(data)
+    information = data.information
+    estimate = estimator.estimate(data)
     loading = set_link_parameters(model, base, estimate.beta) if base.drive.needs_load else model
     textbook = errors == "textbook"
     nonlinear = None

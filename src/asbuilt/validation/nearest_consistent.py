@@ -124,7 +124,8 @@ def compare_with_nearest(result: IdentificationResult, beta: ArrayLike) -> Neare
     cause_data = result.cause_data
     if cause_data is None:
         return None
-    names, values = result.base.names, np.asarray(beta, dtype=np.float64)
+    names = result.base.names
+    values = np.asarray(beta, dtype=np.float64)
     # The same sums with fitted data in place of held-out ones.
     fitted = replace(cause_data, judged=cause_data.fitted, n_judged=cause_data.n_fitted)
     return NearestModel(

@@ -169,7 +169,8 @@ def _predict_under_gravity(
     turned = described.gravity - model.gravity
     if not turned.any():
         return predict_torque(model, base, design, samples)
-    torque, turning = np.zeros(samples.q.shape), described.with_gravity(turned)
+    torque = np.zeros(samples.q.shape)
+    turning = described.with_gravity(turned)
     for span, _, part in predict_in_spans(model, base, design, samples):
         torque[span] = part + gravity_torque(turning, samples.q[span])
     return pair_with_measured(model, samples, torque)
@@ -193,7 +194,8 @@ def _predict_described(model: RobotModel, samples: Samples) -> Prediction:
             f" {model.name} has {', '.join(model.joint_names)}"
         )
     drive, values = described_drive(model)
-    torque, shares = np.zeros(samples.q.shape), model.motor_shares
+    torque = np.zeros(samples.q.shape)
+    shares = model.motor_shares
     for span in samples.spans():
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         load = inverse_dynamics(model, *state)
@@ -224,7 +226,8 @@ def derive_cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
             f"in {cad.name} and in {result.robot} other joints follow others; compare descriptions"
             " with the same couplings"
         )
-    ours, theirs = result.model.geometry, cad.geometry
+    ours = result.model.geometry
+    theirs = cad.geometry
     names = result.model.tree.joint_names
     for what in (
         "parent",
@@ -264,7 +267,8 @@ def predict_friction_torque(
     values = [
         identified.get(name, 0.0) for k in range(model.n_joints) for name in friction.names(k + 1)
     ]
-    torque, shares = np.zeros(samples.q.shape), model.motor_shares
+    torque = np.zeros(samples.q.shape)
+    shares = model.motor_shares
     for span, rigid, _ in predict_in_spans(model, base, estimates, samples):
         state = samples.q[span], samples.qd[span], samples.qdd[span]
         load = rigid if friction.needs_load else None

@@ -96,7 +96,8 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
     ResultError
         If the joints or drive terms differ, or the recording has no velocities and accelerations.
     """
-    base, recording = result.base, simulated.recording
+    base = result.base
+    recording = simulated.recording
     if simulated.model.joint_names != result.model.joint_names or simulated.drive != base.drive:
         raise ResultError(
             f"the result has the joints {', '.join(result.model.joint_names)} and drive terms"

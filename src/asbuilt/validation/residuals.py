@@ -60,7 +60,8 @@ def autocorrelation(residual: Array, segments: Segments, max_lag: int) -> Array:
     rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed. Pairs never span two
     segments; lags longer than every segment are zero.
     """
-    e, rho = residual - residual.mean(), np.zeros(max_lag + 1)
+    e = residual - residual.mean()
+    rho = np.zeros(max_lag + 1)
     energy = float(e @ e)
     # Without an error there is nothing to correlate: white by definition.
     if energy == 0:
@@ -122,7 +123,8 @@ def measure_whiteness(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
     e_(t-1/2f))^2 / mean e_t^2`: 2 for a residual white up to the cutoff, near 0 for a slow one.
     Second, the effective samples as a fraction of the 2 f a second of a white residual.
     """
-    segments, step = find_contiguous_segments(t), float(np.median(np.diff(t)))
+    segments = find_contiguous_segments(t)
+    step = float(np.median(np.diff(t)))
     # Half a period of the cutoff: where white noise behind the low-pass has decorrelated.
     lag = max(1, round(0.5 / (cutoff * step)))
     apart = np.concatenate(
@@ -204,7 +206,8 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
 def _estimate_spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, Array]:
     """Return frequencies (F,) and one-sided density (F, n): Welch, Hann windows in each segment."""
     window = min(SETTINGS.window, max(stop - start for start, stop in segments))
-    total, weight = np.zeros((window // 2 + 1, residual.shape[1])), 0
+    total = np.zeros((window // 2 + 1, residual.shape[1]))
+    weight = 0
     for start, stop in segments:
         if stop - start >= window:
             # By length, so that long segments count more.

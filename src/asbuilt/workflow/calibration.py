@@ -142,7 +142,8 @@ def _prepare_loaded(
     progress: Progress | None,
 ) -> Prepared:
     """Prepare recordings with the delay that the arm was identified with, if none is stated."""
-    chain, model = options.chain or SignalChain(), result.model
+    chain = options.chain or SignalChain()
+    model = result.model
     # A delay found with the arm is a property of the log's channels, and no load changes it.
     known = None if result.chain is None else result.chain.delay
     return prepare(
@@ -315,7 +316,8 @@ def _match_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Record
         )
     if common.size < max(sensor.n_samples, motor.n_samples):
         shared = (np.isin(sensor.t, motor.t), np.isin(motor.t, sensor.t))
-        sensor, motor = sensor.taken(shared[0]), motor.taken(shared[1])
+        sensor = sensor.taken(shared[0])
+        motor = motor.taken(shared[1])
     return (
         replace(sensor, extra={**sensor.extra, "tau_motor": motor.tau}),
         replace(motor, extra={**motor.extra, "tau_sensor": sensor.tau}),

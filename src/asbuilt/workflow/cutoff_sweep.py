@@ -45,7 +45,8 @@ class SweepRules:
 
 
 SWEEP = SweepRules()
-HOLDOUT, SHORT_HOLDOUT = "blocks:5s:3", "blocks:2s:3"
+HOLDOUT = "blocks:5s:3"
+SHORT_HOLDOUT = "blocks:2s:3"
 """What is held out to choose by where the user holds nothing out, and of short recordings.
 
 A low-pass at 3 Hz takes a second of every block: the error of a 2 s block counts only the rest.

@@ -119,10 +119,12 @@ def _make_recording_delay(
     head: Recording, digest: str, found: DelayEstimate, place: int
 ) -> RecordingDelay:
     joints: tuple[JointDelay, ...] = ()
-    estimate, error = float(found.estimates[place]), float(found.std_errors[place])
+    estimate = float(found.estimates[place])
+    error = float(found.std_errors[place])
     applied = estimate if found.applied[place] else 0.0
     if found.joint_estimates is not None and found.joint_errors is not None:
-        values, errors = found.joint_estimates[place].tolist(), found.joint_errors[place].tolist()
+        values = found.joint_estimates[place].tolist()
+        errors = found.joint_errors[place].tolist()
         joints = tuple(
             JointDelay(name, x, dx, x if np.isfinite(dx) else 0.0)
             for name, x, dx in zip(head.joint_names, values, errors, strict=True)

@@ -174,7 +174,8 @@ def _measure_torque_error(fits: Fits) -> float:
 
 def _identify_encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
     """Return what lies between two encoders, by the friction that was identified."""
-    fit, samples = fits.final, [batch.compact() for batch in samples]
+    fit = fits.final
+    samples = [batch.compact() for batch in samples]
     taken = [_predict_friction(fit, batch) for batch in samples]
     pairs = identify_encoders(samples, [joint.is_revolute for joint in fit.model.joints], taken)
     errors = np.sqrt(np.diag(fit.uncertainty.covariance))
@@ -280,7 +281,8 @@ def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
 
     The search is sure of them next to bodies near CAD; the final fit may hold bodies less.
     """
-    unsure, covariance = set[tuple[str, str]](), fit.uncertainty.covariance
+    unsure = set[tuple[str, str]]()
+    covariance = fit.uncertainty.covariance
     for effect in effects.found:
         term = getattr(EFFECTS[effect.effect], "term", None)
         if not effect.in_model or effect.joint is None or term is None:
@@ -325,11 +327,13 @@ def _add_effects(
     They are chosen on what the final fit uses, so that holding out by default changes no value; the
     part that an explicit rule holds out is not used.
     """
-    wanted, samples = options.wanted_effects, prepared.whole or prepared.training
+    wanted = options.wanted_effects
+    samples = prepared.whole or prepared.training
     drive = select_stated_drive(model, samples, options.drive)
     for term in wanted.drive.terms:
         drive = drive.with_term(term)
-    effects, flat = Effects(model, drive), tuple[Plateau, ...]()
+    effects = Effects(model, drive)
+    flat = tuple[Plateau, ...]()
     stated = {Tilt.key} if options.mounting == "estimate" or wanted.tilt else set()
     fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
     if stated and not fixed:
@@ -371,7 +375,8 @@ def _list_open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
 
 def predict_held_out(fits: Fits) -> tuple[Validation, ...]:
     """Predict what was held out by values that have not seen it, then other recordings."""
-    held, others = fits.prepared.held_out, fits.prepared.validation
+    held = fits.prepared.held_out
+    others = fits.prepared.validation
     if fits.left_out is None:
         return predict_samples(fits.validated, (*held, *others))
     fit = fits.final

@@ -152,7 +152,8 @@ class RecordedInformation:
         return text if outside else ""
 
     def _word_worst(self) -> str:
-        ratios, names = self.std_error_ratios, self.efficiency.base.names
+        ratios = self.std_error_ratios
+        names = self.efficiency.base.names
         # Of the joints that moved too little, the worst first.
         worst = sorted(self._lacking, key=lambda k: -ratios[k])[: RULES.most_named]
         listed = [

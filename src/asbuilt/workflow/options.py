@@ -244,7 +244,8 @@ class StudyOptions:
         _check_rule(self.holdout)
         for name in ("effects", "drive", "total_mass", "link_mass", "siblings"):
             # Text is parsed here too, so that Python and command line mean the same by it.
-            given, parse = getattr(self, name), self.__dataclass_fields__[name].metadata["parse"]
+            given = getattr(self, name)
+            parse = self.__dataclass_fields__[name].metadata["parse"]
             if isinstance(given, str | Path):
                 object.__setattr__(self, name, parse(given))
 
@@ -265,7 +266,8 @@ class StudyOptions:
         """
         if isinstance(self.siblings, Sibling):
             model = self.siblings.applied(model)
-        total, links = self.total_mass, self.link_mass or {}
+        total = self.total_mass
+        links = self.link_mass or {}
         if isinstance(total, str) or isinstance(links, str):  # parsed in `__post_init__`
             return model
         return with_known_masses(model, total, links)

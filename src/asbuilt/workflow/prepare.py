@@ -147,7 +147,8 @@ def prepare(
     """
     if not recordings:
         raise UsageError(f"no recording of {model.name} is given; give at least one")
-    report, filters = progress or (lambda what, fraction: None), filters or MotionFilters()
+    report = progress or (lambda what, fraction: None)
+    filters = filters or MotionFilters()
     report("check", 0.0)
     # All recordings are checked before any is filtered: errors come at once.
     every = [item for group in (recordings, validation, *others) for item in group]
@@ -158,15 +159,18 @@ def prepare(
     report("filter", 0.0)
     own = _list_recording_heads(recordings)
     # Validation takes part in the choice, so that none is cut short by a chain for another.
-    chosen, settled = [*own, *_list_recording_heads(validation)], chain or SignalChain()
+    chosen = [*own, *_list_recording_heads(validation)]
+    settled = chain or SignalChain()
     if chosen:
         # Rates before the cutoff: it depends on which velocities are used.
         settled = settle_rates(model, chosen, settled, filters)
         settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
         settled = settle(settled, own)
-    automatic, holdout = holdout == AUTOMATIC, settle_rule(recordings, holdout)
-    digests, late = tuple(map(digest_recording, own)), Delays(settled, tuple(delays))
+    automatic = holdout == AUTOMATIC
+    holdout = settle_rule(recordings, holdout)
+    digests = tuple(map(digest_recording, own))
+    late = Delays(settled, tuple(delays))
     # Delays that are known already are not estimated again.
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
         report("delay", 0.0)
@@ -189,7 +193,8 @@ def prepare(
     else:
         parts = _divide_samples(whole, holdout)
     if parts is None:
-        holdout, parts = None, (whole, ())
+        holdout = None
+        parts = (whole, ())
 
     # Other recordings are weighed as those that were fitted.
     def alike(item: Recorded) -> Samples:

@@ -180,7 +180,8 @@ def refine_study(
     kinds = {signal.kind for _, _, signal in parts.trained}
     if len(kinds) != 1:
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
-    began, given = time.perf_counter(), drive
+    began = time.perf_counter()
+    given = drive
     horizon = min(max(horizons, default=RULES.usual), RULES.longest)
     windows = _cut_windows(parts.trained, horizon)
     # Only under commands the servo is part of what moves the robot.
@@ -203,7 +204,8 @@ def refine_study(
         {parameter.name: parameter.default for parameter in term.nonlinear if parameter.fitted}
     )
     if choose and _calls_for(best, term):
-        wider, n = drive.with_term(term), fit.model.n_joints
+        wider = drive.with_term(term)
+        n = fit.model.n_joints
         begin = widen_parameters(best.refinement.point.chi, drive, wider, n)
         before = None if driven is None else _update_servo(driven, best)
         other = refined(fitted(wider), before, begin)
@@ -211,7 +213,8 @@ def refine_study(
         # Akaike, a parameter a joint; and motion that was not fitted must agree.
         gained = _measure_gain(best, other) > RULES.worth * n
         if gained and _is_better(best, other, wider, parts.held_out or parts.trained, horizon):
-            best, drive = replace(other, start=best.start), wider
+            best = replace(other, start=best.start)
+            drive = wider
     seconds = time.perf_counter() - began
     tried = Refined(horizon, iterations, seconds, best.undetermined, best.start)
     tried = _validate_refinement(tried, best.robot, parts.held_out or parts.trained)
@@ -225,7 +228,8 @@ def refine_study(
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
     """Return whether the trajectories promise to be explained better with a term."""
     objective = found.objective
-    keys, n = objective.trajectories.base.drive.keys, objective.trajectories.model.n_joints
+    keys = objective.trajectories.base.drive.keys
+    n = objective.trajectories.model.n_joints
     # Stribeck friction replaces Coulomb's: without it there is nothing to replace.
     if "coulomb" not in keys or term.key in keys:
         return False
@@ -328,7 +332,8 @@ def _measure_rollout_errors(
 
 def _cut_windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
     """Cut what is long enough; raises RecordingError if nothing is."""
-    found, problem = list[Windows](), None
+    found = list[Windows]()
+    problem = None
     for recording, samples, signal in parts:
         try:
             found.append(cut_windows(recording, samples, horizon, signal))

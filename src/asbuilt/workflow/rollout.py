@@ -76,9 +76,11 @@ def roll_out_result(
         If MuJoCo is not installed.
     """
     options = options or ValidationOptions()
-    cad, chain = options.cad, options.chain or result.chain
+    cad = options.cad
+    chain = options.chain or result.chain
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
-    results, parts = [], []
+    results = []
+    parts = []
     for item in as_recordings(result.model, recordings):
         # What was held out of this recording is simulated by values that have not seen it.
         # With a chain of its own the division of the study does not apply.
@@ -134,7 +136,8 @@ def simulate_rollouts(
     """Return the rollouts of parts of recordings, each by its own result and by CAD."""
     if not parts:
         return ()
-    by_cad, built = [], []
+    by_cad = []
+    built = []
     for result, (recording, _, signal) in zip(results, parts, strict=True):
         # The result's servo is the one identified, the recording's what was stated.
         servo = result.servo or recording.servo

@@ -112,7 +112,8 @@ def make_recording_delays(
     found: ServoEstimate, recordings: Sequence[tuple[str, str]]
 ) -> tuple[RecordingDelay, ...]:
     """Return the delay of a servo as the delay of recordings, given by name and digest."""
-    late, error = found.servo.delay, found.errors.delay
+    late = found.servo.delay
+    error = found.errors.delay
     if late is None:
         return ()
     # A stated delay is no estimate.
@@ -162,7 +163,8 @@ def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
     """
     if isinstance(item, Samples) or not has_open_servo(item):
         return item
-    stated, described = head_of(item).servo, read_described_servo(model)
+    stated = head_of(item).servo
+    described = read_described_servo(model)
     servo = stated.completed(described) if stated and described else stated
     if servo is None or not servo.known:
         raise UsageError(
@@ -254,7 +256,9 @@ def describe_servo_torque(model: RobotModel, found: ServoEstimate | None) -> tup
     """Return what the torque of a command rests on, as a sentence."""
     if found is None:
         return ()
-    servo, errors, free = found.servo, found.errors, model.n_floating
+    servo = found.servo
+    errors = found.errors
+    free = model.n_floating
     gains = "; ".join(
         f"{name} {_format_estimate(kp, error)}"
         for name, kp, error in [*zip(model.joint_names, servo.kp, errors.kp, strict=True)][free:]
@@ -279,7 +283,8 @@ def report_servo(
     """Yield what is worth knowing of an identified servo."""
     if found is None:
         return
-    errors, free = found.errors, model.n_floating
+    errors = found.errors
+    free = model.n_floating
     names = np.array(model.joint_names)
     unknown = np.array([scale_source != "given" for scale_source in errors.scale])
     relative = np.array(errors.kp) / np.where(unknown, found.servo.kp, 1.0)
@@ -338,7 +343,8 @@ def report_servo(
             ),
         )
     if errors.deadband:
-        width, error = 1e3 * max(found.servo.deadband), 1e3 * errors.deadband
+        width = 1e3 * max(found.servo.deadband)
+        error = 1e3 * errors.deadband
         yield Finding(
             "servo_deadband",
             "info",
@@ -411,7 +417,8 @@ def _report_goals(found: ServoEstimate) -> Iterator[Finding]:
     """Yield what recordings show of a limit of the goal's acceleration."""
     everywhere = all(goal_limit is not None for goal_limit in found.goals)
     for goal in filter(None, found.goals):
-        first, seconds = goal.acts[0], sum(block.stop - block.start for block in goal.acts)
+        first = goal.acts[0]
+        seconds = sum(block.stop - block.start for block in goal.acts)
         yield Finding(
             "servo_goal_limited",
             "info",

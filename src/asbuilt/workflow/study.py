@@ -204,7 +204,8 @@ class Study:
         ResultError
             If the text is not a stored result, or is damaged.
         """
-        result, whole = IdentificationResult.from_json(text), parse_stored_document(text)
+        result = IdentificationResult.from_json(text)
+        whole = parse_stored_document(text)
         if "study" not in whole:
             return cls(result, result.findings)
         try:
@@ -288,7 +289,8 @@ def identify(
         )
     # Settings by name go to the options that have them.
     of_study, of_reading = divide_settings(settings, StudyOptions, ReadingOptions)
-    wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
+    wanted = replace(options or StudyOptions(), **of_study)
+    reading = ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
         robot = load_robot(
@@ -312,7 +314,8 @@ def identify(
         raise _make_all_fitted_error()
     prepared, cutoffs = _prepare_recordings(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts, horizons = None, options.rollout
+    parts = None
+    horizons = options.rollout
     # A verdict on commands needs simulated motion, where the simulator is installed.
     if not horizons and servo is not None and find_spec("mujoco") is not None:
         horizons = (HORIZON_OF_VERDICT,)

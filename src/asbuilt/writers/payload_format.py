@@ -85,7 +85,8 @@ def read_carried_body(document: Mapping[str, Any], source: str = "payload") -> C
     """
     try:
         left_out = tuple(map(str, document["not_determined"]))
-        mass, centre = document["mass"], np.array(document["com"]["estimate"], dtype=float)
+        mass = document["mass"]
+        centre = np.array(document["com"]["estimate"], dtype=float)
         inertia = np.array(document["inertia_about_com"], dtype=float)
         frames = {
             str(name): np.array(each, dtype=float).reshape(4, 4)
@@ -122,7 +123,8 @@ def _leave_out_undetermined(body: CarriedBody) -> CarriedBody:
 
     A moment of zero about one axis beside two others, say, belongs to no body.
     """
-    centre, inertia = body.centre.copy(), body.inertia.copy()
+    centre = body.centre.copy()
+    inertia = body.inertia.copy()
     for name in body.left_out:
         first, *rest = ("xyz".index(letter) for letter in name[-2:] if letter in "xyz")
         if name.startswith("com_"):
@@ -258,7 +260,8 @@ def write_payload(
         if isinstance(payload, CarriedBody)
         else read_carried_body(payload_document(payload))
     )
-    files, notes = {}, {}
+    files = {}
+    notes = {}
     for form, place in formats.items():
         seen = body.moved_to(form.frames)
         notes[form.key] = form.notes(seen)

@@ -81,7 +81,8 @@ def write_columns(
         if values is not None
         for k, name in enumerate(names)
     }
-    frame, content = pl.DataFrame({"t": t, **of_joints, **(more or {})}), io.BytesIO()
+    frame = pl.DataFrame({"t": t, **of_joints, **(more or {})})
+    content = io.BytesIO()
     (frame.write_parquet if Path(path).suffix.lower() == ".parquet" else frame.write_csv)(content)
     return atomic_write(path, content.getvalue())
 
@@ -102,7 +103,8 @@ def write_simulation(
         "notes": list(simulated.recording.notes),
         "settings": dict(simulated.settings),
     }
-    sheet, robot = _write_sheet_text(simulated.recording, log.name), restore_moved_robot(simulated)
+    sheet = _write_sheet_text(simulated.recording, log.name)
+    robot = restore_moved_robot(simulated)
     return {
         "recording": log,
         "sheet": atomic_write(log.with_name(f"{log.name}.toml"), sheet),
@@ -113,7 +115,8 @@ def write_simulation(
 
 def restore_moved_robot(simulated: SimulatedRecording) -> RobotModel:
     """Return the robot that moved, with the drive values that its logged torques contain."""
-    model, drive = simulated.model, simulated.drive
+    model = simulated.model
+    drive = simulated.drive
     values = simulated.truth[len(model.parameters) :].reshape(model.n_joints, -1)
     keys = [term.key for term in drive.terms for _ in term.symbols]
     joints = []

@@ -27,7 +27,8 @@ from asbuilt.validation import Validation, recording_name
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.skeleton import build_round_mesh
 
-STATE, LOG = "sensor_msgs/msg/JointState", "rcl_interfaces/msg/Log"
+STATE = "sensor_msgs/msg/JointState"
+LOG = "rcl_interfaces/msg/Log"
 LEVELS: dict[Severity, tuple[int, str]] = {
     "info": (20, "INFO"),
     "warning": (30, "WARN"),
@@ -51,7 +52,8 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise MissingExtraError("mcap", "bags", f"writing {path}") from error
-    stream, written = io.BytesIO(), list[tuple[int, int, bytes]]()
+    stream = io.BytesIO()
+    written = list[tuple[int, int, bytes]]()
     writer: Any = Writer(stream)
     store = get_typestore(Stores.ROS2_HUMBLE)
     writer.start(profile="ros2", library="asbuilt")
@@ -63,7 +65,8 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
     }
     for timeline in timelines:
         name = "".join(c if c.isalnum() else "_" for c in timeline.name)
-        prefix, begin = f"/{name}" if len(timelines) > 1 else "", min(timeline.start, 0.0)
+        prefix = f"/{name}" if len(timelines) > 1 else ""
+        begin = min(timeline.start, 0.0)
         for topic, kind, messages in _list_topics(timeline):
             channel = writer.register_channel(f"{prefix}/{topic}", "cdr", schemas[kind])
             for time, fields in messages:
@@ -124,7 +127,8 @@ TRACK_COLOURS: dict[str, tuple[int, int, int]] = {
     "threshold": (179, 38, 30),
 }
 """Colours of the report."""
-ROD, HOUSING = (205, 208, 213), (226, 122, 32)
+ROD = (205, 208, 213)
+HOUSING = (226, 122, 32)
 
 
 def write_rrd(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Path:
@@ -189,7 +193,8 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
         stream.log([*parent, f"{solid.kind} {number}"], mesh, static=True)
     if not len(timeline.t):
         return
-    poses, times = link_poses(model, timeline.q), rerun.TimeColumn("time", duration=timeline.t)
+    poses = link_poses(model, timeline.q)
+    times = rerun.TimeColumn("time", duration=timeline.t)
     for k, link in enumerate(links):
         columns = rerun.Transform3D.columns(
             translation=poses[:, k, :3, 3], mat3x3=poses[:, k, :3, :3]
@@ -301,6 +306,7 @@ def _interpolate_positions(
     valid = np.all(np.isfinite(recording.q), axis=1)
     if not valid.any():
         return none
-    logged, q = recording.t[valid], recording.q[valid]
+    logged = recording.t[valid]
+    q = recording.q[valid]
     times = t[(t >= logged[0]) & (t <= logged[-1])]
     return times, np.column_stack([np.interp(times, logged, column) for column in q.T])

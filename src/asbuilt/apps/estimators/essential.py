@@ -44,13 +44,17 @@ def estimate_essential(data: EstimationData) -> Estimate:
     Source: Pham & Gautier, CDC 1991; Gautier & Khalil, IEEE Trans. Robotics and Automation 6, 1990;
     Hocking, Biometrics 32, 1976 (backward elimination).
     """
-    information, base = data.information, data.base
-    start, n_rows = estimate_wls(data), information.n_rows
+    information = data.information
+    base = data.base
+    start = estimate_wls(data)
+    n_rows = information.n_rows
     effective = estimate_block_uncertainty(information, start).effective_samples
     share = min(1.0, effective / information.n_samples)
     freedom = max(n_rows * share - start.rank, 1.0)
     variance = start.solution.residual_energy / max(n_rows - start.rank, 1)
-    kept, beta, loss = np.flatnonzero(start.determined), start.beta.copy(), 0.0
+    kept = np.flatnonzero(start.determined)
+    beta = start.beta.copy()
+    loss = 0.0
     without = np.zeros(base.n_base, dtype=np.bool_)
     factor = information.stacked(start.weights)
 
@@ -66,7 +70,8 @@ def estimate_essential(data: EstimationData) -> Estimate:
         scale = np.linalg.norm(r[:-1, :-1], axis=0)
         inverse = np.linalg.inv(r[:-1, :-1] / scale)
         increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
-        weakest, count = int(np.argmin(increase)), int(without.sum()) + 1
+        weakest = int(np.argmin(increase))
+        count = int(without.sum()) + 1
         if (loss + increase[weakest]) / count * share > variance * fdtri(
             count, freedom, 1.0 - SIGNIFICANCE
         ):
@@ -74,7 +79,8 @@ def estimate_essential(data: EstimationData) -> Estimate:
         loss += float(increase[weakest])
         without[kept[weakest]], beta[kept[weakest]] = True, 0.0
         kept = np.delete(kept, weakest)
-    root, solution = start.solution.inverse_root, start.solution
+    root = start.solution.inverse_root
+    solution = start.solution
     if without.any():
         solution = solve_factor(reduce(), n_rows)
         beta[kept] = solution.x

@@ -75,8 +75,11 @@ def estimate_iv(data: EstimationData) -> Estimate:
     below w remains. Rows are weighted joint by joint. Simulation and estimation alternate to
     convergence.
     """
-    base, start = data.base, estimate_wls(data)
-    estimate, moves, iterations = start, np.inf, 0
+    base = data.base
+    start = estimate_wls(data)
+    estimate = start
+    moves = np.inf
+    iterations = 0
     hertz = max(
         RULES.lowest,
         RULES.bandwidths * max(_measure_bandwidth(samples) for samples in data.batches),
@@ -88,8 +91,10 @@ def estimate_iv(data: EstimationData) -> Estimate:
         renewed = _fit_two_stages(data, start, data.rows_of(simulated))
         errors = np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)
         moves = float(np.max(np.abs(renewed.beta - estimate.beta) / errors))
-        estimate, iterations = renewed, iterations + 1
-    shift, errors = np.abs(estimate.beta - start.beta), estimate.std_errors
+        estimate = renewed
+        iterations = iterations + 1
+    shift = np.abs(estimate.beta - start.beta)
+    errors = estimate.std_errors
     shift = np.divide(shift, errors, out=np.zeros_like(shift), where=errors > 0)
     largest = int(np.argmax(shift))
     note = (
@@ -121,7 +126,8 @@ def follow(
     q, qd, qdd = (np.array(x) for x in (samples.q, samples.qd, samples.qdd))
     first, length, lead = _split_segments(samples)
     at = np.maximum(first - lead, 0)
-    state, rate = samples.q[at].copy(), samples.qd[at].copy()
+    state = samples.q[at].copy()
+    rate = samples.qd[at].copy()
     identity = np.eye(model.n_joints)
     for step in range(int((length + lead).max())):
         index = np.minimum(first - lead + step, first + length - 1)
@@ -196,8 +202,12 @@ def _measure_bandwidth(samples: Samples) -> float:
 @use_one_blas_thread()
 def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
     """Return the estimate by two-stage least squares: W projected on Z, then the torque on that."""
-    information, rows, base = data.information, data.rows, data.base
-    p, n, weights = base.n_base, information.n_joints, start.weights
+    information = data.information
+    rows = data.rows
+    base = data.base
+    p = base.n_base
+    n = information.n_joints
+    weights = start.weights
     growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
     for z, block in zip(instruments, rows, strict=True):
         for k, support in enumerate(rows.support):
@@ -205,7 +215,8 @@ def _fit_two_stages(data: EstimationData, start: Estimate, instruments: Rows) ->
             both[support], both[np.append(p + support, -1)] = z.rows[k][:-1], block.rows[k]
             growing.append(weights[k] * both)
     factor = growing.factor()
-    zz, zw = factor[:p, :p], factor[:p, p:]
+    zz = factor[:p, :p]
+    zw = factor[:p, p:]
     excited = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
     projection = np.linalg.lstsq(zz[:, excited], zw[:, :-1], rcond=1e-12)[0]
     beta = solve_factor(

@@ -47,16 +47,24 @@ def estimate_ml(data: EstimationData) -> Estimate:
     Source: Zellner, JASA 57, 1962 (seemingly unrelated regressions); Oberhofer & Kmenta,
     Econometrica 42, 1974 (iterated: maximum likelihood).
     """
-    information, rows, base = data.information, data.rows, data.base
-    n, p, n_samples = information.n_joints, base.n_base, information.n_samples
-    floor, every = noise_floor(information), np.arange(p)
+    information = data.information
+    rows = data.rows
+    base = data.base
+    n = information.n_joints
+    p = base.n_base
+    n_samples = information.n_samples
+    floor = noise_floor(information)
+    every = np.arange(p)
     growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
     for block in rows:
         growing.append(np.vstack(block.rows))
     ends = np.cumsum([len(support) + 1 for support in rows.support])[:-1]
     parts = np.split(growing.factor(), ends, axis=1)
     stack = np.array([widen_factor(*each, p) for each in zip(parts, rows.support, strict=True)])
-    beta, whitener, iterations, converged = estimate_wls(data).beta, np.eye(n), 0, False
+    beta = estimate_wls(data).beta
+    whitener = np.eye(n)
+    iterations = 0
+    converged = False
     while not converged and iterations < MOST_ITERATIONS:
         errors = stack @ np.append(-beta, 1.0)
         covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)

@@ -44,7 +44,8 @@ def estimate_ridge(data: EstimationData) -> Estimate:
     scale too (`with_drive_scale`): without it a column that is short, of a joint that hardly moves,
     would hardly be regularised. Source: Hoerl & Kennard, Technometrics 12, 1970.
     """
-    information, base = data.information, data.base
+    information = data.information
+    base = data.base
     start = estimate_wls(data)
     drives = with_drive_scale(build_cad_prior(data.model, base.drive), information)
 

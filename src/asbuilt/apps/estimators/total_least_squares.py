@@ -44,7 +44,8 @@ def estimate_total(data: EstimationData) -> Estimate:
     IdentifiabilityError
         If torque errors are as large as the contribution of the weakest combination of columns.
     """
-    information, base = data.information, data.base
+    information = data.information
+    base = data.base
     start = estimate_wls(data)
     factor = information.stacked(start.weights)
     scale = np.linalg.norm(factor[:, :-1], axis=0)
@@ -58,7 +59,9 @@ def estimate_total(data: EstimationData) -> Estimate:
     u, s, vt = np.linalg.svd(r[first:-1, first:-1])
     kept = s > rank_tolerance(information.n_rows, base.n_base) * max(s.max(initial=0.0), 1.0)
     left_open = vt[~kept].T
-    u, s, v = u[:, kept], s[kept], vt[kept].T
+    u = u[:, kept]
+    s = s[kept]
+    v = vt[kept].T
     z = u.T @ r[first:-1, -1]
     left = np.hypot(np.linalg.norm(r[first:-1, -1] - u @ z), r[-1, -1])
     both = np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)])

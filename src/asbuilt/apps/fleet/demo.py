@@ -31,12 +31,15 @@ from asbuilt.validation import Drift, compare_results
 Progress = Callable[[str, float], None]
 
 ROBOT = "ur10e"
-ROBOTS, DAYS = range(1, 11), 10
+ROBOTS = range(1, 11)
+DAYS = 10
 BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
-CHANGED, SINCE = 7, 6
+CHANGED = 7
+SINCE = 6
 """The robot that changes, and the day from which it carries the tool."""
 TOOL = LinkInertia.from_com(1.0, [0.0, 0.0, 0.06], np.diag([0.003, 0.003, 0.001]))
-SECONDS, RATE = 12.0, 100.0
+SECONDS = 12.0
+RATE = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +76,8 @@ def run_demo(
     robots, days
         Numbers of the robots, and how many days.
     """
-    report, began = progress or (lambda what, fraction: None), time.perf_counter()
+    report = progress or (lambda what, fraction: None)
+    began = time.perf_counter()
     logs = []
     for k in robots:
         for day in range(1, days + 1):
@@ -88,7 +92,8 @@ def run_demo(
         fleet=FleetOptions(workers=0),
         progress=report,
     )
-    results, changes = {}, {}
+    results = {}
+    changes = {}
     middle = BEGIN + timedelta(days=SINCE - 1)
     for done, k in enumerate(robots, start=1):
         report("identify each robot", done / len(robots))

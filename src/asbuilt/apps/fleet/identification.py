@@ -94,7 +94,8 @@ def identify_entries(
     IdentifiabilityError
         If the entries are of two types, or do not suffice.
     """
-    first, last = entries[0], entries[-1]
+    first = entries[0]
+    last = entries[-1]
     settings = first.settings
     odd = next((each for each in entries if each.settings.digest != settings.digest), None)
     if odd is not None:
@@ -106,7 +107,8 @@ def identify_entries(
     information = join_entries(entries, MOST_BLOCKS)
     design = design_values(settings.model, settings.base)
     data = EstimationData(settings.model, information, None, design, options.undetermined)
-    estimate, findings = None, tuple[Finding, ...]()
+    estimate = None
+    findings = tuple[Finding, ...]()
     if prior is not None:
         estimate, findings = estimate_with_siblings(first.robot_id, information, prior)
     if estimate is None:

@@ -80,7 +80,8 @@ def _report_jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
 
     The worst is taken out first, since it spoils the model by which the others are tested.
     """
-    rest, found = list(entries), []
+    rest = list(entries)
+    found = []
     while len(rest) > 1:
         ratios = [
             measure_misfit(entry, [each for each in rest if each is not entry]) for entry in rest
@@ -112,7 +113,8 @@ def measure_misfit(entry: Entry, others: Sequence[Entry]) -> float:
     long logs, much between short ones whose motions differ. It is 1.0 where one of them determines
     nothing.
     """
-    settings, part = entry.settings, entry.whole
+    settings = entry.settings
+    part = entry.whole
     prior = np.nan_to_num(design_values(settings.model, settings.base), nan=0.0)
     together = others[0].whole.merge(*(each.whole for each in others[1:]))
     try:
@@ -129,7 +131,8 @@ def measure_misfit(entry: Entry, others: Sequence[Entry]) -> float:
     rest = np.setdiff1d(np.arange(len(own.beta)), friction)
     rows = part.stacked(own.weights)[:, :-1][:, [*friction, *rest]]
     root = triangular_factor(rows)[len(friction) :, len(friction) :]
-    d, C = (theirs.beta - own.beta)[rest], (own.covariance + theirs.covariance)[np.ix_(rest, rest)]
+    d = (theirs.beta - own.beta)[rest]
+    C = (own.covariance + theirs.covariance)[np.ix_(rest, rest)]
     error = least + float(np.sum((root @ d) ** 2))
     expected = least + float(np.sum((root @ C) * root))
     return float(np.sqrt(error / expected)) if expected > 0.0 else 1.0
@@ -199,7 +202,8 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
     """
     opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
     types = opened.types()
-    rows, findings = [], []
+    rows = []
+    findings = []
     for robot_id in opened.robot_ids():
         names = opened.current_names(robot_id, types=types)
         if not names:

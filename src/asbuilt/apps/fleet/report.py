@@ -150,7 +150,8 @@ def _draw_history(robot: RobotDrift, width: int, height: int, *, labels: bool) -
     if not points:
         return Markup("")
     left, bottom, top, right = (34, 20, 8, width - 10) if labels else (2, 2, 2, width - 4)
-    first, last = points[0][0], points[-1][0]
+    first = points[0][0]
+    last = points[-1][0]
     # Distance at the upper edge of a quiet history.
     most = max([3.0, *(y for _, y in points)])
 

@@ -90,7 +90,8 @@ def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry])
     IdentifiabilityError
         If there are fewer than four siblings with logs.
     """
-    settings, types = entries[0].settings, ledger.types()
+    settings = entries[0].settings
+    types = ledger.types()
     found: dict[str, SquareRootInformation] = {}
     for other in (each for each in ledger.robot_ids() if each != robot_id):
         logs = [
@@ -131,7 +132,8 @@ def estimate_prior(
         )
     )
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
-    estimates, m = np.array([fit.beta for fit in fits]), len(fits)
+    estimates = np.array([fit.beta for fit in fits])
+    m = len(fits)
     rows = [each.stacked(fit.weights) / np.sqrt(effect)
             for each, fit in zip(parts, fits, strict=True)]  # fmt: skip
     mu = estimates.mean(axis=0)
@@ -170,13 +172,16 @@ def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
     inverse of `T + C_i` is `A - A (A + T^-1)^-1 A`, whatever its data leave undetermined.
     """
     inverse = np.linalg.inv(T)
-    K, k = np.zeros_like(T), np.zeros(len(T))
+    K = np.zeros_like(T)
+    k = np.zeros(len(T))
     for each in rows:
-        A, a = each[:-1, :-1].T @ each[:-1, :-1], each[:-1, :-1].T @ each[:-1, -1]
+        A = each[:-1, :-1].T @ each[:-1, :-1]
+        a = each[:-1, :-1].T @ each[:-1, -1]
         kept = np.linalg.solve(A + inverse, inverse)  # what the spread leaves of the data
         K += A @ kept
         k += kept.T @ a
-    own, none = Scaled(K), np.zeros((1, len(T) + 1))
+    own = Scaled(K)
+    none = np.zeros((1, len(T) + 1))
     assert pooled.refit is not None  # the consistent fit is not linear in the torque
     both = np.column_stack([own.root, own.whiten(k)])
     return pooled.refit(triangular_factor(np.vstack([both, none])))

@@ -74,7 +74,8 @@ def addition_text(
         *([f"dashboard of the cluster: {done.dashboard}"] if done.dashboard else []),
     ]
     for each in done.failed if full else done.failed[:MOST]:
-        cure, why = f"; {cure_text(each.cure)}" if each.cure else "", each.problem or ""
+        cure = f"; {cure_text(each.cure)}" if each.cure else ""
+        why = each.problem or ""
         name = "" if each.log in why else f"{each.log}: "
         lines.append(wrap_text(f"FAILED {name}{why}{cure}"))
     lines += _count_hidden(done.failed, full, "failed logs")
@@ -112,7 +113,8 @@ def overview_text(seen: Overview, cure_text: Callable[[Cure], str], *, full: boo
 
 def describe_drift_outcome(drift: FleetDrift) -> str:
     """Return the outcome in a sentence."""
-    n, tested = len(drift.changed), sum(each.p_value is not None for each in drift.robots)
+    n = len(drift.changed)
+    tested = sum(each.p_value is not None for each in drift.robots)
     since = "" if drift.since is None else f" since {drift.since[:10]}"
     return (
         f"{n} of {tested} robots changed{since} beyond natural variation (false discovery rate"

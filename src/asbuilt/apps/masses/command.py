@@ -87,7 +87,8 @@ def masses(
         else require_known_value("--products", products, ("tensor", "integral")),
         prefer=require_known_value("--geometry", geometry, ("visual", "collision")),
     )
-    files, notes = {}, {}
+    files = {}
+    notes = {}
     if out is not None:
         files["robot"], note = app.write_masses(out, found)
         notes["robot"] = note

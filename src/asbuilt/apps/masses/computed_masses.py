@@ -167,7 +167,8 @@ def _read_materials(
 def _weigh_solids(
     model: RobotModel, solids: tuple[LinkSolid, ...], densities: Mapping[str, float] | None
 ) -> tuple[list[LinkMass], list[Finding]]:
-    links, findings = list[LinkMass](), list[Finding]()
+    links = list[LinkMass]()
+    findings = list[Finding]()
     for k, link in enumerate(model.links):
         own = [solid for solid in solids if solid.link == k]
         findings += [found for solid in own for found in check_surface(link.name, solid)]
@@ -176,7 +177,8 @@ def _weigh_solids(
                 make_link_finding("no_geometry", "info", link.name, "it has no geometry")
             )
         parts = dict(link.parts) or {link.name: link.inertia}
-        scaled, complete = list[Array](), bool(own)
+        scaled = list[Array]()
+        complete = bool(own)
         for solid in own:
             value = _find_density(solid, link.name, densities, parts)
             complete = (

@@ -17,7 +17,8 @@ def find_link_boxes(model: RobotModel) -> Mapping[int, tuple[Array, Array]]:
 
     Raises `DescriptionError` if the robot does not come from a URDF.
     """
-    solids, boxes = read_solids(model), {}
+    solids = read_solids(model)
+    boxes = {}
     for k in range(model.n_links):
         own = [each for each in solids if each.link == k and len(each.corners)]
         if own and not any(each.missing for each in own):

@@ -103,7 +103,8 @@ def check_described_mass(link: LinkMass, limits: Plausibility) -> list[Finding]:
                 "no_inertia", "warning", link.name, "the description gives no inertia"
             )
         ]
-    body, reason = link.described, link.described.inconsistency()
+    body = link.described
+    reason = link.described.inconsistency()
     findings = []
     if reason is not None:
         findings.append(make_link_finding("inconsistent_inertia", "error", link.name, reason))

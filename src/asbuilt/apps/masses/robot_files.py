@@ -28,7 +28,8 @@ def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path
     InertiaError
         If computed mass properties are physically inconsistent.
     """
-    place, model = Path(path), masses.computed_model
+    place = Path(path)
+    model = masses.computed_model
     computed = {each.name: each.computed for each in masses.links if each.computed is not None}
     if not computed:
         reasons = [f.message for f in masses.findings if f.code in UNREADABLE]

@@ -78,12 +78,14 @@ def _read_mass(body: LinkInertia | None) -> float | None:
 
 
 def _measure_centre_shift(link: LinkMass) -> float | None:
-    was, now = link.described, link.computed
+    was = link.described
+    now = link.computed
     return None if was is None or now is None else 1e3 * float(np.linalg.norm(now.com - was.com))
 
 
 def _format_inertia_ratio(link: LinkMass) -> str | None:
-    was, now = link.described, link.computed
+    was = link.described
+    now = link.computed
     if was is None or now is None:
         return None
     moments = was.principal_moments

@@ -189,7 +189,8 @@ class Handler(BaseHTTPRequestHandler):
     """Answer one request."""
 
     server: PageServer
-    server_version, sys_version = "asbuilt", ""
+    server_version = "asbuilt"
+    sys_version = ""
     protocol_version = "HTTP/1.1"
     timeout = 60.0
 
@@ -279,7 +280,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def _check_sender(self) -> None:
         """Refuse a request by another name than ours, or from a page that is not ours."""
-        hosts, origin = self.server.hosts, self.headers.get("Origin")
+        hosts = self.server.hosts
+        origin = self.headers.get("Origin")
         asked_here = origin in {f"http://{host}" for host in hosts}
         if self.headers.get("Host", "") not in hosts or not (
             asked_here or (origin is None and self.command == "GET")

@@ -40,7 +40,8 @@ class Worker:
         A process that ends before it has answered was cancelled, or has crashed.
         """
         process = self._start()
-        stdin, stdout = cast(Any, process.stdin), cast(Any, process.stdout)
+        stdin = cast(Any, process.stdin)
+        stdout = cast(Any, process.stdout)
         with contextlib.suppress(OSError):
             stdin.write(json.dumps([*arguments, "--json"]).encode() + b"\n")
             stdin.flush()
@@ -96,7 +97,8 @@ def serve() -> None:
 def _answer(main: Callable[..., None], arguments: list[str], progress: Progress) -> dict[str, Any]:
     from asbuilt.cli import tell_progress
 
-    printed, status = io.StringIO(), 0
+    printed = io.StringIO()
+    status = 0
     with contextlib.redirect_stdout(printed), tell_progress(progress):
         try:
             main(arguments)

@@ -94,7 +94,8 @@ def run_demo(
     """
     report = progress or (lambda what, fraction: None)
     started = time.perf_counter()
-    model, drive = bundled_robot(ROBOT), DriveSet.parse(DRIVE)
+    model = bundled_robot(ROBOT)
+    drive = DriveSet.parse(DRIVE)
 
     def searched(state: SearchProgress) -> None:
         report("design a motion", state.share)
@@ -126,7 +127,8 @@ def run_demo(
         "validation": write_simulation(folder / "validation.csv", test)["recording"],
         **write_study(folder, study, command=("demo", "--out", str(folder)), recovery=recovery)[0],
     }
-    export, refusal = None, ""
+    export = None
+    refusal = ""
     try:
         export = export_result(
             study.result,
@@ -181,16 +183,21 @@ def _compare_with_truth(model: RobotModel, study: Study) -> Recovery | None:
 
 def describe_demo(story: Demo) -> str:
     """Return the screen with which the demonstration ends."""
-    result, design, held = story.study.result, story.design, story.study.validations[0]
+    result = story.study.result
+    design = story.design
+    held = story.study.validations[0]
     consistent = "physically consistent" if result.physically_consistent else "NOT CONSISTENT"
-    cad, built, causes = held.metrics_cad, held.metrics_as_built, story.causes
+    cad = held.metrics_cad
+    built = held.metrics_as_built
+    causes = story.causes
     rows = (("CAD", *cad.rms.tolist()), ("as built", *built.rms.tolist()))
     units = zip(held.joint_names, held.units, strict=True)
     columns = (
         Column("RMS error"),
         *(Column(name, unit, "decimal", ".3f") for name, unit in units),
     )
-    truth, recovery = [], story.recovery
+    truth = []
+    recovery = story.recovery
     if recovery is not None:
         count = len(recovery.names)
         text = (

@@ -78,8 +78,10 @@ def describe_reproduction(redone: Reproduction, full: bool = False) -> str:
 
 def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
     """Write every table as CSV, every figure as PNG, the text and a page with all of them."""
-    tables, figures = build_all_tables(redone), draw_all_figures(redone)
-    page, text = render_reproduction(redone, tables, figures), describe_reproduction(redone, True)
+    tables = build_all_tables(redone)
+    figures = draw_all_figures(redone)
+    page = render_reproduction(redone, tables, figures)
+    text = describe_reproduction(redone, True)
     return {
         "page": atomic_write(folder / "reproduction.html", page),
         "text": atomic_write(folder / "reproduction.txt", text),
@@ -184,7 +186,8 @@ AXES = ("#D55E00", "#009E73", "#0072B2")
 
 def draw_all_figures(redone: Reproduction) -> dict[str, Figure]:
     """Return every figure by the name of its file."""
-    simulated, measured = redone.simulated_torque, redone.rigid_validation
+    simulated = redone.simulated_torque
+    measured = redone.rigid_validation
     names = redone.model.joint_names[SHOWN]
 
     def torques(t: Array, torque: Array, predicted: Array, label: str, title: str) -> Figure:

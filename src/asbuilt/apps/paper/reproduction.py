@@ -157,7 +157,8 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
     """
     report = progress or (lambda what, fraction: None)
     report("reproduce Tables 1 and 2", 0.0)
-    model, paper = bundled_robot(ROBOT), read_paper()
+    model = bundled_robot(ROBOT)
+    paper = read_paper()
     base = find_base_parameters(model)
     simulated = _identify_from_simulation(model)
     cad_margin, robot_margin = (
@@ -239,7 +240,8 @@ def _simulate_torque(
 def _reproduce_table_2(
     model: RobotModel, base: BaseParameters, paper: Paper, simulated: Array, virtual_robot: Array
 ) -> tuple[ReproducedParameter, ...]:
-    values, rounding = base.values(model.parameters), _bound_table_1_rounding(model, base)
+    values = base.values(model.parameters)
+    rounding = _bound_table_1_rounding(model, base)
     return tuple(
         ReproducedParameter(
             **asdict(row),
@@ -268,7 +270,8 @@ def _bound_table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
     total = np.zeros(base.n_base)
     parameters = np.array(model.parameters)
     for i, link in enumerate(model.links):
-        mass, com = link.inertia.mass, np.array(link.inertia.com)
+        mass = link.inertia.mass
+        com = np.array(link.inertia.com)
         inertia = np.array(link.inertia.inertia_about_com)
 
         def effect(changed: LinkInertia, i: int = i) -> Array:

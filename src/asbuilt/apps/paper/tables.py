@@ -92,7 +92,8 @@ def describe_agreement(redone: Reproduction) -> str:
 
 def describe_consistency(redone: Reproduction) -> str:
     """Return whether the two columns of Table 2 are physically consistent."""
-    cad, robot = redone.cad_margin, redone.robot_margin
+    cad = redone.cad_margin
+    robot = redone.robot_margin
     return (
         f"The CAD column is {'' if cad > 0 else 'NOT '}physically consistent (best attainable"
         f" smallest eigenvalue of the pseudo-inertias {cad:.2g}); the robot column is"
@@ -164,7 +165,8 @@ def _measure_difference(row: ReproducedParameter, value: float) -> float:
 def tabulate_torque_errors(redone: Reproduction) -> Table:
     """Return Table 3: RMS torque error on the test motion, of the paper and the virtual robot."""
     joints = redone.paper.table3_joints
-    rigid, full = redone.rigid_validation, redone.full_validation
+    rigid = redone.rigid_validation
+    full = redone.full_validation
     pick = np.array(joints) - 1
     rows: tuple[tuple[Cell, ...], ...] = (
         ("paper", "CAD", *redone.paper.table3_cad),

@@ -47,7 +47,8 @@ DIFFERENCES = (
 
 POSES = np.array([0.8, 0.4, 0.6, 0.9, 0.8, 0.8, 0.8])
 """Position range of each joint in multiples of its limits."""
-SPEED, SMOOTHNESS = 0.9, 0.6
+SPEED = 0.9
+SMOOTHNESS = 0.6
 """Largest velocity in multiples of the limits; acceleration likewise, times the second."""
 
 

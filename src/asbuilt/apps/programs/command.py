@@ -71,7 +71,8 @@ def program(
     as_json: AsJson = False,
 ) -> None:
     """Write a program that makes a real controller run a motion and record it."""
-    model, title = load_described_robot(robot), name or motion.stem
+    model = load_described_robot(robot)
+    title = name or motion.stem
 
     request = app.program_request(model, motion, form, name=title, rate=rate, collision=collision)
     files = app.write_program(out, app.program_format(form).files(request))

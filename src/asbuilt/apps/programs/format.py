@@ -95,7 +95,8 @@ class ProgramRequest:
     def approach_speed(self) -> Array:
         """Top speed of each joint on the approach to the start pose (n,) [rad/s or m/s]."""
         # Below the 250 mm/s of ISO 10218 at 1.25 m, and at most a fifth of the velocity limit.
-        slow, limit = np.where(self.revolute, 0.2, 0.05), MotionBounds.of(self.model).velocity
+        slow = np.where(self.revolute, 0.2, 0.05)
+        limit = MotionBounds.of(self.model).velocity
         return read_only(np.minimum(slow, 0.2 * limit))
 
     @property

@@ -47,12 +47,15 @@ def find_principal_axes(inertia: Array) -> tuple[Array, Array]:
     matrix without products has the identity.
     """
     moments, axes = np.linalg.eigh(inertia)
-    best, order = np.eye(3), [0, 1, 2]
+    best = np.eye(3)
+    order = [0, 1, 2]
     least = -np.inf
     for chosen in permutations(range(3)):
         turned = axes[:, chosen] * np.where(np.diagonal(axes[:, chosen]) < 0.0, -1.0, 1.0)
         if np.linalg.det(turned) < 0.0:
             turned[:, int(np.argmin(np.diagonal(turned)))] *= -1.0
         if np.trace(turned) > least:
-            best, order, least = turned, [*chosen], float(np.trace(turned))
+            best = turned
+            order = [*chosen]
+            least = float(np.trace(turned))
     return moments[order], best

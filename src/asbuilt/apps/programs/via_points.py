@@ -62,7 +62,8 @@ def divide_point_to_point(motion: Motion) -> tuple[Segment, ...] | None:
     A rest is where every joint moves slower than it can start within one step of a 1 kHz grid.
     """
     t = _make_grid(motion)
-    q, speed = motion.derivative(t), np.abs(motion.derivative(t, 1))
+    q = motion.derivative(t)
+    speed = np.abs(motion.derivative(t, 1))
     slow = np.all(speed <= motion.peaks(2) / GRID_RATE + 1e-12, axis=1)
     slow[[0, -1]] = True
     edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
@@ -71,7 +72,8 @@ def divide_point_to_point(motion: Motion) -> tuple[Segment, ...] | None:
         return None
     segments = []
     for (_, begin), (end, last) in pairwise(rests):
-        a, b = q[begin], q[end]
+        a = q[begin]
+        b = q[end]
         line = b - a
         along = np.clip((q[begin : end + 1] - a) @ line / max(line @ line, 1e-300), 0.0, 1.0)
         # Largest deviation of a straight segment from the line in joint space [rad or m].
@@ -99,7 +101,8 @@ def _choose_equal_times(
     `steps` are the longest and the shortest time between them [s].
     """
     (longest, shortest), grid = steps, _make_grid(motion)
-    expected, intervals = motion.derivative(grid), max(2, int(np.ceil(motion.duration / longest)))
+    expected = motion.derivative(grid)
+    intervals = max(2, int(np.ceil(motion.duration / longest)))
     while True:
         times = np.linspace(0.0, motion.duration, intervals + 1)
         worst = float(np.max(np.abs(fit(times)(grid) - expected)))

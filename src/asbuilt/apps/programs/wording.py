@@ -62,7 +62,8 @@ def format_motion_csv(motion: Motion, columns: Sequence[str], rate: float, decim
 
     The end of the motion is the last line whatever the rate.
     """
-    t, text = times_to_end(motion, rate), io.StringIO()
+    t = times_to_end(motion, rate)
+    text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(["t", *columns])
     rows = np.round(np.hstack(motion.at(t))[:, : len(columns)], decimals) + 0.0
     for time, row in zip(t, rows, strict=True):
@@ -105,7 +106,8 @@ def compose_preamble(request: ProgramRequest, title: str, use: Sequence[str]) ->
 
     ASCII, no line longer than `WIDTH`.
     """
-    model, motion = request.model, request.motion
+    model = request.model
+    motion = request.motion
     names = [make_plain_text(name) for name in model.joint_names]
     start = ", ".join(f"{q:.4f}" for q in motion.start)
     degrees = ", ".join(
@@ -211,7 +213,8 @@ def _describe_approach(request: ProgramRequest) -> str:
 def _describe_checks(request: ProgramRequest) -> str:
     """Return what is checked and what is not."""
     limits = "Checked: the joint limits above, on the description of the robot."
-    load, known = "nor the load of a tool that is not in the description.", request.clearance
+    load = "nor the load of a tool that is not in the description."
+    known = request.clearance
     if known is None:
         return (
             f"{limits} NOT checked: collisions of the robot with itself, with its tool, with cables"

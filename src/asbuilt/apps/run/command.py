@@ -92,7 +92,8 @@ def run(
 
     model = load_described_robot(robot)
     settings = _read_settings(model.name, options, on, motion, program, resume, out)
-    options, folder = RunOptions(**settings["options"]), resume or out
+    options = RunOptions(**settings["options"])
+    folder = resume or out
     wanted = None if settings["motion"] is None else Path(settings["motion"])
     matters = None if wanted is None else asbuilt.read_motion(wanted, model)
     name, _, argument = str(settings["on"]).partition(":")
@@ -203,7 +204,8 @@ def _write(loop: Loop) -> tuple[Outcome, dict[str, Path]]:
     """Return how the loop ended, and the files of its study and its picture."""
     from asbuilt.apps.run.text import write_promise_figure
 
-    outcome, files = loop.outcome, dict[str, Path]()
+    outcome = loop.outcome
+    files = dict[str, Path]()
     if outcome.study is not None:
         files, _ = writers.write_study(loop.folder, outcome.study, command=sys.argv[1:])
         drawn = write_promise_figure(loop.folder / "promise.png", outcome.rounds, loop.options)
@@ -221,7 +223,8 @@ def _answer(
         document = outcome_document(outcome, loop.model.name, loop.options, files)
         print(format_json_line(document), flush=True)
         return
-    study, text = outcome.study, outcome.text
+    study = outcome.study
+    text = outcome.text
     following = f"asbuilt run {robot} --resume {loop.folder}, which goes on"
     if outcome.ending == "proven":
         following = f"asbuilt export {files['result']} --mjcf robot.xml (or --urdf, --c)"

@@ -58,8 +58,10 @@ def measure_distance(recording: Recording, motion: Motion) -> Array:
     sent = sent[: len(logged)]
     size = sent.std(axis=0)
     scale = np.where(size > STILL, 1.0 / np.maximum(size, STILL), 0.0)
-    a, b = logged * scale, (sent - sent.mean(axis=0)) * scale
-    sums, energy = _add_windows(a, len(b)), _add_windows(a**2, len(b))
+    a = logged * scale
+    b = (sent - sent.mean(axis=0)) * scale
+    sums = _add_windows(a, len(b))
+    energy = _add_windows(a**2, len(b))
     cross = [np.correlate(x, y, "valid") for x, y in zip(a.T, b.T, strict=True)]
     # |a - mean a - b|^2 = |a|^2 - |sum a|^2 / N - 2 a.b + |b|^2 of every shift at once.
     squares = energy - sums**2 / len(b) - 2.0 * np.stack(cross, axis=1) + np.sum(b**2, axis=0)

@@ -169,7 +169,8 @@ class Loop:
 
 def choose_ending(rounds: Sequence[Round], options: RunOptions) -> Ending | None:
     """Return how a loop with these rounds ends; None while it goes on."""
-    until, last = options.until / 100.0, rounds[-IN_A_ROW:]
+    until = options.until / 100.0
+    last = rounds[-IN_A_ROW:]
     if len(last) == IN_A_ROW and all(each.passes(until) for each in last):
         if all(each.verdict == "yes" for each in last):
             return "proven"
@@ -208,7 +209,8 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
         return "No round was recorded."
     seconds = sum(each.seconds for each in rounds)
     spent = f"{len(rounds)} round{'s' if len(rounds) > 1 else ''}, {seconds:.4g} s of motion"
-    last, wanted = rounds[-1], format_share(options.until / 100.0)
+    last = rounds[-1]
+    wanted = format_share(options.until / 100.0)
     promised = format_share(last.goal_error)
     if ending == "proven":
         return (
@@ -238,7 +240,8 @@ def _advise(last: Round) -> str:
     result = last.study.result
     variance = (last.goal.noise * last.goal.widening) ** 2
     joint = int(np.argmax(variance))
-    name, share = result.model.joint_names[joint], variance[joint] / np.sum(variance)
+    name = result.model.joint_names[joint]
+    share = variance[joint] / np.sum(variance)
     findings = [each for each in without_hold_out(last.study) if each.severity != "info"]
     about = [each for each in findings if each.joint == name or name in each.message]
     first = next(iter((*about, *findings)), None)

@@ -79,7 +79,8 @@ def relate_rollout(rollout: Rollout, robot: Literal["as_built", "cad"] = "as_bui
     """
     error = moved = 0.0
     for motion in rollout.motions:
-        q, simulated = motion.windows.q, getattr(motion, robot)
+        q = motion.windows.q
+        simulated = getattr(motion, robot)
         if simulated is None:
             return float("inf")
         error += float(np.sum((simulated - q) ** 2))

@@ -48,7 +48,8 @@ def choose_states(model: RobotModel, motion: Motion | None) -> States:
 
 def evaluate_columns(result: IdentificationResult, states: States) -> Array:
     """Return the base columns Y (N, n, p) of a result at states."""
-    base, model = result.base, result.model
+    base = result.base
+    model = result.model
     rows = asbuilt.observation_matrix(
         model, states.q, states.qd, states.qdd, drive=base.drive, columns=base.columns
     )

@@ -57,7 +57,8 @@ def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
     if not rows:
         return ""
     values = [until, *(value for row in rows for value in row[1:] if value)]
-    low, high = math.log(min(values) / MARGIN), math.log(max(values) * MARGIN)
+    low = math.log(min(values) / MARGIN)
+    high = math.log(max(values) * MARGIN)
 
     def place(value: float) -> int:
         return round((math.log(max(value, min(values))) - low) / (high - low) * (PICTURE - 1))
@@ -66,12 +67,14 @@ def draw_promises(rounds: Sequence[Round], options: RunOptions) -> str:
     for number, promised, found in rows:
         cells = ["."] * PICTURE
         cells[place(until)] = "|"
-        p, f = place(promised or 0.0), place(found)
+        p = place(promised or 0.0)
+        f = place(found)
         cells[p], cells[f] = "p", "f"
         if p == f:
             cells[p] = "*"
         lines.append(f"round {number:<3}{''.join(cells)}")
-    left, right = format_share(math.exp(low)), format_share(math.exp(high))
+    left = format_share(math.exp(low))
+    right = format_share(math.exp(high))
     lines.append(f"{'':9}{left}{right:>{PICTURE - len(left)}}  (logarithmic)")
     return "\n".join(lines)
 

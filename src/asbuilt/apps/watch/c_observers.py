@@ -94,7 +94,8 @@ void {name}_observer_update({name}_observer *observer, double dt, {state},
 
 
 def _write_update(name: str, n: int, width: float, thresholds: Thresholds | None) -> str:
-    slow_start, slow = "", ""
+    slow_start = ""
+    slow = ""
     if thresholds is not None:
         slow_start = "        observer->slowness[j] = 0.0;\n"
         slow = """            double least = fmin(fabs(observer->velocity[j]), fabs(qd[j]));

@@ -50,11 +50,13 @@ class CausalFilter:
 
     def update(self, dt: float, u: Array) -> tuple[Array, Array]:
         """Return filtered values and derivatives, two (m,), dt [s] after the last input."""
-        w, slope = self.pole, (u - self._input) / dt
+        w = self.pole
+        slope = (u - self._input) / dt
         if self.age == 0.0:
             self._x, self._v = self._input - 2.0 * slope / w, slope
         self.age += dt
-        off, fade = self._x - self._input + 2.0 * slope / w, np.exp(-w * dt)
+        off = self._x - self._input + 2.0 * slope / w
+        fade = np.exp(-w * dt)
         rate = self._v - slope + w * off
         self._x = u - 2.0 * slope / w + (off + rate * dt) * fade
         self._v = slope + (rate - w * (off + rate * dt)) * fade
@@ -87,7 +89,8 @@ def filter_log(dt: Array, q: Array, tau: Array, pole: float) -> tuple[Array, Arr
     """
     n = q.shape[1]
     both = np.hstack([q, tau])
-    x, v = both.copy(), np.zeros(both.shape)
+    x = both.copy()
+    v = np.zeros(both.shape)
     settled = np.zeros(len(both), dtype=bool)
     running = CausalFilter(pole)
     for k, (step, u) in enumerate(zip(dt, both, strict=True)):
@@ -144,7 +147,8 @@ def largest_velocity_error(
 
 def _estimate_noise(x: Array, rate: Array) -> Array:
     """Return the standard deviation (n,) of white noise in columns (N, n) where `rate` is least."""
-    sizes, found = np.abs(np.diff(x, ORDER, axis=0)), []
+    sizes = np.abs(np.diff(x, ORDER, axis=0))
+    found = []
     for size, speed in zip(sizes.T, np.abs(rate).T, strict=True):
         near = size[speed <= np.quantile(speed, SLOWEST)] if size.size else size
         found.append(np.median(near[near > 0.0]) if near.any() else 0.0)
@@ -154,7 +158,8 @@ def _estimate_noise(x: Array, rate: Array) -> Array:
 
 def _evaluate_derivative_gain(pole: float, spacing: float) -> float:
     """Return the standard deviation of the filter's derivative for unit white noise."""
-    running, total = CausalFilter(pole), 0.0
+    running = CausalFilter(pole)
+    total = 0.0
     running.start(np.zeros(1))
     running.age = SETTLED / pole
     for k in range(1 + int(np.ceil(2.0 * SETTLED / (pole * spacing)))):

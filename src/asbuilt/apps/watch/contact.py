@@ -99,7 +99,8 @@ def frame_jacobian(model: RobotModel, q: Array, link: int, placement: Array) -> 
 def _fit_columns(columns: Array, values: Array, covariance: Array) -> tuple[Array, Array, float]:
     """Return estimate, its covariance and the weighted sum of squares left."""
     root = np.linalg.cholesky(covariance)
-    A, b = np.linalg.solve(root, columns), np.linalg.solve(root, values)
+    A = np.linalg.solve(root, columns)
+    b = np.linalg.solve(root, values)
     # Standard deviation [N, N m] of the prior of forces and moments: what torques leave open keeps
     # an error of this size.
     error: Array = np.asarray(np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / 1e3**2), np.float64)
@@ -109,7 +110,8 @@ def _fit_columns(columns: Array, values: Array, covariance: Array) -> tuple[Arra
 
 def _find_nearest_point(wrench: Array) -> Array:
     """Return the point p of `m = p x f` that is nearest to the origin, `f x m / f^2`."""
-    moment, force = wrench[:3], wrench[3:]
+    moment = wrench[:3]
+    force = wrench[3:]
     return np.asarray(np.cross(force, moment) / (force @ force))
 
 
@@ -136,7 +138,8 @@ def find_smallest_forces(
     filtered
         Whether positions and torques went through the causal filter.
     """
-    rng, steps = np.random.default_rng(0), np.diff(observed.t)
+    rng = np.random.default_rng(0)
+    steps = np.diff(observed.t)
     pole = choose_pole(steps, observer.bandwidth) if filtered else None
     share = excess_response(observer, WITHIN, float(np.median(steps)), pole)
     found = []
@@ -176,6 +179,7 @@ def step_response(observer: Observer, time: float, pole: float | None) -> float:
     if pole is None:
         return float(-np.expm1(-gain * time))
     w = pole if abs(pole / gain - 1.0) > 1e-3 else 1.001 * gain
-    slow, double = (w / (w - gain)) ** 2, gain * w / (w - gain)
+    slow = (w / (w - gain)) ** 2
+    double = gain * w / (w - gain)
     faded = (slow - 1.0 + double * time) * np.exp(-w * time)
     return float(1.0 - slow * np.exp(-gain * time) + faded)

@@ -155,11 +155,14 @@ def _make_event(
     part: slice,
     tool: tuple[int, Array],
 ) -> Event:
-    model, t = observer.model, observed.t[part]
+    model = observer.model
+    t = observed.t[part]
     ratio = np.abs(observed.residual[part]) / limit[part]
     peak = part.start + int(np.argmax(ratio.max(axis=1)))
     responding = np.flatnonzero((ratio > 1.0).any(axis=0))
-    here, q, r = slice(peak, peak + 1), observed.q[peak], observed.residual[peak]
+    here = slice(peak, peak + 1)
+    q = observed.q[peak]
+    r = observed.residual[peak]
     error = thresholds.covariance(observed.part(here), scale[here], observer.model_error)
     event = Event(
         kind="contact",
@@ -212,7 +215,8 @@ def estimate_payload_change(
     if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > RULES.determined:
         return None
     found = np.linalg.lstsq(A, b, rcond=None)[0]
-    left, times = b - A @ found, np.repeat(t[rows], observed.q.shape[1])
+    left = b - A @ found
+    times = np.repeat(t[rows], observed.q.shape[1])
     error = _estimate_clustered_error(A, left, np.floor((times - t[0]) / RULES.cluster))
     explained = float(np.sum(left**2)) <= (1.0 - RULES.explained) * float(b @ b)
     return (float(found[3]), error) if explained and abs(found[3]) >= RULES.clear * error else None

@@ -130,7 +130,8 @@ def _fit_tail(x: Array, peaks: int, probability: float) -> Tail:
     blocks, (start, mean) = len(x), _find_tail(x, peaks)
     shape, scale, weight = _evaluate_posterior((x[-peaks:] - start) / mean)
     above = (peaks + 1) / (blocks + 1)
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     while above * _evaluate_survival(high, shape, scale, weight) > probability and high < 1e9:
         high *= 2.0
     for _ in range(80):
@@ -161,7 +162,8 @@ def _count_peaks(blocks: int, share: float) -> int:
 
 def exponential_level(maxima: Array, probability: float) -> float:
     """Return the level that maxima (B,) exceed at a probability if their tail is exponential."""
-    x, peaks = np.sort(maxima), len(select_largest(maxima))
+    x = np.sort(maxima)
+    peaks = len(select_largest(maxima))
     start, mean = _find_tail(x, peaks)
     return start + mean * max(float(np.log(peaks / (len(x) * probability))), 0.0)
 

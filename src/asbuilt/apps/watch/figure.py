@@ -25,14 +25,19 @@ def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
     A narrow figure is for screens as wide as a telephone's.
     """
     # 600: bins of a narrow figure.
-    trace, n = watched.trace.thinned(600) if narrow else watched.trace, len(watched.joint_names)
-    start, last = float(trace.t.min()), float(trace.t.max())
+    trace = watched.trace.thinned(600) if narrow else watched.trace
+    n = len(watched.joint_names)
+    start = float(trace.t.min())
+    last = float(trace.t.max())
     subject = f"external torque [{format_torque_unit(watched.units)}] and its thresholds"
     title = subject if narrow else f"{watched.robot}: {subject}"
-    mixed, width = len(set(watched.units)) > 1, 3.9 if narrow else 8.6
+    mixed = len(set(watched.units)) > 1
+    width = 3.9 if narrow else 8.6
     with open_figure(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):
         for j, (axis, name) in enumerate(zip(axes, watched.joint_names, strict=True)):
-            t, limit, residual = trace.t[:, j], trace.limit[:, j], trace.residual[:, j]
+            t = trace.t[:, j]
+            limit = trace.limit[:, j]
+            residual = trace.residual[:, j]
             axis.fill_between(
                 t, -limit, limit, color="#E9ECEF", linewidth=0.0, label="within threshold"
             )

@@ -39,7 +39,9 @@ def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
 
 def watch_html(watched: WatchedLog) -> str:
     """Return the page of a watched log as text."""
-    events, thresholds, verified = watched.events, watched.thresholds, watched.rate_verified
+    events = watched.events
+    thresholds = watched.thresholds
+    verified = watched.rate_verified
     doubt = "" if verified else f"; not verified, from {format_duration(3600.0 * thresholds.hours)}"
     cards = [
         Card("neutral" if events else "good", str(len(events)), "events"),

@@ -45,7 +45,8 @@ def require_logged(recorded: Recorded) -> Recording | RecordingStream:
 
 def check_joints(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:
     """Raise `RecordingError` for a log of other joints, or without measured torque."""
-    head, names = head_of(recorded), result.model.joint_names
+    head = head_of(recorded)
+    names = result.model.joint_names
     if head.joint_names != names:
         raise RecordingError(
             f"{recorded.source} has the joints {', '.join(head.joint_names)}; the result is of"
@@ -110,7 +111,9 @@ def observe_parts(
     if isinstance(recorded, Recording):
         yield _observe_recording(observer, recorded, velocities=velocities)
         return
-    seen, end, tail = 0, -np.inf, None
+    seen = 0
+    end = -np.inf
+    tail = None
     for chunk in recorded:
         whole = chunk if tail is None else join_recordings([tail, chunk])
         found = _observe_recording(observer, whole, velocities=velocities)
@@ -124,7 +127,8 @@ def observe_parts(
 
 def cut_held_out_part(observed: Observed, rule: str) -> Observed:
     """Return what a rule of `hold_out` holds out of a log."""
-    since, chosen = observed.t - observed.t[0], parse_rule(rule)
+    since = observed.t - observed.t[0]
+    chosen = parse_rule(rule)
     if isinstance(chosen, Blocks):
         block = np.floor(since / chosen.seconds + 1e-9).astype(int)
         return observed.select(block % chosen.every == chosen.every - 1)

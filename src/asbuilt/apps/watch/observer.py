@@ -39,7 +39,8 @@ class MomentumBalance:
     def __init__(self, torque: TorqueModel, velocity_error: Array) -> None:
         self.torque = torque
         self._ends = velocity_error * np.array([[-1.0], [1.0]])
-        model, n = torque.model, torque.model.n_joints
+        model = torque.model
+        n = torque.model.n_joints
         self.armature = torque.armature()
         self._momentum = Momentum(model, torque.parameters.reshape(-1, 10))
         self._rigid = TorqueModel(model, parameters=torque.parameters)
@@ -142,7 +143,8 @@ class Observer:
         self.model = self.torque_model.model
         if thresholds is not None:
             thresholds.check_joints(self.model.joint_names)
-            bandwidth, velocity_error = thresholds.bandwidth, thresholds.velocity_error
+            bandwidth = thresholds.bandwidth
+            velocity_error = thresholds.velocity_error
         if not (np.isfinite(bandwidth) and bandwidth > 0.0):
             raise UsageError(f"the bandwidth must be a positive number [Hz], got {bandwidth}")
         self.bandwidth, self.thresholds = bandwidth, thresholds
@@ -180,7 +182,8 @@ class Observer:
         UsageError
             If time does not advance, shapes do not fit or a value is not finite.
         """
-        n, last = self.model.n_joints, self._t
+        n = self.model.n_joints
+        last = self._t
         given = [np.array(x, dtype=np.float64) for x in (q, tau) + (() if qd is None else (qd,))]
         for name, value in zip(("q", "tau", "qd"), given, strict=False):
             if value.shape != (n,) or not np.isfinite(value).all():
@@ -252,7 +255,8 @@ class Observer:
         _check_finite(times, q=q, tau=tau, qd=v)
         share = np.where(steps > 0.0, -np.expm1(-self._gain * np.maximum(steps, 0.0)), -1.0)
         p, b, friction = self._balance.of_samples(q, v)
-        s, inner = tau + b, np.maximum(steps, 1e-12)[1:, None]
+        s = tau + b
+        inner = np.maximum(steps, 1e-12)[1:, None]
         rate, step, unknown, external = np.zeros((4, *q.shape))
         middle, unknown[1:] = bracket_friction(friction[:, :-1], friction[:, 1:])
         external[1:] = np.diff(p, axis=0) / inner - 0.5 * (s[1:] + s[:-1]) + middle
@@ -263,7 +267,8 @@ class Observer:
 
     def _pass_filter(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
         """Return filtered position, velocity and torque; the second sample settles the filter."""
-        both, n = np.concatenate([q, tau]), q.size
+        both = np.concatenate([q, tau])
+        n = q.size
         if not np.isfinite(dt) or self._filter is None:
             self._filter = CausalFilter(filter_pole(self.bandwidth, 1e3))
             self._filter.start(both)

@@ -98,7 +98,8 @@ class RowReader:
 
 def read_lines(source: int, tell: Callable[[str], None]) -> Iterator[str]:
     """Yield the lines of a file descriptor as they come, and tell of pauses and a torn end."""
-    rest, stalled = b"", False
+    rest = b""
+    stalled = False
     while True:
         if not select.select([source], [], [], STALLED)[0]:
             if not stalled:
@@ -311,7 +312,9 @@ def watch_stream(
         If the stream has no positions, torques or times, no velocities where the thresholds need
         them, or cannot be read.
     """
-    rows, reader, origin = StreamedRows(lines, tell), None, 0.0
+    rows = StreamedRows(lines, tell)
+    reader = None
+    origin = 0.0
     chosen = replace(options or ReadingOptions(), rate=None)
     filtered = watching.thresholds.filtered
     for row in rows:

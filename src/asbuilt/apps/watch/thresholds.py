@@ -260,7 +260,8 @@ def set_thresholds(
         raise UsageError(
             f"the rate of false alarms must be positive, got {false_alarms_per_hour} per hour"
         )
-    names, n = tuple(joint_names), len(joint_names)
+    names = tuple(joint_names)
+    n = len(joint_names)
     _check_measured(logs, names)
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
     kept = [np.ones(len(log.t), dtype=bool) for log in logs]

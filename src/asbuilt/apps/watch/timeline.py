@@ -22,7 +22,8 @@ def timeline_of_watched(
     model: RobotModel, watched: WatchedLog, recording: Recording | RecordingStream
 ) -> Timeline:
     """Return the timeline of a watched log: measured and external torque, thresholds, events."""
-    head, trace = head_of(recording), watched.trace
+    head = head_of(recording)
+    trace = watched.trace
     valid = np.all(np.isfinite(head.q), axis=1)
     return Timeline(
         recording_name(watched.source),

@@ -131,7 +131,8 @@ def report_calibration(thresholds: Thresholds) -> list[Finding]:
 
 def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
-    rate, top = np.median(log.rates), np.max(log.tops, axis=0)
+    rate = np.median(log.rates)
+    top = np.max(log.tops, axis=0)
     faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
     worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
     names = join_names([thresholds.joint_names[k] for k in faster])

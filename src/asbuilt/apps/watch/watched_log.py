@@ -216,7 +216,8 @@ class WatchedLog:
     def _make_row(self, event: Event) -> tuple[Any, ...]:
         ratio = np.abs(event.residual) / event.threshold
         k = int(np.argmax(ratio))
-        force, errors = event.contact.force, event.contact.force_error
+        force = event.contact.force
+        errors = event.contact.force_error
         size = float(np.linalg.norm(force))
         along = force / size if size > 0.0 else np.zeros(3)
         if event.mass is not None:

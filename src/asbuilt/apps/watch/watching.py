@@ -86,7 +86,8 @@ def watch(
     ResultError
         If the result has no covariance, and thresholds are to be set.
     """
-    options, report = options or WatchOptions(), progress or (lambda what, fraction: None)
+    options = options or WatchOptions()
+    report = progress or (lambda what, fraction: None)
     result = result.result if isinstance(result, Study) else result
     refuse_free_base(
         result.robot,

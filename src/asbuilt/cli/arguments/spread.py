@@ -156,14 +156,16 @@ def _list_shown_fields(group: type[Any]) -> list[Field[Any]]:
 
 
 def _list_parameters(group: type[Any]) -> list[inspect.Parameter]:
-    hints, panel = get_type_hints(group), PANELS.get(group.__name__)
+    hints = get_type_hints(group)
+    panel = PANELS.get(group.__name__)
     return [
         _generate_parameter(field, hints[field.name], panel) for field in _list_shown_fields(group)
     ]
 
 
 def _generate_parameter(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
-    metadata, plain = field.metadata, _remove_none(hint)
+    metadata = field.metadata
+    plain = _remove_none(hint)
     text = str(metadata["help"])
     flag = plain is bool
     if not flag and field.default not in (None, MISSING, ()):

@@ -43,7 +43,8 @@ class Actuators:
 
     def of(self, joint: int) -> list[int]:
         """Return the actuators that act on a joint."""
-        m, kinds = self.model, self.mujoco.mjtTrn
+        m = self.model
+        kinds = self.mujoco.mjtTrn
         own = (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))  # alike but for balls
         return [
             actuator
@@ -56,7 +57,8 @@ class Actuators:
 
         It is limited by the range of their force and, of motors, of their control.
         """
-        m, found = self.model, np.inf
+        m = self.model
+        found = np.inf
         for actuator in self.of(joint):
             gear = abs(float(m.actuator_gear[actuator, 0]))
             if m.actuator_forcelimited[actuator]:
@@ -73,7 +75,8 @@ class Actuators:
         m = self.model
         for actuator in filter(self.is_servo, self.of(joint)):
             gear = float(m.actuator_gear[actuator, 0])
-            gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
+            gain = m.actuator_gainprm[actuator]
+            bias = m.actuator_biasprm[actuator]
             return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
         return None, None
 
@@ -85,13 +88,15 @@ class Actuators:
 
     def _read_constant(self, actuator: int) -> float:
         """Return the part of an actuator's force that depends on nothing."""
-        m, kinds = self.model, self.mujoco
+        m = self.model
+        kinds = self.mujoco
         affine = m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
         return float(m.actuator_biasprm[actuator, 0]) if affine else 0.0
 
     def is_motor(self, actuator: int) -> bool:
         """Whether the torque of an actuator is its control times a factor, and a constant."""
-        m, kinds = self.model, self.mujoco
+        m = self.model
+        kinds = self.mujoco
         bias = m.actuator_biastype[actuator]
         constant = bias == kinds.mjtBias.mjBIAS_AFFINE and not np.any(
             m.actuator_biasprm[actuator, 1:3]
@@ -103,8 +108,10 @@ class Actuators:
 
     def is_servo(self, actuator: int) -> bool:
         """Whether an actuator controls the position of its joint."""
-        m, kinds = self.model, self.mujoco
-        gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
+        m = self.model
+        kinds = self.mujoco
+        gain = m.actuator_gainprm[actuator]
+        bias = m.actuator_biasprm[actuator]
         return bool(
             m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
             and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
@@ -152,7 +159,8 @@ def couple_by_equalities(
     By an equality of joints the first one follows; by one of tendons the first of its joints that
     has no actuator and follows none yet.
     """
-    found, left_out = list(joints), 0
+    found = list(joints)
+    left_out = 0
     for k in sorted({*range(compiled.neq)} - {*loops}):
         equation = _read_equation(mujoco, compiled, k)
         at = None if equation is None else _find_follower(mujoco, compiled, found, k, equation[0])
@@ -168,7 +176,9 @@ def couple_by_equalities(
 
 def _read_equation(mujoco: Any, m: Any, k: int) -> Equation | None:
     """Return an equality `y - y0 = a + b (x - x0)` as an equation of joints, if it is linear."""
-    kinds, one, other = mujoco.mjtEq, int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+    kinds = mujoco.mjtEq
+    one = int(m.eq_obj1id[k])
+    other = int(m.eq_obj2id[k])
     if not m.eq_active0[k] or np.any(m.eq_data[k, 2:5]):
         return None
     if m.eq_type[k] == kinds.mjEQ_JOINT and other >= 0:
@@ -219,7 +229,8 @@ def _find_follower(
 def _list_sources(joints: Sequence[Joint], index: int) -> set[str]:
     """Return the names of a joint and of all that it follows."""
     by_name = {joint.name: k for k, joint in enumerate(joints)}
-    found, waiting = set[str](), [index]
+    found = set[str]()
+    waiting = [index]
     while waiting:
         joint = joints[waiting.pop()]
         found.add(joint.name)
@@ -238,7 +249,9 @@ def find_loops_by_equalities(
 
     `bodies` has the link of each body.
     """
-    kinds, found, used = mujoco.mjtEq, list[Loop](), list[int]()
+    kinds = mujoco.mjtEq
+    found = list[Loop]()
+    used = list[int]()
     for k in range(m.neq):
         name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, k) or ""
         loop = None
@@ -256,7 +269,8 @@ def find_loops_by_equalities(
 
 def _read_curve_loop(m: Any, k: int, joints: Sequence[Joint], name: str) -> Loop | None:
     """Return `y - y0 = a_0 + a_1 (x - x0) + ...` as a loop where it is no linear coupling."""
-    one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+    one = int(m.eq_obj1id[k])
+    other = int(m.eq_obj2id[k])
     polynomial = Polynomial(m.eq_data[k, :5])
     if other >= 0 and not np.any(m.eq_data[k, 2:5]):
         return None
@@ -275,7 +289,8 @@ def _read_body_loop(
     mujoco: Any, m: Any, k: int, bodies: Mapping[int, Place], name: str, *, welds: bool
 ) -> Loop | None:
     """Return the loop of an equality between bodies or sites; None where both are one link."""
-    ids, data = (int(m.eq_obj1id[k]), int(m.eq_obj2id[k])), m.eq_data[k]
+    ids = (int(m.eq_obj1id[k]), int(m.eq_obj2id[k]))
+    data = m.eq_data[k]
     at = [np.eye(4), np.eye(4)]
     if m.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
         at = [placement(rotation_from_quaternion(m.site_quat[i]), m.site_pos[i]) for i in ids]
@@ -292,7 +307,8 @@ def _read_body_loop(
     (link_a, on_a), (link_b, on_b) = (bodies[body] for body in ids)
     if link_a == link_b:
         return None
-    one, other = compose_placements(on_a, at[0]), compose_placements(on_b, at[1])
+    one = compose_placements(on_a, at[0])
+    other = compose_placements(on_b, at[1])
     turned = compose_placements(one, invert_placement(other))[:3, :3] if welds else np.eye(3)
     return Loop(
         "weld" if welds else "connect",

@@ -101,7 +101,8 @@ def robot_from_dh(
             " or 'modified'"
         )
     lengths: dict[str, float] = {}
-    remarks, joints = list(notes), []
+    remarks = list(notes)
+    joints = []
     for i, row in enumerate(rows):
         joints.append(build_dh_joint(row, i, convention, remarks))
         lengths |= dh_lengths(row, i)
@@ -229,7 +230,8 @@ def read_dh_table(path: str | Path) -> RobotModel:
     lines, _ = read_rows(path, ",", "link")
     columns = [name.strip() for name in lines[0][1]]
     _check_columns(path, columns)
-    rows, table_notes = [], []
+    rows = []
+    table_notes = []
     for line, cells in lines[1:]:
         if len(cells) != len(columns):
             raise DescriptionError(

@@ -205,7 +205,8 @@ def expand(
     One line on stderr says why. `largest` limits the bytes of a file that is read and of the URDF;
     `arguments` take the place of the file's defaults.
     """
-    answer, reason = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(2), "wb")
+    answer = os.fdopen(os.dup(1), "wb")
+    reason = os.fdopen(os.dup(2), "wb")
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
     status = 0
     try:
@@ -290,7 +291,8 @@ def _allow(event: str, given: tuple[Any, ...], folder: Path, largest: int) -> No
     if event in HARMLESS:
         return
     if event in ("glob.glob", "os.listdir", "os.scandir", "open"):
-        place, mode = Path(os.path.realpath(os.fsdecode(given[0]))), given[1:2] or ("r",)
+        place = Path(os.path.realpath(os.fsdecode(given[0])))
+        mode = given[1:2] or ("r",)
         reads = event != "open" or mode[0] in ("r", "rb", None)
         if reads and place.is_relative_to(folder) and (event != "open" or _is_file(place, largest)):
             return

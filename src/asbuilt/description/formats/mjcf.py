@@ -322,13 +322,15 @@ class _Tree:
         pose = compose_placements(
             self.pose[parent], self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}")
         )
-        first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
+        first = int(m.body_jntadr[body])
+        count = int(m.body_jntnum[body])
         for k in range(count):
             joint = self.joint(first + k, name, carrier, pose)
             self.joints.append(joint)
             self.names.append(name if k == count - 1 else f"{name}_after_{joint.name}")
             self.parts.append([])
-            carrier, pose = len(self.joints) - 1, np.eye(4)
+            carrier = len(self.joints) - 1
+            pose = np.eye(4)
         self.carrier[body], self.pose[body] = carrier, pose
         if count == 0:
             self.frames.append(Frame(name=name, link=carrier, placement=pose))
@@ -364,7 +366,8 @@ class _Tree:
                     else Cure("remove it, or replace it by hinges")
                 ),
             )
-        onto, anchor = rotation_onto(m.jnt_axis[index]), np.array(m.jnt_pos[index])
+        onto = rotation_onto(m.jnt_axis[index])
+        anchor = np.array(m.jnt_pos[index])
         at_rest = float(m.qpos0[m.jnt_qposadr[index]])
         back = (
             placement(rotation_z(-at_rest))

@@ -66,7 +66,8 @@ def format_mjcf(model: RobotModel, *, actuators: bool = True, shapes: bool = Tru
     )
     if shapes:
         _add_scene(root, stretched_length(model))
-    bodies, at = {ROOT: SubElement(root, "worldbody")}, reference_posture(model)
+    bodies = {ROOT: SubElement(root, "worldbody")}
+    at = reference_posture(model)
     for k in model.link_order:
         bodies[k] = _add_body(bodies[model.parents[k]], model, k, float(at[k]))
     for frame in model.frames:
@@ -102,11 +103,13 @@ def reference_posture(model: RobotModel) -> Array:
 
 
 def _add_equalities(root: Element, model: RobotModel, at: Array) -> None:
-    tendons, equality = Element("tendon"), Element("equality")
+    tendons = Element("tendon")
+    equality = Element("equality")
     rest = {joint.name: float(q) for joint, q in zip(model.moving_joints, at, strict=True)}
     for joint in model.followers:
         assert joint.mimic is not None
-        factors, offset = joint.mimic.factors, joint.mimic.offset
+        factors = joint.mimic.factors
+        offset = joint.mimic.offset
         if len(factors) == 1:
             ((other, factor),) = factors.items()
             _add_polynomial(equality, (joint.name, other), (offset, factor), rest)
@@ -196,7 +199,8 @@ def _add_loop(equality: Element, model: RobotModel, loop: Loop, rest: Mapping[st
 
 
 def _add_body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
-    joint, link = model.moving_joints[k], model.links[k]
+    joint = model.moving_joints[k]
+    link = model.links[k]
     pose = joint.before @ joint.moved(at) @ joint.after if at else joint.before @ joint.after
     body = SubElement(parent, "body", {"name": link.name, **_describe_pose(pose)})
     _add_inertial(body, link.inertia, f"{model.name}: link {link.name!r}")
@@ -206,13 +210,15 @@ def _add_body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
 
 
 def _describe_joint(joint: Joint) -> dict[str, str]:
-    R, p = joint.after[:3, :3], joint.after[:3, 3]
+    R = joint.after[:3, :3]
+    p = joint.after[:3, 3]
     fields = {
         "type": "hinge" if joint.is_revolute else "slide",
         "axis": _format_numbers(R[2]),
         "pos": _format_numbers(-R.T @ p),
     }
-    limits, drive = joint.limits, joint.drive
+    limits = joint.limits
+    drive = joint.drive
     if (
         joint.kind != "continuous"
         and np.isfinite(limits.lower)

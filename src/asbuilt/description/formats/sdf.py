@@ -157,7 +157,8 @@ def _note_unread(model: Element) -> tuple[str, ...]:
 
 def _find_closing_joints(model: Element, frames: _Frames, source: str) -> list[Element]:
     """Return the joints to links that another joint before them moves already: they close loops."""
-    moved, closing = set[str](), list[Element]()
+    moved = set[str]()
+    closing = list[Element]()
     for joint in model.findall("joint"):
         child = frames.link(_read_text(joint, "child", source))
         if child in moved:
@@ -173,7 +174,8 @@ def _read_loops(joints: Sequence[Element], frames: _Frames, source: str) -> tupl
     """
     loops = []
     for joint in joints:
-        name, kind = str(joint.get("name")), joint.get("type")
+        name = str(joint.get("name"))
+        kind = joint.get("type")
         place = f"{source}, joint {name!r}"
         links = [frames.link(_read_text(joint, side, place)) for side in ("parent", "child")]
         at = frames.pose(name)
@@ -263,7 +265,8 @@ def _add_link(robot: Element, link: Element, frames: _Frames, source: str) -> No
         return
     place = f"{source}, link {name!r}"
     body = SubElement(written, "inertial")
-    pose, at = _read_pose(inertial, place), inertial.find("pose")
+    pose = _read_pose(inertial, place)
+    at = inertial.find("pose")
     relative = None if at is None else at.get("relative_to")
     if relative:
         into = compose_placements(invert_placement(frames.pose(name)), frames.pose(relative))
@@ -279,7 +282,8 @@ def _add_link(robot: Element, link: Element, frames: _Frames, source: str) -> No
 
 
 def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> None:
-    name, kind = str(joint.get("name")), str(joint.get("type"))
+    name = str(joint.get("name"))
+    kind = str(joint.get("type"))
     place = f"{source}, joint {name!r}"
     if kind not in KINDS:
         raise DescriptionError(f"{place}: type {kind!r} is not one of {', '.join(KINDS)}")
@@ -303,7 +307,8 @@ def _add_axis(
     written: Element, axis: Element, kind: str, frames: _Frames, name: str, place: str
 ) -> None:
     SubElement(written, "axis", xyz=_format_spaced(_read_direction(axis, frames, name, place)))
-    limit, bounds = axis.find("limit"), {}
+    limit = axis.find("limit")
+    bounds = {}
     for key in ("lower", "upper", "effort", "velocity"):
         value = None if limit is None else limit.find(key)
         if value is not None:
@@ -379,7 +384,8 @@ def _connect(
 ) -> Element:
     """Add a joint from the frame `start` (of the parent) to the frame `at` (of the child)."""
     joint = SubElement(robot, "joint", name=name, type=kind)
-    begin, end = frames.pose(start or parent), frames.pose(at or str(child))
+    begin = frames.pose(start or parent)
+    end = frames.pose(at or str(child))
     _add_origin(joint, compose_placements(invert_placement(begin), end))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=str(child))

@@ -190,7 +190,8 @@ def _read_bodies(root: Element, source: str, notes: list[str], straighten: bool)
 
 def _read_inertia(inertial: Element, place: str, notes: list[str], straighten: bool) -> LinkInertia:
     place = f"{place}, inertial"
-    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    mass = inertial.find("mass")
+    tensor = inertial.find("inertia")
     if mass is None or tensor is None:
         missing = "mass" if mass is None else "inertia"
         raise DescriptionError(
@@ -298,7 +299,8 @@ def _merge_fixed(
     while waiting:
         connection, carrier, parent_pose = waiting.pop()
         pose = compose_placements(parent_pose, connection.origin)
-        name, inertia = connection.child, bodies[connection.child]
+        name = connection.child
+        inertia = bodies[connection.child]
         reached.add(name)
         if connection.kind == "fixed":
             tree.frames.append(Frame(name=name, link=carrier, placement=pose))
@@ -308,7 +310,8 @@ def _merge_fixed(
             tree.joints.append(_make_joint(connection, carrier, pose, notes))
             tree.links.append(name)
             tree.parts.append([(name, inertia)] if inertia is not None else [])
-            carrier, pose = len(tree.joints) - 1, np.eye(4)
+            carrier = len(tree.joints) - 1
+            pose = np.eye(4)
         waiting.extend((after, carrier, pose) for after in reversed(below.get(name, [])))
     if len(reached) < len(bodies):
         lost = next(name for name in bodies if name not in reached)
@@ -334,7 +337,8 @@ def _make_joint(connection: _Connection, parent: int, pose: Array, notes: list[s
 
 
 def _read_mimic(connection: _Connection) -> Mimic | None:
-    element, place = connection.element.find("mimic"), connection.place
+    element = connection.element.find("mimic")
+    place = connection.place
     if element is None:
         return None
     source = require_attribute(element, "joint", f"{place}, mimic")
@@ -388,19 +392,20 @@ def _read_axis(connection: _Connection, notes: list[str]) -> Array:
 
 
 def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
-    element, place = connection.element.find("limit"), connection.place
+    element = connection.element.find("limit")
+    place = connection.place
     if element is None:
         return JointLimits()
-    lower, upper = (
-        read_number(element, "lower", place, -np.inf),
-        read_number(element, "upper", place, np.inf),
-    )
+    lower = read_number(element, "lower", place, -np.inf)
+    upper = read_number(element, "upper", place, np.inf)
     if connection.kind == "continuous":
-        lower, upper = -np.inf, np.inf
+        lower = -np.inf
+        upper = np.inf
     if lower == upper == 0.0:
         # Exporters of CAD programs write zeros for what nobody stated.
         notes.append(f"{place}: position limits are 0 .. 0, which is taken as not stated")
-        lower, upper = -np.inf, np.inf
+        lower = -np.inf
+        upper = np.inf
     if lower > upper:
         raise DescriptionError(
             f"{place}: lower limit {lower} exceeds upper limit {upper}; swap them"
@@ -428,7 +433,8 @@ def _fix_floating_joints(root: Element) -> list[str]:
 
 
 def _read_drive(connection: _Connection) -> DriveValues:
-    element, place = connection.element.find("dynamics"), connection.place
+    element = connection.element.find("dynamics")
+    place = connection.place
     if element is None:
         return DriveValues()
     given = {

@@ -48,7 +48,8 @@ def read_xacro(path: str | Path) -> RobotModel:
     DescriptionError
         If it cannot be expanded, or the URDF makes no sense.
     """
-    file, trusted = Path(path), is_xacro_trusted()
+    file = Path(path)
+    trusted = is_xacro_trusted()
     read_bytes(file, "description", DescriptionError, LARGEST_DESCRIPTION)
     if find_spec("xacro") is None:
         raise MissingExtraError("xacro", "robots", f"reading {path}")

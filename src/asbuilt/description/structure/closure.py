@@ -118,7 +118,8 @@ class Closure:
         `qdd_tree - G qdd` is a quadratic form of velocities with the second derivatives of f as its
         matrix, so that these are exact differences of it. The third ones are central differences.
         """
-        n, still = self.n_joints, np.zeros_like(q)
+        n = self.n_joints
+        still = np.zeros_like(q)
         units = np.broadcast_to(np.eye(n)[:, None], (n, *q.shape))
         # Polarisation: f(e_j + e_k) - f(e_j) - f(e_k) is twice the mixed derivative.
         alone = [self.motion(q, unit, still).qdd for unit in units]
@@ -143,7 +144,8 @@ class Closure:
         """Return how well the loops close at positions of the motors (N, n)."""
         motion, quality = self._follow(q, None, None)
         closed = quality[:, 2] > 0.0
-        gap, distance = quality[:, 0].copy(), np.zeros(len(q))
+        gap = quality[:, 0].copy()
+        distance = np.zeros(len(q))
         n = self.n_joints
         for k in np.flatnonzero(closed):
             # The smallest singular value, in units in which angles and lengths compare.
@@ -162,7 +164,8 @@ class Closure:
 
     def gaps(self, equations: Array) -> list[float]:
         """Return the gap of each loop [m, rad for joints]."""
-        gaps, row = [], 0
+        gaps = []
+        row = 0
         for kind, given in zip(self.numbers.kinds.tolist(), self.numbers.numbers, strict=True):
             count = ROWS[kind]
             size = 1.0 if kind == JOINT else float(given[SIZE])
@@ -224,7 +227,8 @@ def _run(
     samples, n = q.shape
     n_tree = arrays[-1].size
     at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
-    shares, quality = np.zeros((samples, n_tree, n)), np.zeros((samples, 3))
+    shares = np.zeros((samples, n_tree, n))
+    quality = np.zeros((samples, 3))
     out = at, rates, accelerations, shares, quality
     close_loops(*arrays, scale, home, tolerance, search, q, qd, qdd, *out)
     return TreeMotion(at, rates, accelerations, shares), quality
@@ -332,7 +336,8 @@ def _open(
 
 def _check_closed(found: Closure, u: Array, quality: Array) -> None:
     """Raise `DescriptionError` where the loops stay open, or leave a passive joint free."""
-    n, robot = found.n_joints, found.robot
+    n = found.n_joints
+    robot = found.robot
     equations = found.equations(u)
     gaps = found.gaps(equations)
     # Gaps that are not finite come from a walk that left the loop.
@@ -432,7 +437,8 @@ def find_passive_joints(
     As many as the loops place: joints without limits of torque and drive first, then those far from
     the root, as long as the loops determine them.
     """
-    found, joints = _open(robot, every, n, loops, posture, places), every[:n]
+    found = _open(robot, every, n, loops, posture, places)
+    joints = every[:n]
     u = found.home.copy()
     # No joint is known to be passive yet, so that all may move.
     for _ in range(SEARCH):  # Newton with the least motion of all joints

@@ -48,20 +48,23 @@ def _reduce(work, rows, first, count, order):
     Returns the ratio of the last pivot to the first, 0 where there are fewer rows than columns.
     """
     width = work.shape[1]
-    largest, smallest = 0.0, 0.0
+    largest = 0.0
+    smallest = 0.0
     for k in range(count):
         order[k] = k
     if rows < count:
         return 0.0
     for k in range(count):
         # The column with the most left comes next: the last pivot then measures the rank.
-        best, most = k, -1.0
+        best = k
+        most = -1.0
         for j in range(k, count):
             total = 0.0
             for i in range(k, rows):
                 total += work[i, first + j] ** 2
             if total > most:
-                best, most = j, total
+                best = j
+                most = total
         if best != k:
             order[k], order[best] = order[best], order[k]
             for i in range(rows):
@@ -131,7 +134,8 @@ def _close_loops(mechanism, u, still, n, scale, tolerance, search, work, room, h
 
     Returns whether they do, the gap, and the ratio of pivots.
     """
-    phi, passive = work.shape[1] - 2, order.size
+    phi = work.shape[1] - 2
+    passive = order.size
     for _ in range(SEARCH if search else NEWTON):
         gap, pivot = _factor_jacobian(mechanism, u, still, n, work, room, here, order)
         if pivot <= SINGULAR:
@@ -201,12 +205,15 @@ def _carry_rates(u, moves, motor, bias):
 @part
 def _write_shares(mechanism, moves, shares):
     """Write how the joints of the tree move with the motors, `A (1, dp/dq)`."""
-    n, sources, first = moves.shape[1], mechanism[5], mechanism[6]
+    n = moves.shape[1]
+    sources = mechanism[5]
+    first = mechanism[6]
     for joint in range(shares.shape[0]):
         for j in range(n):
             shares[joint, j] = 0.0
         for k in range(first[joint], first[joint + 1]):
-            column, factor = int(sources[k, 0]), sources[k, 1]
+            column = int(sources[k, 0])
+            factor = sources[k, 1]
             if column < n:
                 shares[joint, column] += factor
             else:
@@ -246,18 +253,24 @@ def close_loops(
     angles, the size of a loop for lengths.
     """
     mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
-    n, n_tree, passive, rows = (
-        q.shape[1],
-        at.shape[1],
-        home.size - q.shape[1],
-        count_equations(kinds),
-    )
-    work, room = np.zeros((rows, n + passive + 2)), allocate_workspace(n_tree)
-    order, step, none = np.zeros(passive, dtype=np.int64), np.zeros(passive), np.zeros(passive)
-    here, still = np.zeros(n_tree), np.zeros(n_tree)
+    n = q.shape[1]
+    n_tree = at.shape[1]
+    passive = home.size - q.shape[1]
+    rows = count_equations(kinds)
+    work = np.zeros((rows, n + passive + 2))
+    room = allocate_workspace(n_tree)
+    order = np.zeros(passive, dtype=np.int64)
+    step = np.zeros(passive)
+    none = np.zeros(passive)
+    here = np.zeros(n_tree)
+    still = np.zeros(n_tree)
     # u is the last posture that closed; `known` the last of a sample
-    u, known, tried, rate = home.copy(), home.copy(), home.copy(), np.zeros(home.size)
-    moves, moved = np.zeros((passive, n)), np.zeros((passive, n))
+    u = home.copy()
+    known = home.copy()
+    tried = home.copy()
+    rate = np.zeros(home.size)
+    moves = np.zeros((passive, n))
+    moved = np.zeros((passive, n))
     for sample in range(q.shape[0]):
         target = q[sample]
         # In a search the first posture is not closed, so that no step from it means anything.

@@ -187,10 +187,12 @@ def resolve_coupling(
         )
     coordinates = {joint.name for joint in joints if joint.has_motor or joint.is_passive}
     others = {joint.name_in_tree: joint for joint in joints}
-    found, offset = dict[str, float](), joint.mimic.offset
+    found = dict[str, float]()
+    offset = joint.mimic.offset
     for name, factor in joint.mimic.factors.items():
         if name in coordinates:
-            part, more = {name: 1.0}, 0.0
+            part = {name: 1.0}
+            more = 0.0
         elif name in others:
             part, more = resolve_coupling(robot, others[name], joints, (*seen, joint.name_in_tree))
         else:
@@ -264,7 +266,8 @@ def derive_linear_part(robot: str, every: Sequence[Joint], n: int) -> tuple[Indi
     coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
     names = {joint.name: k for k, joint in enumerate(coordinates)}
     order = np.array(order_tree(robot, every, n), dtype=np.int64)
-    matrix, offset = np.zeros((len(every), len(names))), np.zeros(len(every))
+    matrix = np.zeros((len(every), len(names)))
+    offset = np.zeros(len(every))
     for i, link in enumerate(order.tolist()):
         factors, offset[i] = resolve_coupling(robot, every[link], every)
         for name, factor in factors.items():
@@ -276,7 +279,8 @@ def _take_over_drive(
     joint: Joint, follower: Joint, multiplier: float, offset: float
 ) -> tuple[Joint, list[str]]:
     """Return the driven joint with what its follower has of drive and limits."""
-    notes, values = [], {}
+    notes = []
+    values = {}
     for name, share in (
         # Reflected: inertia and damping by the square of the factor, dry friction by its size.
         ("armature", multiplier**2),
@@ -298,7 +302,8 @@ def _narrow_limits(
     joint: Joint, follower: Joint, multiplier: float, offset: float
 ) -> tuple[JointLimits, list[str]]:
     """Return the limits of a joint within its follower's, unless no motion would be left."""
-    limits, other = joint.limits, follower.limits
+    limits = joint.limits
+    other = follower.limits
     if not multiplier:
         return limits, []
     # A negative factor turns the ends around.
@@ -309,7 +314,8 @@ def _narrow_limits(
         for name in ("velocity", "acceleration", "jerk")
         if getattr(other, name) > 0.0
     }
-    lower, upper = max(limits.lower, lower), min(limits.upper, upper)
+    lower = max(limits.lower, lower)
+    upper = min(limits.upper, upper)
     if not lower < upper:
         return replace(limits, **rates), [
             f"the position limits of joint {follower.name!r} leave {joint.name!r} no motion; they"

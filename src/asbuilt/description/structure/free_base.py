@@ -162,11 +162,13 @@ def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
 def _carries_mass(root: Element, top: str) -> bool:
     """Return whether a link, or one that is fixed to it, has an inertia."""
     inertial = {link.get("name") for link in root.findall("link[inertial]")}
-    held, fixed = {top}, root.findall("joint[@type='fixed']")
+    held = {top}
+    fixed = root.findall("joint[@type='fixed']")
     # At most as many rounds as fixed joints: a chain of them passes the mass up.
     for _ in fixed:
         for joint in fixed:
-            parent, child = joint.find("parent"), joint.find("child")
+            parent = joint.find("parent")
+            child = joint.find("child")
             if parent is not None and child is not None and parent.get("link") in held:
                 held.add(child.get("link", ""))
     return bool(held & inertial)

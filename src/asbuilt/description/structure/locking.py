@@ -290,7 +290,8 @@ class _Lock:
         """Return the position of a coordinate, or of a joint that follows."""
         if name in self._locked:
             return self._locked[name]
-        joint, value = self._by_name[name], self._asked.get(name)
+        joint = self._by_name[name]
+        value = self._asked.get(name)
         if name == joint.name and value is not None:
             return float(value)
         if joint.mimic is None or (joint.has_motor and name == joint.name):

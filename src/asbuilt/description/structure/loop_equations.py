@@ -54,7 +54,9 @@ def _move_point(R, x, t, w, dw, a):
 def _turn_axes(R, p, o):
     """Turn axes R by the rotation at p[o:o+9]."""
     for i in range(3):
-        x, y, z = R[i, 0], R[i, 1], R[i, 2]
+        x = R[i, 0]
+        y = R[i, 1]
+        z = R[i, 2]
         for j in range(3):
             R[i, j] = x * p[o + j] + y * p[o + 3 + j] + z * p[o + 6 + j]
 
@@ -77,7 +79,9 @@ def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes
         # In front of the joint: its axis and origin are known here.
         _move_point(R, x, p[9:12], w, dw, a)
         _turn_axes(R, p, 0)
-        zx, zy, zz = R[0, 2], R[1, 2], R[2, 2]
+        zx = R[0, 2]
+        zy = R[1, 2]
+        zz = R[2, 2]
         axes[joint, 0], axes[joint, 1], axes[joint, 2] = zx, zy, zz
         origins[joint, 0], origins[joint, 1], origins[joint, 2] = x[0], x[1], x[2]
         v = rate[joint]
@@ -85,9 +89,11 @@ def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes
         cx, cy, cz = _cross(w[0], w[1], w[2], v * zx, v * zy, v * zz)
         # dw += w x v z, w += v z
         if revolute[joint]:
-            c, s = math.cos(at[joint]), math.sin(at[joint])
+            c = math.cos(at[joint])
+            s = math.sin(at[joint])
             for i in range(3):
-                first, second = R[i, 0], R[i, 1]
+                first = R[i, 0]
+                second = R[i, 1]
                 R[i, 0] = first * c + second * s
                 R[i, 1] = second * c - first * s
             dw[0] += cx
@@ -116,7 +122,8 @@ def _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes
 def _add_columns(work, row, joint, x, y, z, sources, first):
     """Add the derivative of three rows by a joint of the tree to those by its coordinates."""
     for k in range(first[joint], first[joint + 1]):
-        column, factor = int(sources[k, 0]), sources[k, 1]
+        column = int(sources[k, 0])
+        factor = sources[k, 1]
         work[row, column] += factor * x
         work[row + 1, column] += factor * y
         work[row + 2, column] += factor * z
@@ -145,11 +152,15 @@ def _add_side(work, row, path, sign, turns, size, revolute, x, axes, origins, so
 @part
 def _add_curve(path, given, sources, first, at, rate, work, row):
     """Write the row of a joint that is at a polynomial of another, `y = c_0 + c_1 x + ...`."""
-    one, other = path[0, 0], path[1, 0]
-    phi, bias = work.shape[1] - 2, work.shape[1] - 1
+    one = path[0, 0]
+    other = path[1, 0]
+    phi = work.shape[1] - 2
+    bias = work.shape[1] - 1
     # A joint held at a constant has no second one.
     x, xd = (at[other], rate[other]) if other >= 0 else (0.0, 0.0)
-    value, slope, bend = 0.0, 0.0, 0.0
+    value = 0.0
+    slope = 0.0
+    bend = 0.0
     # Horner's scheme for value, slope and second derivative together.
     for power in range(4, -1, -1):
         bend = bend * x + 2.0 * slope
@@ -173,13 +184,16 @@ def assemble(mechanism, at, rate, work, room):
     """
     kinds, paths, numbers, placements, revolute, sources, first, _ = mechanism
     width = work.shape[1]
-    phi, bias = width - 2, width - 1
+    phi = width - 2
+    bias = width - 1
     n = at.size
-    axes, origins = room[: 3 * n].reshape(n, 3), room[3 * n : 6 * n].reshape(n, 3)
+    axes = room[: 3 * n].reshape(n, 3)
+    origins = room[3 * n : 6 * n].reshape(n, 3)
     ends = room[6 * n :]
     row = 0
     for loop in range(kinds.size):
-        kind, given = kinds[loop], numbers[loop]
+        kind = kinds[loop]
+        given = numbers[loop]
         count = 3 if kind == CONNECT else 6 if kind == WELD else 1
         work[row : row + count] = 0.0
         if kind == JOINT:
@@ -189,13 +203,17 @@ def assemble(mechanism, at, rate, work, room):
         size = given[SIZE]
         for side in range(2):
             part_of = ends[24 * side : 24 * side + 24]
-            R, x = part_of[:9].reshape(3, 3), part_of[9:12]
-            w, dw, a = part_of[12:15], part_of[15:18], part_of[18:21]
+            R = part_of[:9].reshape(3, 3)
+            x = part_of[9:12]
+            w = part_of[12:15]
+            dw = part_of[15:18]
+            a = part_of[18:21]
             path = paths[loop, side]
             point = given[POINT + 3 * side : POINT + 3 * side + 3]
             _walk_side(path, placements, revolute, at, rate, point, R, x, w, dw, a, axes, origins)
             # Side b counts against side a.
-            sign, welds = 1.0 - 2.0 * side, kind == WELD
+            sign = 1.0 - 2.0 * side
+            welds = kind == WELD
             _add_side(
                 work, row, path, sign, welds, size, revolute, x, axes, origins, sources, first
             )
@@ -204,11 +222,13 @@ def assemble(mechanism, at, rate, work, room):
             work[row + i, phi] = (ends[9 + i] - ends[33 + i]) / size
             work[row + i, bias] = (ends[18 + i] - ends[42 + i]) / size
         if kind == WELD:
-            one, other = ends[:9].reshape(3, 3), ends[24:33].reshape(3, 3)
+            one = ends[:9].reshape(3, 3)
+            other = ends[24:33].reshape(3, 3)
             _turn_axes(one, given, TURN)
             # the rotation from the axes of b to where a wants them, as a vector of length sin
             for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
+                j = (i + 1) % 3
+                k = (i + 2) % 3
                 # Half the sum of cross products of the axes: the sine of the angle, along its axis.
                 turn = 0.0
                 for c in range(3):
@@ -221,7 +241,9 @@ def assemble(mechanism, at, rate, work, room):
 @part
 def expand_into_tree(mechanism, u, share, at):
     """Write the joints of the tree `A u + b`, and `A u` where `share` is 0 in place of 1."""
-    sources, first, offset = mechanism[5], mechanism[6], mechanism[7]
+    sources = mechanism[5]
+    first = mechanism[6]
+    offset = mechanism[7]
     for joint in range(at.size):
         total = share * offset[joint]
         for k in range(first[joint], first[joint + 1]):
@@ -251,6 +273,7 @@ def loop_equations(
     """Write J, phi and dJ/dt ud = 0 at coordinates u, (rows, n_u + 2)."""
     mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
     n_tree = offset.size
-    at, still = np.zeros(n_tree), np.zeros(n_tree)
+    at = np.zeros(n_tree)
+    still = np.zeros(n_tree)
     expand_into_tree(mechanism, u, 1.0, at)
     assemble(mechanism, at, still, equations, allocate_workspace(n_tree))

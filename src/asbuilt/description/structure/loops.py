@@ -18,7 +18,11 @@ CONNECT, WELD, JOINT = range(3)
 """Kinds of loops: two points coincide, two frames do, a joint is at a polynomial of another."""
 ROWS = (3, 6, 1)
 """Equations of a loop by kind."""
-POINT, TURN, CURVE, SIZE, WIDTH = 0, 6, 15, 20, 21
+POINT = 0
+TURN = 6
+CURVE = 15
+SIZE = 20
+WIDTH = 21
 """Columns of the numbers of a loop: two points, a rotation, a polynomial, a length; their count."""
 CODES = {"connect": CONNECT, "weld": WELD, "joint": JOINT}
 
@@ -63,7 +67,8 @@ class Loop:
         object.__setattr__(
             self, "polynomial", tuple(float(coefficient) for coefficient in self.polynomial)
         )
-        fault, of_joints = find_rotation_fault(self.rotation.tolist()), self.kind == "joint"
+        fault = find_rotation_fault(self.rotation.tolist())
+        of_joints = self.kind == "joint"
         numbers = 1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
         if fault:
             raise DescriptionError(f"{self}: rotation is not a rotation matrix: {fault}")
@@ -137,7 +142,8 @@ def number_loops(
             row[CURVE : CURVE + len(loop.polynomial)] = loop.polynomial
             paths.append(([names[loop.joints[0]]], [names[name] for name in loop.joints[1:]]))
             continue
-        sides, turns = [], []
+        sides = []
+        turns = []
         for side, (name, point) in enumerate(loop.ends):
             if name not in places:
                 raise _make_unknown_error(robot, loop, "link", name, places)

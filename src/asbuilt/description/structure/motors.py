@@ -117,7 +117,8 @@ def with_rotors(
     taken = {joint.name_in_tree for joint in (*joints, *followers)}
     behind = []
     for k in moved:
-        mimic, name = joints[k].mimic, joints[k].name_in_tree
+        mimic = joints[k].mimic
+        name = joints[k].name_in_tree
         assert mimic is not None
         name = f"{name} joint" if name == joints[k].name else name
         # A name that nothing else in the tree has.

@@ -83,10 +83,12 @@ def with_springs(model: RobotModel, springs: Sequence[Spring]) -> RobotModel:
         k, numbers = (_place_torsion_spring if spring.kind == "torsion" else _place_linear_spring)(
             model, spring
         )
-        key, values = TERM_OF_KIND[spring.kind], {**numbers, **spring.known}
+        key = TERM_OF_KIND[spring.kind]
+        values = {**numbers, **spring.known}
         # Without free length the force is linear in the length: a balancer's torque.
         if key == "extension_spring" and not spring.free_length:
-            key, values = "balancer", _convert_to_balancer(values)
+            key = "balancer"
+            values = _convert_to_balancer(values)
         there = terms[k].get(key)
         terms[k][key] = (
             values if there is None else _combine_springs(spring, model, k, there, values)
@@ -164,7 +166,8 @@ def _measure_about_axis(
 
     `below` (3,) is in the axes of the parent link, `above` (3,) in the axes of the joint's link.
     """
-    R, p = joint.before[:3, :3], joint.before[:3, 3]
+    R = joint.before[:3, :3]
+    p = joint.before[:3, 3]
     # In the axes at the joint, which turns about their z.
     at_rest = R.T @ (below - p)
     turning = joint.after[:3, :3] @ above + joint.after[:3, 3]
@@ -173,7 +176,8 @@ def _measure_about_axis(
     angle = math.atan2(turning[1], turning[0]) - math.atan2(at_rest[1], at_rest[0])
     # The position at which both ends lie in one direction from the axis.
     meets = math.remainder(-angle, 2.0 * math.pi)
-    low, high = joint.limits.lower, joint.limits.upper
+    low = joint.limits.lower
+    high = joint.limits.upper
     # Within the limits it may be met a turn earlier or later.
     reached = [meets + turn for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi)]
     if min(inner, outer) < ON_AXIS:

@@ -55,11 +55,13 @@ def regroup_numerically(model: RobotModel, drive: DriveSet) -> tuple[Indices, Ar
     does not have all of them: followers and passive joints move as no joint of a tree does.
     """
     drive = DriveSet(tuple(term.typical() for term in drive.terms))
-    n, rng = model.n_joints, np.random.default_rng(SEED)
+    n = model.n_joints
+    rng = np.random.default_rng(SEED)
     n_columns = 10 * model.n_links + drive.columns_per_joint * n
     samples = int(np.ceil(2.0 * ROWS_PER_COLUMN * n_columns / n))
     q = draw_postures(model, rng, samples)
-    qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
+    qd = rng.normal(scale=2.0, size=(samples, n))
+    qdd = rng.normal(scale=4.0, size=(samples, n))
     Y = observation_matrix(model, q, qd, qdd, drive=drive)
     Y[:, find_negligible_columns(model)] = 0.0
     sizes = np.linalg.norm(Y, axis=0)
@@ -208,7 +210,8 @@ def _find_cached(model: RobotModel, drive: DriveSet) -> BaseParameters:
             verdicts = classify_numerically(model, columns, matrix, names)
         else:
             found = regroup_structurally(model, drive)
-            columns, matrix = found.columns, found.matrix
+            columns = found.columns
+            matrix = found.matrix
             verdicts = parameter_verdicts(model, drive, found, names)
         numeric = observation_rank(model, drive)
         if numeric.rank != len(columns):

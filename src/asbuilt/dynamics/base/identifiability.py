@@ -79,7 +79,8 @@ def parameter_verdicts(
             return _explain_richer_drive(drive, joint, position, status) or _explain_drive(
                 model, views, joint, symbol=drive.symbols[position], status=status
             )
-        link, symbol = j // 10, PARAMETER_NAMES[j % 10]
+        link = j // 10
+        symbol = PARAMETER_NAMES[j % 10]
         if status == "grouped":
             return _explain_sums(model, found, views, j, symbol)
         if status == "identifiable":
@@ -124,7 +125,8 @@ def classify_numerically(
     }
 
     def reason(j: int, status: Status) -> str:
-        link, usual = j // 10, reasons[status]
+        link = j // 10
+        usual = reasons[status]
         if not views or link >= model.n_links:
             return usual
         if status == "unidentifiable" and not model.links[link].negligible:
@@ -142,13 +144,15 @@ def _view_closed_chains(model: RobotModel) -> list[_LinkView]:
     if not model.loops:
         return []
     q = draw_postures(model, np.random.default_rng(SEED), POSTURES)
-    twists, poses = link_jacobians(model, q), link_poses(model, q)
+    twists = link_jacobians(model, q)
+    poses = link_poses(model, q)
     views = []
     for k in range(model.n_links):
         own = np.concatenate(list(np.swapaxes(twists[:, k], 1, 2)))
         directions = row_space(own[:, :3])
         in_root = row_space(np.concatenate([*(poses[:, k, :3, :3] @ twists[:, k, :3])], axis=1).T)
-        turns, screws = len(directions), len(row_space(own))
+        turns = len(directions)
+        screws = len(row_space(own))
         slope = _describe_slope(model, in_root[0]) if len(in_root) == 1 else ""
         axes = f"{_add_article(slope)} axis" if screws == 1 and slope else "parallel axes"
         several = f"turns about axes of {'two' if turns == 2 else 'all'} directions"
@@ -215,7 +219,8 @@ def _add_article(word: str) -> str:
 
 def _view_link(found: Regrouping, link: int) -> _LinkView:
     model = found.model
-    R, t = model.joints[link].after[:3, :3], model.joints[link].after[:3, 3]
+    R = model.joints[link].after[:3, :3]
+    t = model.joints[link].after[:3, 3]
     twists = found.motions[link].twists
     angular = twists[:, :3] @ R
     linear = (twists[:, 3:] + np.cross(twists[:, :3], t / found.size)) @ R
@@ -225,7 +230,8 @@ def _view_link(found: Regrouping, link: int) -> _LinkView:
     name = f"link {link + 1}"
     slides = row_space(np.array([_find_axis_at_rest(model, i) for i in chain]))
     slope = _describe_slope(model, _find_axis_at_rest(model, turning[0])) if turning else ""
-    fixed, parallel = slope == "fixed", len(directions) == 1
+    fixed = slope == "fixed"
+    parallel = len(directions) == 1
     phrases = (
         (
             not turning and len(slides) == 1,
@@ -258,7 +264,8 @@ def _view_link(found: Regrouping, link: int) -> _LinkView:
 
 
 def _explain_no_effect(model: RobotModel, view: _LinkView, symbol: str) -> str:
-    inertia, product = symbol.startswith("I"), symbol in ("Ixy", "Ixz", "Iyz")
+    inertia = symbol.startswith("I")
+    product = symbol in ("Ixy", "Ixz", "Iyz")
     about_one = view.turns == view.screws == 1
     along = float(view.axis @ np.array([symbol == each for each in MOMENTS], dtype=np.float64))
     still = "lies on that axis" if about_one else "never moves"
@@ -373,10 +380,13 @@ def _explain_move_to_parent(
     model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, symbol: str
 ) -> str:
     link = column // 10
-    joint, number = model.joints[link], link + 1
-    axis, parent = f"the axis of joint {number}", f"link {joint.parent + 1}"
+    joint = model.joints[link]
+    number = link + 1
+    axis = f"the axis of joint {number}"
+    parent = f"link {joint.parent + 1}"
     kind = 0 if symbol == "m" else 1 if symbol.startswith("m") else 2
-    turns, above = joint.is_revolute, views[joint.parent].phrase
+    turns = joint.is_revolute
+    above = views[joint.parent].phrase
     axial = np.abs(found.axial_blocks[link][:, column % 10]) > SMALL
     own = found.matrix[found.columns == column, 10 * link : 10 * link + 10]
     summed = turns & (own != 0.0).any(axis=0)  # nothing where the column is not kept
@@ -434,7 +444,8 @@ def _explain_richer_drive(drive: DriveSet, joint: int, position: int, status: St
     Empty if neither is the case.
     """
     term = [term for term in drive.terms for _ in term.symbols][position]
-    grouped, number = status == "grouped", joint + 1
+    grouped = status == "grouped"
+    number = joint + 1
     reasons = (
         (
             not term.is_at(joint),
@@ -466,7 +477,8 @@ def _explain_richer_drive(drive: DriveSet, joint: int, position: int, status: St
 def _explain_drive(
     model: RobotModel, views: Sequence[_LinkView], joint: int, *, symbol: str, status: Status
 ) -> str:
-    number, parent = joint + 1, model.joints[joint].parent
+    number = joint + 1
+    parent = model.joints[joint].parent
     turns = model.joints[joint].is_revolute
     ahead = (
         f"the axis of joint {number} is fixed"

@@ -53,12 +53,14 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     i) . (inertia forces of link i)`, so that it shares neither the recursion nor the compiled
     kernels of the regressor. A load that drive terms depend on comes from random parameters.
     """
-    n, first = model.n_joints, 10 * model.n_links
+    n = model.n_joints
+    first = 10 * model.n_links
     n_columns = first + drive.columns_per_joint * n
     samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
     rng = np.random.default_rng(SEED)
     q = draw_postures(model, rng, samples)
-    qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
+    qd = rng.normal(scale=2.0, size=(samples, n))
+    qdd = rng.normal(scale=4.0, size=(samples, n))
     Y = np.zeros((n, samples, n_columns))
     rigid = Y[:, :, :first]
     if (coupling := model.coupling) is None:
@@ -77,7 +79,8 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
         else None
     )
     drive = DriveSet(tuple(term.typical() for term in drive.terms))
-    shares, of_motor = model.motor_shares, drive.of_motor
+    shares = model.motor_shares
+    of_motor = drive.of_motor
     for k in range(n):
         own = slice(first + drive.columns_per_joint * k, first + drive.columns_per_joint * (k + 1))
         columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares).T
@@ -110,16 +113,19 @@ def _fill_rigid_body_columns(
         np.broadcast_to(-model.gravity, (samples, 3)),
     )
     states = {ROOT: ahead}
-    axes, points = np.zeros((n, samples, 3)), np.zeros((n, samples, 3))
+    axes = np.zeros((n, samples, 3))
+    points = np.zeros((n, samples, 3))
     revolute = np.array([joint.is_revolute for joint in model.joints])
     for i, joint in enumerate(model.joints):
         R, p, w, dw, a = states[joint.parent]
         arm = R @ joint.before[:3, 3]
         R = R @ joint.before[:3, :3]
-        p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
+        p = p + arm
+        a = a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         z = R[:, :, 2]
         axes[i], points[i] = z, p
-        rate, acceleration = qd[:, i, None], qdd[:, i, None]
+        rate = qd[:, i, None]
+        acceleration = qdd[:, i, None]
         if joint.is_revolute:
             turn = np.zeros((samples, 3, 3))
             turn[:, 0, 0] = turn[:, 1, 1] = np.cos(q[:, i])
@@ -141,7 +147,8 @@ def _fill_rigid_body_columns(
             )
         arm = R @ joint.after[:3, 3]
         R = R @ joint.after[:3, :3]
-        p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
+        p = p + arm
+        a = a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         states[i] = (R, p, w, dw, a)
         body = _evaluate_inertia_forces(
             *(np.einsum("sij,si->sj", R, vector) for vector in (w, dw, a))
@@ -182,6 +189,10 @@ def _cross(u: Array, v: Array) -> Array:
 
     `numpy.cross` is several times slower on small arrays.
     """
-    x, y, z = u[..., 0], u[..., 1], u[..., 2]
-    a, b, c = v[..., 0], v[..., 1], v[..., 2]
+    x = u[..., 0]
+    y = u[..., 1]
+    z = u[..., 2]
+    a = v[..., 0]
+    b = v[..., 1]
+    c = v[..., 2]
     return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)

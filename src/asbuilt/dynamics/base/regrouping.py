@@ -187,7 +187,8 @@ def without_noise(value: float) -> float:
 
 def _derive_symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
     """Return the null vectors with symbols for lengths, in physical units."""
-    first, strength = 10 * model.n_links, float(np.linalg.norm(model.gravity))
+    first = 10 * model.n_links
+    strength = float(np.linalg.norm(model.gravity))
     ways = found.structure.ways
     per = ways.shape[2]
     units = np.array(
@@ -223,7 +224,8 @@ def _choose_scales(model: RobotModel, drive: DriveSet) -> Array:
 
     In lengths divided by the size of the robot and forces divided by gravity.
     """
-    size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
+    size = characteristic_length(model)
+    strength = float(np.linalg.norm(model.gravity))
     scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
     for k, joint in enumerate(model.joints):
         units = dict(
@@ -248,7 +250,9 @@ def _build_null_blocks(
 
     Shapes (k, n_standard); mutual armatures are left out.
     """
-    size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_links
+    size = characteristic_length(model)
+    per = drive.columns_per_joint
+    first = 10 * model.n_links
     blocks = []
     for found, shift in zip(directions, to_link, strict=True):
         joint = model.joints[found.link]
@@ -280,7 +284,8 @@ def _realise_null_vectors(
     """
     if not structure.motor_columns.any():
         return list(blocks)
-    per, first = drive.columns_per_joint, 10 * model.n_links
+    per = drive.columns_per_joint
+    first = 10 * model.n_links
     sums, of_joints, of_motors = find_realisable_sums(directions, structure)
     rows = sums @ np.vstack(blocks)
     armature = structure.ways[:, 0, :]

@@ -20,7 +20,12 @@ RANK_TOLERANCE = 1e-10
 Lengths are divided by the robot's size first.
 """
 
-_ARMATURE, _OFFSET, _SINE, _COSINE, _MUTUAL, _NOTHING = 10, 11, 12, 13, slice(14, None), slice(0)
+_ARMATURE = 10
+_OFFSET = 11
+_SINE = 12
+_COSINE = 13
+_MUTUAL = slice(14, None)
+_NOTHING = slice(0)
 """Places of the changes of a joint's drive, behind the ten parameters of its link."""
 
 LENGTH_EXPONENTS = np.array([2.0] * 6 + [1.0] * 3 + [0.0])
@@ -56,7 +61,8 @@ def _build_shift(t: Array) -> Array:
 
 
 def _build_translation_tensors() -> tuple[Array, Array]:
-    S, unit = _build_shift, np.eye(3)
+    S = _build_shift
+    unit = np.eye(3)
     linear = np.array([(S(a) - S(-a)) / 2.0 for a in unit])
     square = np.array([[(S(a + b) - S(a) - S(b) + np.eye(10)) / 2.0 for b in unit] for a in unit])
     return linear, square
@@ -243,7 +249,8 @@ def regrouping_relations(
     argument in the derivation). `imitable` (n, 5) says which functions the drive of each joint has
     that links may imitate: the four of `RegroupingRelations.drive`, and mutual armatures.
     """
-    n, size = model.n_joints, characteristic_length(model)
+    n = model.n_joints
+    size = characteristic_length(model)
     strength = float(np.linalg.norm(model.gravity))
     gravity = (
         np.append(model.gravity / strength, 1.0)
@@ -257,9 +264,11 @@ def regrouping_relations(
     directions: list[RegroupingRelations] = []
     for c, joint in enumerate(model.joints):
         if joint.parent < 0:
-            parent, fixed = root, joint.before
+            parent = root
+            fixed = joint.before
         else:
-            parent, fixed = motions[joint.parent], model.joints[joint.parent].after @ joint.before
+            parent = motions[joint.parent]
+            fixed = model.joints[joint.parent].after @ joint.before
         motion, found = _carry_through_joint(
             parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c]
         )

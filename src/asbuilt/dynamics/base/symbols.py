@@ -289,7 +289,8 @@ def format_sum(terms: Sequence[tuple[str, Polynomial]]) -> str:
     for key in (*constants, *symbolic):
         members = groups[key]
         negative = members[0][0]
-        size, symbols = key[2], _format_product(key[1])
+        size = key[2]
+        symbols = _format_product(key[1])
         names = members[0][1]
         if len(members) > 1:
             rest = "".join(

@@ -107,9 +107,11 @@ def _order_postfix(node: ast.AST) -> list[tuple[str, str]]:
         case ast.Name(id=name):
             return [("name", name)]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
-            parts, operation = [operand], _OPERATORS[type(op)]
+            parts = [operand]
+            operation = _OPERATORS[type(op)]
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            parts, operation = [left, right], _OPERATORS[type(op)]
+            parts = [left, right]
+            operation = _OPERATORS[type(op)]
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]) if name in FUNCTIONS:
             operation = name
         case _:

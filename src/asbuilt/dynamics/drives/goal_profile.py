@@ -51,7 +51,8 @@ def derive_goal_path(
     >>> [round(float(np.interp(at, t, goal[:, 0])), 2) for at in (0.501, 1.001, 1.5)]
     [0.5, 1.0, 1.0]
     """
-    t, command = np.asarray(t, dtype=np.float64), np.asarray(command, dtype=np.float64)
+    t = np.asarray(t, dtype=np.float64)
+    command = np.asarray(command, dtype=np.float64)
     n = command.shape[1]
     period = float(np.median(np.diff(t))) if len(t) > 1 else FINEST
     parts = max(1, math.ceil(period / FINEST - 1e-9))
@@ -71,32 +72,41 @@ def derive_goal_path(
 @kernel("f1 f1 f f i F1")
 def _follow(ends, command, a, fastest, parts, out):
     """Write the goal in the middle of each part of every period."""
-    goal, rate = command[0], 0.0
+    goal = command[0]
+    rate = 0.0
     for k in range(command.size):
         period = ends[k + 1] - ends[k]
         way = command[k] - goal
         side = 1.0 if way > rate * abs(rate) / (2.0 * a) else -1.0
-        y, w = side * way, side * rate
+        y = side * way
+        w = side * rate
         # speed up from w to the peak, hold it, slow down to rest at y
-        peak, held = np.sqrt(max(a * y + 0.5 * w * w, 0.0)), 0.0
+        peak = np.sqrt(max(a * y + 0.5 * w * w, 0.0))
+        held = 0.0
         if peak > fastest:
             peak = fastest
             held = max((y - (peak * peak - 0.5 * w * w) / a) / peak, 0.0)
-        up, down = max((peak - w) / a, 0.0), peak / a
+        up = max((peak - w) / a, 0.0)
+        down = peak / a
         first = w * up + 0.5 * a * up * up
         second = first + peak * held
         for j in range(parts + 1):
             at = period if j == parts else (j + 0.5) * period / parts
             if at < up:
-                p, v = w * at + 0.5 * a * at * at, w + a * at
+                p = w * at + 0.5 * a * at * at
+                v = w + a * at
             elif at < up + held:
-                p, v = first + peak * (at - up), peak
+                p = first + peak * (at - up)
+                v = peak
             elif at < up + held + down:
                 left = at - up - held
-                p, v = second + peak * left - 0.5 * a * left * left, peak - a * left
+                p = second + peak * left - 0.5 * a * left * left
+                v = peak - a * left
             else:
-                p, v = y, 0.0
+                p = y
+                v = 0.0
             if j < parts:
                 out[k * parts + j] = goal + side * p
             else:
-                goal, rate = goal + side * p, side * v
+                goal = goal + side * p
+                rate = side * v

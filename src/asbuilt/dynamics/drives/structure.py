@@ -49,9 +49,12 @@ def decompose_drive(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
 
     `unit` (n,) is one unit of each joint coordinate in scaled lengths.
     """
-    n, m = model.n_joints, drive.columns_per_joint
+    n = model.n_joints
+    m = drive.columns_per_joint
     drive.check_joints(n)
-    ways, able, redundant = np.zeros((n, 4, m)), np.zeros((n, 4), dtype=bool), []
+    ways = np.zeros((n, 4, m))
+    able = np.zeros((n, 4), dtype=bool)
+    redundant = []
     shares = model.motor_shares * unit[None, :] / unit[:, None]
     coupled = np.abs(shares).max(axis=1) > 0.0
     of_motor = drive.of_motor
@@ -99,10 +102,8 @@ def find_realisable_sums(
     diag(Ia) + sum_m Iam_m T_m T_m^T`.
     """
     n = len(structure.shares)
-    armature, mutual = (
-        np.concatenate([found.drive[:, 0] for found in directions]),
-        np.vstack([found.mutual for found in directions]),
-    )
+    armature = np.concatenate([found.drive[:, 0] for found in directions])
+    mutual = np.vstack([found.mutual for found in directions])
     link = np.concatenate([np.full(len(found.child), found.link) for found in directions])
     k = len(link)
     motors = np.flatnonzero(structure.motor_columns.any(axis=1))

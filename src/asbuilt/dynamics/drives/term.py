@@ -253,7 +253,9 @@ class DriveTerm:
             if name not in known:
                 there = f"it has {', '.join(known)}" if known else "it has none"
                 raise UsageError(f"drive term {self.key!r} has no option {name!r}; {there}")
-            lower, upper, unit = known[name].lower, known[name].upper, known[name].unit
+            lower = known[name].lower
+            upper = known[name].upper
+            unit = known[name].unit
             for number in stated if isinstance(stated, tuple) else (stated,):
                 if number is not None and not lower <= number <= upper:
                     raise UsageError(

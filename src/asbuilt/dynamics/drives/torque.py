@@ -78,7 +78,8 @@ def drive_torque(
             f" parameters, got shape {theta.shape}"
         )
     torque = np.zeros(q.shape)
-    of_motor, each = drive.of_motor, theta.reshape(n, -1)
+    of_motor = drive.of_motor
+    each = theta.reshape(n, -1)
     if not of_motor.any() and not any(term.differs_by_joint for term in drive.terms):
         return _evaluate_shared_terms(drive, each, q, qd, qdd, load)
     for k, joint_values in enumerate(each):
@@ -93,11 +94,13 @@ def _evaluate_shared_terms(
     drive: DriveSet, values: Array, q: Array, qd: Array, qdd: Array, load: Array | None
 ) -> Array:
     """Return the torque of terms whose columns are one function of each joint's own state."""
-    torque, column = np.zeros(q.shape), 0
+    torque = np.zeros(q.shape)
+    column = 0
     for term in drive.terms:
         s = len(term.symbols)
         joints = [k for k in range(q.shape[1]) if term.is_at(k)]
-        own, column = values[joints, column : column + s], column + s
+        own = values[joints, column : column + s]
+        column = column + s
         # some samples at a time, so that a long recording takes no memory for its columns
         for first in range(0, len(q), AT_ONCE):
             part = slice(first, first + AT_ONCE)

@@ -70,7 +70,8 @@ class Capsule:
             off = np.linalg.norm(centred - np.outer(along, axis), axis=1)
             radius = float(off.max())
             rounded = np.sqrt(np.maximum(radius**2 - off**2, 0.0))
-            low, high = float((along + rounded).min()), float((along - rounded).max())
+            low = float((along + rounded).min())
+            high = float((along - rounded).max())
             if low > high:
                 low = high = (low + high) / 2
             base = cloud[0] - centred[0]

@@ -122,16 +122,17 @@ class CollisionGuard(StateConstraint):
                     )
                 )
             else:
-                rotation, origin = links[:, capsule.link, :3, :3], links[:, capsule.link, :3, 3]
+                rotation = links[:, capsule.link, :3, :3]
+                origin = links[:, capsule.link, :3, 3]
                 ends.append(
                     (rotation @ capsule.start + origin, rotation @ (capsule.stop - capsule.start))
                 )
-        samples, count, n_capsules = len(q), len(self.pairs), len(self._bodies.capsules)
-        distances, points, normals = (
-            np.empty((samples, count)),
-            np.zeros((samples, count, 2, 3)),
-            np.empty((samples, count, 3)),
-        )
+        samples = len(q)
+        count = len(self.pairs)
+        n_capsules = len(self._bodies.capsules)
+        distances = np.empty((samples, count))
+        points = np.zeros((samples, count, 2, 3))
+        normals = np.empty((samples, count, 3))
         among = [place for place, (_, b) in enumerate(self.pairs) if b < n_capsules]
         if among:
             first, second = ([self.pairs[place][side] for place in among] for side in (0, 1))
@@ -153,7 +154,8 @@ class CollisionGuard(StateConstraint):
         for number, (a, b) in enumerate(self.pairs):
             if b >= n_capsules:
                 obstacle = self._bodies.obstacles[b - n_capsules]
-                rotation, middle = obstacle.pose[:3, :3], obstacle.pose[:3, 3]
+                rotation = obstacle.pose[:3, :3]
+                middle = obstacle.pose[:3, 3]
                 point, distance, normal = find_nearest_to_box(
                     (ends[a][0] - middle) @ rotation, ends[a][1] @ rotation, obstacle.size / 2
                 )
@@ -259,7 +261,8 @@ def _place_joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
     In the root frame.
     """
     links = link_poses(model, q)
-    axes, origins = np.empty((len(q), model.n_links, 3)), np.empty((len(q), model.n_links, 3))
+    axes = np.empty((len(q), model.n_links, 3))
+    origins = np.empty((len(q), model.n_links, 3))
     for k, joint in enumerate(model.moving_joints):
         frame = (
             np.broadcast_to(joint.before, (len(q), 4, 4))

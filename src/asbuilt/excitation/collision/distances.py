@@ -29,7 +29,8 @@ def find_nearest_on_segments(
     Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
     between = start - other_start
-    a, e = np.einsum("si,si->s", along, along), np.einsum("si,si->s", other_along, other_along)
+    a = np.einsum("si,si->s", along, along)
+    e = np.einsum("si,si->s", other_along, other_along)
     b, c, f = (
         np.einsum("si,si->s", *pair)
         for pair in ((along, other_along), (along, between), (other_along, between))
@@ -53,11 +54,9 @@ def find_nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array,
     The signed distance to a convex body is convex along a line, so golden sections find its
     minimum.
     """
-    points, distances, normals = (
-        np.empty((len(start), 3)),
-        np.empty(len(start)),
-        np.zeros((len(start), 3)),
-    )
+    points = np.empty((len(start), 3))
+    distances = np.empty(len(start))
+    normals = np.zeros((len(start), 3))
     _search_closest_points(
         np.ascontiguousarray(start),
         np.ascontiguousarray(along),
@@ -71,33 +70,47 @@ def find_nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array,
 
 @part
 def _measure_signed_distance(x, y, z, half):
-    a, b, c = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
+    a = abs(x) - half[0]
+    b = abs(y) - half[1]
+    c = abs(z) - half[2]
     deepest = max(a, b, c)
     if deepest <= 0.0:
         return deepest
-    a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+    a = max(a, 0.0)
+    b = max(b, 0.0)
+    c = max(c, 0.0)
     return math.sqrt(a * a + b * b + c * c)
 
 
 @kernel("f2 f2 f1 F2 F1 F2")
 def _search_closest_points(start, along, half, points, distances, normals):
     for i in range(start.shape[0]):
-        x, y, z = start[i, 0], start[i, 1], start[i, 2]
-        dx, dy, dz = along[i, 0], along[i, 1], along[i, 2]
-        low, high = 0.0, 1.0
-        inner, outer = 1.0 - GOLDEN, GOLDEN
+        x = start[i, 0]
+        y = start[i, 1]
+        z = start[i, 2]
+        dx = along[i, 0]
+        dy = along[i, 1]
+        dz = along[i, 2]
+        low = 0.0
+        high = 1.0
+        inner = 1.0 - GOLDEN
+        outer = GOLDEN
         at_inner = _measure_signed_distance(x + inner * dx, y + inner * dy, z + inner * dz, half)
         at_outer = _measure_signed_distance(x + outer * dx, y + outer * dy, z + outer * dz, half)
         # Golden sections, after which the place on a segment is known to 1e-9 of its length.
         for _ in range(44):
             if at_inner <= at_outer:
-                high, outer, at_outer = outer, inner, at_inner
+                high = outer
+                outer = inner
+                at_outer = at_inner
                 inner = high - GOLDEN * (high - low)
                 at_inner = _measure_signed_distance(
                     x + inner * dx, y + inner * dy, z + inner * dz, half
                 )
             else:
-                low, inner, at_inner = inner, outer, at_outer
+                low = inner
+                inner = outer
+                at_inner = at_outer
                 outer = low + GOLDEN * (high - low)
                 at_outer = _measure_signed_distance(
                     x + outer * dx, y + outer * dy, z + outer * dz, half

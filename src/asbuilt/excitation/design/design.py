@@ -95,7 +95,8 @@ def design_fixed(
     )
     # Compilation would take the time of the search.
     _compile(information)
-    whole, reserve = Deadline(options.time_limit), BUDGET.refinement * options.time_limit
+    whole = Deadline(options.time_limit)
+    reserve = BUDGET.refinement * options.time_limit
     deadline = Deadline(options.time_limit - reserve)
     search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
     # Starting processes takes longer than few searches.
@@ -146,7 +147,8 @@ def choose_size(
 ) -> tuple[DesignOptions, Parametrisation]:
     """Return the options with size and periods that suit the limits, and the family of motions."""
     kind = PARAMETRISATIONS.find(options.parametrisation)
-    size, periods = options.size, options.periods
+    size = options.size
+    periods = options.periods
     if size is None:
         # Options that name a size keep it, and its periods.
         size, periods = kind.usual_size(options.seconds, periods, bounds)
@@ -208,7 +210,8 @@ def _report_other_duration(
 ) -> tuple[str, ...]:
     """Report a duration other than the wanted one, which only poses have."""
     # Poses take the time that their moves need.
-    more, ratio = family.size_name, motion.duration / options.seconds
+    more = family.size_name
+    ratio = motion.duration / options.seconds
     if abs(ratio - 1.0) < BUDGET.other_duration:
         return ()
     cure = f"more {more} fill the time" if ratio < 1.0 else f"fewer {more} take less time"
@@ -238,7 +241,8 @@ def _select_criterion(
 def _check_matrix(given: Array | None, base: BaseParameters, what: str) -> Array | None:
     if given is None:
         return None
-    matrix, shape = np.asarray(given, dtype=np.float64), (base.n_base, base.n_base)
+    matrix = np.asarray(given, dtype=np.float64)
+    shape = (base.n_base, base.n_base)
     if matrix.shape != shape:
         raise UsageError(
             f"the {what} has shape {matrix.shape}, expected {shape}; use the same drive"
@@ -292,7 +296,8 @@ def design_for_precision(
         If half an hour is not enough.
     """
     trials: list[DurationTrial] = []
-    duration, wanted_precision = SEARCH.first, options.precision
+    duration = SEARCH.first
+    wanted_precision = options.precision
     for _ in range(SEARCH.trials):
         wanted = _set_duration(options, duration)
         quick = replace(
@@ -326,7 +331,8 @@ def design_for_precision(
 def _make_failure_error(
     model: RobotModel, precision: float, trials: list[DurationTrial], duration: float, points: str
 ) -> MotionError:
-    best, last = min(trials, key=lambda trial: trial.precision), trials[-1]
+    best = min(trials, key=lambda trial: trial.precision)
+    last = trials[-1]
     if best is not last:
         return MotionError(
             f"{model.name}: a precision of {precision:g} of the torque was not reached; the best is"

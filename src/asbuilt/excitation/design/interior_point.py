@@ -82,7 +82,8 @@ class MotionProgram(ABC):
             slacks += [1.0 - v, 1.0 + v]
         state = self.states(coefficients)
         for constraint in self.constraints:
-            v, most = constraint.values(*state), 1.0 - self.margin
+            v = constraint.values(*state)
+            most = 1.0 - self.margin
             slacks += [most - v, most + v] if constraint.two_sided else [most - v]
         return slacks
 
@@ -126,7 +127,8 @@ def solve(
     """
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
-    slacks, evaluation = program.margins(x), program.evaluate(*program.states(x))
+    slacks = program.margins(x)
+    evaluation = program.evaluate(*program.states(x))
     # Only strictly inside has the barrier a value.
     if min(float(s.min()) for s in slacks) <= 0 or not np.isfinite(evaluation.value):
         return None
@@ -182,7 +184,8 @@ def solve(
             step = -cho_solve(cho_factor(hessian), slope)
         except np.linalg.LinAlgError:
             # Rounding has made the curvature indefinite: the metric is a fresh start.
-            curvature, fresh = scale * metric, True
+            curvature = scale * metric
+            fresh = True
             continue
         moved, length = _search_line(program, point, step, slope, mu)
         # No step helps: with a fresh curvature the barrier is at fault, else the curvature.
@@ -190,8 +193,10 @@ def solve(
             if fresh:
                 if mu <= mu_end * 1.0001:
                     break
-                mu, since = max(mu_end, CONSTANTS.shrinkage * mu), 0
-            curvature, fresh = scale * metric, True
+                mu = max(mu_end, CONSTANTS.shrinkage * mu)
+                since = 0
+            curvature = scale * metric
+            fresh = True
             duals = [mu / s for s in point.slacks]
             continue
         shift = length * step
@@ -223,7 +228,8 @@ def _flatten(by_coefficient: Array) -> Array:
 
 def _build_metric(program: MotionProgram) -> Array:
     """Return the quadratic form of the mean squared normalised q, qd and qdd."""
-    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    n_basis = program.bases[0].shape[1]
+    n = program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half in zip(program.bases[:3], program.half, strict=False):
         gram = basis.T @ basis / len(basis)
@@ -279,7 +285,8 @@ def _pair_sides(
     program: MotionProgram, each: list[Array], absent: float = 0.0
 ) -> list[tuple[Array, Array]]:
     """Return the upper and lower side of each group of constraints, `absent` if one-sided."""
-    sides, at = [], 0
+    sides = []
+    at = 0
     for _ in program.bases:
         sides.append((each[at], each[at + 1]))
         at += 2
@@ -306,7 +313,8 @@ def _sum_all_slopes(program: MotionProgram, point: _Point, weights: list[Array])
 
 
 def _build_stiffness(program: MotionProgram, point: _Point, stiffness: list[Array]) -> Array:
-    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    n_basis = program.bases[0].shape[1]
+    n = program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half, w in zip(program.bases, program.half, stiffness, strict=False):
         # Joints without a limit add nothing.
@@ -325,7 +333,8 @@ def _evaluate_barrier(slacks: list[Array]) -> float:
 def _search_line(
     program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float
 ) -> tuple[_Point | None, float]:
-    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    n_basis = program.bases[0].shape[1]
+    n = program.half.shape[1]
     direction = step.reshape(n, n_basis).T
     length = 1.0
     for k, (basis, half) in enumerate(zip(program.bases, program.half, strict=True)):
@@ -359,7 +368,8 @@ def _step_duals(
     program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
 ) -> list[Array]:
     """Take the Newton step of the positive multipliers and keep them near the central path."""
-    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    n_basis = program.bases[0].shape[1]
+    n = program.half.shape[1]
     direction = step.reshape(n, n_basis).T
     rates: list[Array] = []
     for basis, half in zip(program.bases, program.half, strict=True):
@@ -394,7 +404,8 @@ def _evaluate_curved_gradient(program: MotionProgram, point: _Point, pull: list[
 def _update_curvature(curvature: Array, shift: Array, change: Array) -> Array:
     """Update with Powell's damping, so that the matrix stays positive definite."""
     forward = curvature @ shift
-    along, sharp = float(shift @ forward), float(shift @ change)
+    along = float(shift @ forward)
+    sharp = float(shift @ change)
     if along <= 0:
         return curvature
     if sharp < CONSTANTS.damping * along:

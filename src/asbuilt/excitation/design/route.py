@@ -21,7 +21,8 @@ from asbuilt.excitation.motions.point_to_point import (
 )
 from asbuilt.excitation.state_constraint import StateConstraint
 
-NODES, NEIGHBOURS = 1000, 12
+NODES = 1000
+NEIGHBOURS = 12
 """Most poses of a roadmap, and neighbours to which each is connected."""
 
 AT_ONCE = 4096
@@ -78,7 +79,8 @@ def plan_route(
     MotionError
         If no route is found, or the torque is too high at any speed.
     """
-    nodes, apart = poses, _measure_distances(poses, poses, bounds)
+    nodes = poses
+    apart = _measure_distances(poses, poses, bounds)
     route = find_short_tour(apart)
     if roadmap is not None:
         pairs = [(i, j) for i in range(len(poses)) for j in range(i)]
@@ -122,7 +124,8 @@ def find_short_tour(apart: Array) -> list[int]:
     """
     tours = []
     for start in range(len(apart)):
-        order, left = [start], set(range(len(apart))) - {start}
+        order = [start]
+        left = set(range(len(apart))) - {start}
         while left:
             nearest = min(left, key=lambda k: float(apart[order[-1], k]))
             order.append(nearest)

@@ -153,7 +153,8 @@ class DesignSearch:
         progress: Callable[[SearchProgress], None] | None,
     ) -> list[Candidate]:
         """Return the candidates, best first, of all rounds for which there is time."""
-        starts, batch = self._options.starts, SETTINGS.batch
+        starts = self._options.starts
+        batch = SETTINGS.batch
         # Rounds end by themselves, so that a long search tries other regions.
         sizes = [min(SETTINGS.round, starts - k) for k in range(0, starts, SETTINGS.round)]
         lengths = [
@@ -187,7 +188,9 @@ class DesignSearch:
         tasks = [Task(first + k) for k in range(size)]
         progress = partial(report, first, -np.inf)
         found = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
-        idle, done, batch = 0, size, SETTINGS.batch
+        idle = 0
+        done = size
+        batch = SETTINGS.batch
         while found and done < length and idle < SETTINGS.idle_batches and not self._deadline():
             best = found[0].value
             parents = found[: SETTINGS.parents]
@@ -211,7 +214,8 @@ class DesignSearch:
         state: SearchProgress,
     ) -> None:
         if progress is not None:
-            finished, highest = before + state.finished, max(best, own_best, state.best)
+            finished = before + state.finished
+            highest = max(best, own_best, state.best)
             progress(replace(state, finished=finished, planned=planned, best=highest))
 
     def search(self, task: Task) -> Candidate:
@@ -253,7 +257,9 @@ class DesignSearch:
         return Candidate.of(number, None)
 
     def _refine(self, candidate: Candidate, deadline: Deadline) -> Candidate:
-        coefficients, family, value = candidate.coefficients, self.family, candidate.value
+        coefficients = candidate.coefficients
+        family = self.family
+        value = candidate.value
         # Poses change their times with the refinement, which then starts again.
         for _ in range(2 if isinstance(family, PointToPoint) else 1):
             family = self._retime(family, coefficients)
@@ -264,7 +270,8 @@ class DesignSearch:
             if optimum is not None and (
                 optimum.value > value - 1.0 or isinstance(family, PointToPoint)
             ):
-                coefficients, value = optimum.coefficients, optimum.value
+                coefficients = optimum.coefficients
+                value = optimum.value
         kept = self._repair(coefficients, family)
         if kept is None:
             return Candidate.of(candidate.number, None)
@@ -327,7 +334,8 @@ class DesignSearch:
         )
 
     def _draw_start(self, rng: np.random.Generator) -> Array | None:
-        program, n = self._coarse, self._model.n_joints
+        program = self._coarse
+        n = self._model.n_joints
         constant = self.family.constant
         for _ in range(40):
             shape = self.family.random(rng, n)
@@ -345,7 +353,8 @@ class DesignSearch:
             shape *= rng.uniform(0.3, 0.8, size=n) / size
             path = program.bases[0] @ shape
             # Poses at which the whole path keeps its range.
-            low, high = self._bounds.lower - path.min(axis=0), self._bounds.upper - path.max(axis=0)
+            low = self._bounds.lower - path.min(axis=0)
+            high = self._bounds.upper - path.max(axis=0)
             pose = low + rng.uniform(0.1, 0.9, size=n) * (high - low)
             for _ in range(6):
                 coefficients = shape + np.outer(constant, pose)

@@ -282,7 +282,8 @@ def _refine_poses(
     poses: Array,
 ) -> Array:
     """Climb all poses together; poses that violate a constraint or become unreachable go back."""
-    middle, half = (bounds.upper + bounds.lower) / 2, (bounds.upper - bounds.lower) / 2
+    middle = (bounds.upper + bounds.lower) / 2
+    half = (bounds.upper - bounds.lower) / 2
 
     # In units of half the range, in which all joints compare.
     def negative(x: Array) -> tuple[float, Array]:

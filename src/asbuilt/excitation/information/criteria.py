@@ -66,7 +66,8 @@ class AOptimality(Criterion):
         factor = _try_cholesky(information)
         if factor is None:
             return -np.inf, np.zeros_like(information)
-        inverse, p = _invert_factored(factor), len(information)
+        inverse = _invert_factored(factor)
+        p = len(information)
         weighted = inverse if self.weight is None else self.weight @ inverse
         trace = float(np.trace(weighted))
         return -p * np.log(trace / p), p * (inverse @ weighted) / trace

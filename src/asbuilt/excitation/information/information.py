@@ -178,7 +178,8 @@ class Information:
     @cached_property
     def _drive_places(self) -> tuple[tuple[Indices, Indices], ...]:
         """The drive columns of each joint in use, and their rows in the layout of `plan`."""
-        per, found = self.base.drive.columns_per_joint, []
+        per = self.base.drive.columns_per_joint
+        found = []
         for k, (support, (first, _)) in enumerate(
             zip(self.plan.support, self.plan.bounds.tolist(), strict=True)
         ):
@@ -201,7 +202,9 @@ class Information:
         return columns
 
     def _evaluate_exact_drive_columns(self, state: Sequence[Array]) -> Array:
-        drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
+        drive = self.base.drive
+        samples = len(state[0])
+        n = self.model.n_joints
         if not any(term.differs_by_joint for term in drive.terms):
             flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
             return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(
@@ -292,10 +295,8 @@ def draw_states(
     n = bounds.lower.size
     found = [rng.uniform(bounds.lower, bounds.upper, size=(count, n))]
     for limit in (bounds.velocity, bounds.acceleration):
-        inner, corner = (
-            rng.uniform(-1, 1, size=(count, n)),
-            rng.integers(-1, 2, size=(count, n)).astype(np.float64),
-        )
+        inner = rng.uniform(-1, 1, size=(count, n))
+        corner = rng.integers(-1, 2, size=(count, n)).astype(np.float64)
         found.append(limit * np.where(rng.uniform(size=(count, n)) < extreme, corner, inner))
     return found[0], found[1], found[2]
 

@@ -111,12 +111,15 @@ def information_bound(
     )
     pool = _shrink_to_limit(limit, draw_states(bounds, SEARCH.pool, rng, extreme=0.7))
     weights = np.full(len(pool[0]), 1.0 / len(pool[0]))
-    p, seen = information.n_parameters, len(pool[0])
-    best_upper, mean = np.inf, np.eye(p)
+    p = information.n_parameters
+    seen = len(pool[0])
+    best_upper = np.inf
+    mean = np.eye(p)
     for _ in range(rounds):
         weights, mean = _optimise_weights(information, pool, weights)
         keep = weights > SEARCH.kept_weight / len(weights)
-        pool, weights = _select_states(pool, keep), weights[keep] / weights[keep].sum()
+        pool = _select_states(pool, keep)
+        weights = weights[keep] / weights[keep].sum()
         log_det, inverse = DOptimality().value_and_gradient(mean)
         trials = _shrink_to_limit(limit, draw_states(bounds, SEARCH.trials, rng, extreme=0.8))
         seen += len(trials[0])
@@ -159,7 +162,8 @@ def _optimise_weights(
     information: Information, pool: States, weights: Array
 ) -> tuple[Array, Array]:
     """Return weights that maximise log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i / p, and it."""
-    count, p = len(pool[0]), information.n_parameters
+    count = len(pool[0])
+    p = information.n_parameters
     rows = information.rows(*pool, smooth=False)
     parts = [
         (support, rows[first:stop, :count] / sigma)
@@ -199,7 +203,8 @@ def _climb_states(
     centre = (bounds.upper + bounds.lower) / 2
     halves = ((bounds.upper - bounds.lower) / 2, bounds.velocity, bounds.acceleration)
     middles = (centre, np.zeros_like(centre), np.zeros_like(centre))
-    current, worth = states, variance(information, inverse, states)
+    current = states
+    worth = variance(information, inverse, states)
     length = np.full((len(worth), 1), 0.3)
     for _ in range(SEARCH.climbs):
         rows = information.rows(*current)
@@ -234,7 +239,8 @@ def _shrink_to_limit(limit: TorqueLimit | None, states: States) -> States:
         over = np.abs(limit.values(q, qd, qdd)).max(axis=1) > 1
         if not np.any(over):
             break
-        qd, qdd = np.where(over[:, None], 0.8 * qd, qd), np.where(over[:, None], 0.6 * qdd, qdd)
+        qd = np.where(over[:, None], 0.8 * qd, qd)
+        qdd = np.where(over[:, None], 0.6 * qdd, qdd)
     return _select_states((q, qd, qdd), np.abs(limit.values(q, qd, qdd)).max(axis=1) <= 1)
 
 
@@ -294,7 +300,8 @@ class InformationEfficiency:
     @property
     def owners(self) -> NDArray[np.intp]:
         """Joint, counted from 0, of the link or drive of each base parameter (p,)."""
-        columns, per = self.base.columns, self.base.drive.columns_per_joint
+        columns = self.base.columns
+        per = self.base.drive.columns_per_joint
         links = 10 * self.base.n_links
         moved_by = np.array(self.base.link_joints)
         return np.where(
@@ -357,14 +364,17 @@ def _widen_limits(model: RobotModel, q: Array, qd: Array, qdd: Array) -> tuple[L
     The factor is rounded up to a digit, so that like recordings share a bound.
     """
     limits = MotionBounds.assumed(model)
-    fast, steep = np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0)
+    fast = np.abs(qd).max(axis=0)
+    steep = np.abs(qdd).max(axis=0)
     beyond = np.maximum(np.maximum(fast / limits.velocity, steep / limits.acceleration), 1.0)
-    lower, upper = np.minimum(limits.lower, q.min(axis=0)), np.maximum(limits.upper, q.max(axis=0))
+    lower = np.minimum(limits.lower, q.min(axis=0))
+    upper = np.maximum(limits.upper, q.max(axis=0))
     velocity, acceleration = (
         limit * np.where(top > limit, np.ceil(10.0 * top / limit) / 10.0, 1.0)
         for limit, top in ((limits.velocity, fast), (limits.acceleration, steep))
     )
-    torque, share = MotionBounds.of(model).torque, 1.0
+    torque = MotionBounds.of(model).torque
+    share = 1.0
     if np.any(np.isfinite(torque)):
         share = max(float(np.abs(TorqueLimit((model,), torque).values(q, qd, qdd)).max()), 1.0)
     arrays = (lower, upper, velocity, acceleration, torque * np.ceil(10.0 * share) / 10.0)

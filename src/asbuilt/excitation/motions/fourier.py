@@ -87,10 +87,8 @@ class FourierMotion(BasisMotion):
     @property
     def series(self) -> tuple[Array, Array, Array]:
         """`q0` (n,), `a` and `b` (L, n) of the series in the form of Swevers et al. (1997)."""
-        sines, cosines = (
-            self.coefficients[1 : self.n_harmonics],
-            self.coefficients[self.n_harmonics :],
-        )
+        sines = self.coefficients[1 : self.n_harmonics]
+        cosines = self.coefficients[self.n_harmonics :]
         w = self.fundamental
         orders = np.arange(2, self.n_harmonics + 1)[:, None]
         a = w * np.vstack([-sines.sum(axis=0), sines])

@@ -82,7 +82,9 @@ def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMo
     if not feet:
         return
     h = _measure_height(model, posture)
-    aside, down, turn = RULES.sway * h, RULES.height * h, RULES.turn
+    aside = RULES.sway * h
+    down = RULES.height * h
+    turn = RULES.turn
     for name, size in (
         ("squats", [0, 0, down, 0, 0, 0]),
         ("swaying on standing feet", [aside, aside, 0, 0, 0, 0]),
@@ -220,10 +222,14 @@ def _put_on_ground(
     points = replace(model, contacts=tuple(replace(c, radius=0.0) for c in model.contacts))
     goal, turn = _place_contacts(points, posture[None])
     goal = goal + np.outer(np.broadcast_to(lift, len(points.contacts)), [0.0, 0.0, 1.0])
-    q, off, height = q.copy(), np.inf, _measure_height(model, posture)
+    q = q.copy()
+    off = np.inf
+    height = _measure_height(model, posture)
     for _ in range(RULES.steps):
         at, R = _place_contacts(points, q)
-        jacobians, gaps, rows = contact_jacobians(points, q), [], []
+        jacobians = contact_jacobians(points, q)
+        gaps = []
+        rows = []
         for k in np.flatnonzero(stands):
             gap = goal[:, k] - at[:, k]
             if points.contacts[k].flat:

@@ -93,7 +93,8 @@ class PiecewisePolynomial(Motion):
         ends = np.zeros_like(c[0])
         for row in c:
             ends = ends * h + row
-        low, high = np.minimum(c[-1], ends), np.maximum(c[-1], ends)
+        low = np.minimum(c[-1], ends)
+        high = np.maximum(c[-1], ends)
         if c.shape[0] < 3:
             return low, high
         slope = curve.derivative()
@@ -187,7 +188,8 @@ def _check_join(k: int, earlier: Motion, later: Motion, dwell: float) -> None:
             f" {later.n_joints}; they cannot follow each other"
         )
     for order in (0, 1):
-        before, after = earlier.derivative(earlier.duration, order), later.derivative(0.0, order)
+        before = earlier.derivative(earlier.duration, order)
+        after = later.derivative(0.0, order)
         jump = np.abs(after - before)
         j = int(np.argmax(jump))
         if jump[j] > JOIN_TOLERANCE:

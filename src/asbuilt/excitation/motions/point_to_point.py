@@ -24,7 +24,8 @@ from asbuilt.excitation.state_constraint import StateConstraint
 
 CHECK_RATE = 1000.0
 """Rate of the grid on which a motion must keep its constraints [Hz]."""
-SLOWING, SLOWEST = 0.93, 0.1
+SLOWING = 0.93
+SLOWEST = 0.1
 """By what factor a move is slowed at a time, and at which share of its speed that is given up."""
 
 
@@ -72,10 +73,8 @@ class PointToPointMotion(PiecewisePolynomial):
         """
         q = check_way_points(poses, "poses")
         n = q.shape[1]
-        v_max, a_max = (
-            check_limit_array(velocity, n, "velocity"),
-            check_limit_array(acceleration, n, "acceleration"),
-        )
+        v_max = check_limit_array(velocity, n, "velocity")
+        a_max = check_limit_array(acceleration, n, "acceleration")
         if not np.all(np.isfinite(a_max)):
             raise MotionError(
                 "point-to-point motion needs a finite acceleration limit for every joint, got"
@@ -137,9 +136,12 @@ class PointToPoint(Parametrisation):
         steps = self._list_steps()
         edges = np.concatenate([[0.0], np.cumsum(steps)])
         move = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(steps) - 1)
-        s, length = (t - edges[move]) / steps[move], steps[move]
-        top, hard = 1.5, 4.5
-        speeding, slowing = s < 1 / 3, s > 2 / 3
+        s = (t - edges[move]) / steps[move]
+        length = steps[move]
+        top = 1.5
+        hard = 4.5
+        speeding = s < 1 / 3
+        slowing = s > 2 / 3
         if order == 0:
             part = np.where(
                 speeding,
@@ -161,10 +163,14 @@ class PointToPoint(Parametrisation):
     def motion(self, coefficients: Array) -> Motion:
         """Return the moves at the given times."""
         edges = np.concatenate([[0.0], np.cumsum(self._list_steps())])
-        breaks, pieces = [0.0], []
+        breaks = [0.0]
+        pieces = []
         for k, step in enumerate(self._list_steps()):
-            start, way = coefficients[k], coefficients[k + 1] - coefficients[k]
-            third, hard, top = step / 3, 4.5 / step**2, 1.5 / step
+            start = coefficients[k]
+            way = coefficients[k + 1] - coefficients[k]
+            third = step / 3
+            hard = 4.5 / step**2
+            top = 1.5 / step
             breaks += [edges[k] + third, edges[k] + 2 * third, edges[k + 1]]
             pieces += [
                 np.stack([hard / 2 * way, 0 * way, start]),

@@ -138,7 +138,8 @@ class QuinticMotion(PiecewisePolynomial):
             ],
             axis=(0, 2),
         )
-        times, stops = [0.0], [q[0]]
+        times = [0.0]
+        stops = [q[0]]
         for k, step in enumerate(steps):
             if step > 0:
                 times.append(times[-1] + step)
@@ -156,8 +157,11 @@ def _solve_hermite(h: Array, q: Array, v: Array, a: Array) -> Array:
 
     Pieces are h (m, 1) long.
     """
-    q0, v0, a0 = q[:-1], v[:-1], a[:-1]
-    v1, a1 = v[1:], a[1:]
+    q0 = q[:-1]
+    v0 = v[:-1]
+    a0 = a[:-1]
+    v1 = v[1:]
+    a1 = a[1:]
     d = q[1:] - q0
     c3 = (20 * d - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
     c4 = (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
@@ -181,9 +185,11 @@ class Quintic(Parametrisation):
         return np.linspace(0.0, self.duration, self.size)
 
     def _split_coefficients(self, coefficients: Array) -> tuple[Array, Array, Array]:
-        m, n = self.size, coefficients.shape[1]
+        m = self.size
+        n = coefficients.shape[1]
         step = self.duration / (m - 1)
-        speed, change = np.zeros((m, n)), np.zeros((m, n))
+        speed = np.zeros((m, n))
+        change = np.zeros((m, n))
         speed[1:-1] = coefficients[m : 2 * m - 2] / step
         change[1:-1] = coefficients[2 * m - 2 :] / step**2
         return coefficients[:m], speed, change

@@ -64,7 +64,8 @@ def random_fourier(
 
     def motion(size: float) -> FourierMotion:
         coefficients = size * scale * rows
-        free_low, free_high = bounds.lower - size * scale * low, bounds.upper - size * scale * high
+        free_low = bounds.lower - size * scale * low
+        free_high = bounds.upper - size * scale * high
         coefficients[0] = free_low + place * (free_high - free_low)
         return shape.with_coefficients(coefficients)
 

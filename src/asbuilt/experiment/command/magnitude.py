@@ -104,7 +104,8 @@ def fit_magnitude_laws(
     m = np.concatenate([magnitude for _, magnitude in parts])
     e = np.concatenate([hold_command(each) - each.q for each, _ in parts])
     w = np.concatenate([_choose_velocity(each) for each, _ in parts])
-    blocks, first = list[Array](), 0
+    blocks = list[Array]()
+    first = 0
     for each, _ in parts:
         # Blocks of 2 s, half of which validate the other half.
         own = np.floor((each.t - np.nanmin(each.t)) / 2.0)
@@ -204,7 +205,9 @@ def _fit_joint_law(
     It is fitted to all blocks, and validated on the blocks of the other parity.
     """
     rows = np.all(np.isfinite([blocks, magnitude, error, velocity]), axis=0)
-    m, e, w = magnitude[rows], error[rows], velocity[rows]
+    m = magnitude[rows]
+    e = error[rows]
+    w = velocity[rows]
     block = blocks[rows].astype(np.intp)
     # Six blocks at least, and something to explain.
     if np.unique(block).size < 6 or not np.ptp(m) > 0.0 or not np.ptp(e) > 0.0:
@@ -259,7 +262,8 @@ def _estimate_lag_error(
     """Return the standard error of the lag from the scores of time blocks."""
     step = 1e-3
     scale, rest = _fit_line(_evaluate_shape(kind, e, w, lag), m)
-    ahead, behind = _evaluate_shape(kind, e, w, lag + step), _evaluate_shape(kind, e, w, lag - step)
+    ahead = _evaluate_shape(kind, e, w, lag + step)
+    behind = _evaluate_shape(kind, e, w, lag - step)
     x = _evaluate_shape(kind, e, w, lag)
     J = np.stack([scale * (ahead - behind) / (2.0 * step), x, np.ones_like(x)], axis=1)
     residual = m - scale * x - rest

@@ -52,7 +52,8 @@ def hold_command(
     # A step of the command is a pulse of `TICK` in the rate, whose torque the limit cuts, so larger
     # steps count no more than one that reaches the limit. A limited goal has no steps.
     if not servo.limits_goal:
-        recording, curve = replace(recording, command=_with_small_steps(recording, servo)), None
+        recording = replace(recording, command=_with_small_steps(recording, servo))
+        curve = None
     return goal + servo.leads * _sample_goal(recording, delay, derivative + 1, curve)
 
 
@@ -71,7 +72,8 @@ class CommandCurve:
     def of(cls, recording: Recording) -> CommandCurve | None:
         """Return the curve of the command of a recording; None if it has too few samples."""
         rows = _select_samples(recording)
-        t, x = recording.t[rows], _require_command(recording)[rows]
+        t = recording.t[rows]
+        x = _require_command(recording)[rows]
         return (
             cls(rows, t, _fit_spline(t, _weigh_neighbours(x, DROOP))) if t.size >= FEWEST else None
         )

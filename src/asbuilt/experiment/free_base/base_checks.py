@@ -63,7 +63,8 @@ def check_free_base(model: RobotModel, recording: Recording) -> tuple[Finding, .
 
 def _check_velocities(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
     """Find velocities in other axes, and quaternions in another order."""
-    q, qd = recording.q, recording.qd
+    q = recording.q
+    qd = recording.qd
     if qd is None or model.n_floating != 6:
         return
     R = base_rotations(q)
@@ -188,7 +189,8 @@ def _check_contacts(model: RobotModel, recording: Recording, rates: Array) -> It
 
 def _report_radii(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Report on which radius feet roll, and radii that were stated otherwise."""
-    rolling, other = [], []
+    rolling = []
+    other = []
     for contact, radius in zip(
         model.contacts, estimate_rolling_radii(model, [recording]), strict=True
     ):

@@ -30,7 +30,8 @@ POSITION = ("base_x", "base_y", "base_z")
 QUATERNION = ("base_qx", "base_qy", "base_qz", "base_qw")
 ACCELERATION = ("base_ax", "base_ay", "base_az")
 ANGULAR_ACCELERATION = ("base_alphax", "base_alphay", "base_alphaz")
-LINEAR, ANGULAR = ("base_vx", "base_vy", "base_vz"), ("base_wx", "base_wy", "base_wz")
+LINEAR = ("base_vx", "base_vy", "base_vz")
+ANGULAR = ("base_wx", "base_wy", "base_wz")
 YAW_OF_PLANAR = "base_yaw"
 STEEPEST = np.deg2rad(80.0)
 """Pitch beyond which yaw and roll are one turn, so that their rates say nothing."""
@@ -57,7 +58,8 @@ def with_base_columns(
         name: table.columns[find_column(table, name, column)]
         for name, column in sheet.columns.by_base.items()
     }
-    posed, sensed = QUATERNION[0] in columns, "imu_wx" in columns
+    posed = QUATERNION[0] in columns
+    sensed = "imu_wx" in columns
     for group, (problem, cure) in table.unread.items():
         of_contact = group in [f"contact_{each.frame}" for each in model.contacts]
         if of_contact or not (posed or sensed):
@@ -98,7 +100,8 @@ def _place_on_base(table: LogTable, model: RobotModel, frame: str, field: str) -
     try:
         link, placement = model.placed(frame.rpartition("/")[2])
     except DescriptionError:
-        link, placement = -1, np.eye(4)
+        link = -1
+        placement = np.eye(4)
     if link != base:
         fixed = [each.name for each in model.frames if each.link == base]
         listed = ", ".join([model.link_names[base], *fixed])
@@ -124,7 +127,8 @@ def move_to_base(columns: Mapping[str, Array], placement: Array) -> dict[str, Ar
     """
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - light start
 
-    R, p = placement[:3, :3], placement[:3, 3].copy()  # SciPy takes none that is read-only
+    R = placement[:3, :3]  # SciPy takes none that is read-only
+    p = placement[:3, 3].copy()
     found: dict[str, Array] = {}
 
     def stack(names: tuple[str, ...]) -> Array:
@@ -299,7 +303,8 @@ def coordinate_rates(q: Array, v: Array, w: Array) -> Array:
     """
     (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
     yaw = (sr * w[:, 1] + cr * w[:, 2]) / cp
-    pitch, roll = cr * w[:, 1] - sr * w[:, 2], w[:, 0] + sp * yaw
+    pitch = cr * w[:, 1] - sr * w[:, 2]
+    roll = w[:, 0] + sp * yaw
     return np.column_stack([np.einsum("sij,sj->si", base_rotations(q), v), yaw, pitch, roll])
 
 

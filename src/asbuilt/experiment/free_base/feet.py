@@ -85,7 +85,8 @@ class Feet:
         rates = recording.qd
         rates = np.gradient(recording.q, recording.t, axis=0) if rates is None else rates
         shape = (len(model.contacts), recording.n_samples, 3)
-        place, velocity = np.zeros(shape), np.zeros(shape)
+        place = np.zeros(shape)
+        velocity = np.zeros(shape)
         for start in range(0, len(q), SAMPLES_AT_ONCE):
             span = slice(start, start + SAMPLES_AT_ONCE)
             for k, J in enumerate(contact_jacobians(model, q[span])):

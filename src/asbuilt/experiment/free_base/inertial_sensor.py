@@ -76,7 +76,8 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
         )
     refuse_units(recording, f, float(np.linalg.norm(model.gravity)))
     placement, where = _place_sensor(recording, model, (sensor,) if sensor else PLACES)
-    w, f = w @ placement[:3, :3].T, f @ placement[:3, :3].T
+    w = w @ placement[:3, :3].T
+    f = f @ placement[:3, :3].T
     feet = Feet.of(recording, model)
     refuse_force(recording, feet, f)
     R = None
@@ -85,7 +86,8 @@ def with_inertial_base(recording: Recording, model: RobotModel, sensor: str = ""
         R, inverse = (x @ placement[:3, :3].T for x in (logged, np.swapaxes(logged, 1, 2)))
         refuse_turn(recording, feet, R, inverse, w, f)
     refuse_rates(recording, feet, w, f, R)
-    arm, dt = placement[:3, 3], 1.0 / recording.rate
+    arm = placement[:3, 3]
+    dt = 1.0 / recording.rate
     alpha = np.gradient(w, recording.t, axis=0)
     f = f - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
     if R is None:
@@ -128,7 +130,8 @@ def _make_base_columns(
 
     `base_a` is the rate of change of the velocity in base axes, which is `R^T a - w x R^T v`.
     """
-    place, own = integrate(v, dt), np.einsum("sji,sj->si", R, v)
+    place = integrate(v, dt)
+    own = np.einsum("sji,sj->si", R, v)
     a = f + np.einsum("sji,j->si", R, gravity) - np.cross(w, own)
     turn = Rotation.from_matrix(R).as_quat()
     signs = np.cumprod(np.r_[1.0, np.where(np.sum(turn[1:] * turn[:-1], axis=1) < 0.0, -1.0, 1.0)])

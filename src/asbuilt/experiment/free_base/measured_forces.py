@@ -26,7 +26,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
 
 BASE = "base"
-FORCE, MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
+FORCE = ("fx", "fy", "fz")
+MOMENT = ("mx", "my", "mz")
 
 
 def with_measured_forces(recording: Recording, model: RobotModel) -> Recording:

@@ -57,11 +57,14 @@ def refuse_units(recording: Recording, f: Array, g: float) -> None:
     if abs(size - g) <= RULES.gravity * g:
         return
     if size < 0.5:
-        what, cure = "gravity is taken out", "log what the accelerometer measures, gravity included"
+        what = "gravity is taken out"
+        cure = "log what the accelerometer measures, gravity included"
     elif abs(size - 1.0) < RULES.gravity:
-        what, cure = "they are in g", "multiply them by 9.81"
+        what = "they are in g"
+        cure = "multiply them by 9.81"
     else:
-        what, cure = "they have another unit, or the robot falls", "log them in m/s^2"
+        what = "they have another unit, or the robot falls"
+        cure = "log them in m/s^2"
     raise make_sensor_error(
         recording,
         f"has imu_ax .. imu_az of {size:.3g} m/s^2 in the mean, where gravity is {g:.3g}: {what}",
@@ -115,16 +118,21 @@ def refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array 
     """
     off: Callable[[Array], float]
     if R is not None:
-        what, off = "the quaternion", partial(_measure_distance, find_spin(R, recording.t))
+        what = "the quaternion"
+        off = partial(_measure_distance, find_spin(R, recording.t))
     elif (feet.stands.sum(axis=0) > 1).sum() > recording.rate:
-        what, off = "the feet that stand", feet.slip
+        what = "the feet that stand"
+        off = feet.slip
     else:
-        what, off = "gravity", partial(_measure_turn_of_gravity, feet, f, recording.rate)
-    best, reading = RULES.share * off(w), ""
+        what = "gravity"
+        off = partial(_measure_turn_of_gravity, feet, f, recording.rate)
+    best = RULES.share * off(w)
+    reading = ""
     for M, name in _list_readings():
         left = off(w @ M.T)
         if left < best:
-            best, reading = left, name
+            best = left
+            reading = name
     if reading:
         raise make_sensor_error(
             recording,
@@ -144,7 +152,8 @@ def _measure_turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> flo
     if known.size > rate:
         v = np.stack([np.interp(np.arange(len(v)), known, x) for x in v[known].T], axis=1)
         f = f - np.gradient(v, 1.0 / rate, axis=0)
-    u, slow = select_slow_part(f, RULES.turn, rate), select_slow_part(w, RULES.turn, rate)
+    u = select_slow_part(f, RULES.turn, rate)
+    slow = select_slow_part(w, RULES.turn, rate)
     return float(np.mean((np.gradient(u, 1.0 / rate, axis=0) + np.cross(slow, u)) ** 2))
 
 

@@ -91,7 +91,8 @@ def _match_rows(
     alike = all(np.array_equal(t, first, equal_nan=True) for t in times.values())
     if alike and len(set(lengths.values())) == 1:
         return dict.fromkeys(parts, slice(None)), ()
-    common, shortest = reduce(np.intersect1d, times.values(), first), min(lengths.values())
+    common = reduce(np.intersect1d, times.values(), first)
+    shortest = min(lengths.values())
     listing = ", ".join(f"{name}: {length}" for name, length in lengths.items())
     if len(times) < len(parts):
         raise RecordingError(
@@ -132,7 +133,8 @@ def build_recording(
     RecordingError
         If there is neither a time column nor a rate.
     """
-    notes, start = list(layout.notes), 0.0
+    notes = list(layout.notes)
+    start = 0.0
     stands = layout.time is not None and rate is not None and _stands_still(table, layout)
     if stands:
         notes.append(f"the time column {layout.time!r} stands still, so that the rate was used")
@@ -161,7 +163,8 @@ def build_recording(
         quantity: _stack_columns(table, names, layout)
         for quantity, names in layout.quantities.items()
     }
-    q, command = arrays.pop("position"), arrays.pop("command", None)
+    q = arrays.pop("position")
+    command = arrays.pop("command", None)
     tau = arrays.pop("torque", None)
     return Recording(
         t=t,
@@ -286,7 +289,8 @@ def spread_over_joints(recording: Recording, given: Any, what: str) -> Array:
 
 def _apply_conventions(recording: Recording, sheet: RecordingSheet) -> Recording:
     """Return the recording with positions in the direction and from the zero of the description."""
-    one, none = sheet.position_sign is None, sheet.zero is None
+    one = sheet.position_sign is None
+    none = sheet.zero is None
     signs = spread_over_joints(recording, 1.0 if one else sheet.position_sign, "position signs")
     zeros = spread_over_joints(recording, 0.0 if none else sheet.zero, "zero positions")
     notes = tuple(

@@ -66,7 +66,8 @@ def stream_recording(
         raise RecordingError(
             f"chunk_samples must be at least 1, got {chunk_samples}", value=chunk_samples, lower=1
         )
-    path, chosen = Path(path), merge_reading_options(options, settings)
+    path = Path(path)
+    chosen = merge_reading_options(options, settings)
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
     whole_first = sheet.files.position is not None or sheet.sign == "command"
@@ -194,7 +195,8 @@ class RecordingStream:
         from asbuilt.experiment.signal.samples import Samples  # noqa: PLC0415 - light start
 
         columns: dict[str, Array] = {}
-        bounds, first = [0], None
+        bounds = [0]
+        first = None
         for samples in stream_samples(self, chain):
             first = first or samples
             filled = bounds[-1]

@@ -33,7 +33,8 @@ DOUBLED = 0.2
 or several motions one after another."""
 GRID = 0.75
 """Distance from a regular grid, in steps of a rounded clock, up to which that is its grid."""
-JUMP, SMALL = 0.6, 0.15
+JUMP = 0.6
+SMALL = 0.15
 """Jump of a counter that wraps, and the largest step that is left then, in turns."""
 ZERO = 0.02
 """Distance from one turn, relative to it, up to which the range of a counter is a turn."""
@@ -209,7 +210,8 @@ def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
 def _interpolate(at: Array, t: Array, values: Array) -> Array:
     """Return values at other times, NaN in gaps and beyond the ends."""
     order = np.argsort(t, kind="stable")
-    t, values = t[order], values[order]
+    t = t[order]
+    values = values[order]
     out = np.interp(at, t, values, left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(t, at), 1, t.size - 1)
     steps = np.diff(t)

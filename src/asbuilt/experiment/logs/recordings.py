@@ -155,7 +155,8 @@ def read_fitted_recordings(
     values = {name: _find_held_position(first, name, asked[name]) for name in free}
     for name in asked.keys() - values.keys() - model.locked_joints.keys():
         values[name] = None
-    whole, model = model, model.locked({**asked, **values})
+    whole = model
+    model = model.locked({**asked, **values})
     if model is not whole or any(each != model.joint_names for group in logged for each in group):
         read = [[_select_joints(item, model.joint_names) for item in items] for items in read]
     refuse_same_recordings([item for items in read for item in items])

@@ -51,7 +51,9 @@ def _spread_numbers(value: object) -> object:
         return [value]
     if max(len(numbers.group(2)), len(numbers.group(4))) > LONGEST_NUMBER:
         raise ValueError(f"the range {value[:60]!r} is too long")
-    prefix, first, last = numbers.group(1), int(numbers.group(2)), int(numbers.group(4))
+    prefix = numbers.group(1)
+    first = int(numbers.group(2))
+    last = int(numbers.group(4))
     if last < first:
         raise ValueError(f"the range {value!r} runs backwards; list its columns one by one")
     return [f"{prefix}{k}" if prefix else k for k in range(first, last + 1)]

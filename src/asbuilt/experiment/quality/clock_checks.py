@@ -90,7 +90,8 @@ def _find_not_finite(recording: FirstPass) -> Iterator[Finding]:
         together.setdefault(column.rows.tobytes(), []).append(column)
     names = recording.first.joint_names
     for columns in together.values():
-        rows, value = columns[0].rows, columns[0].first
+        rows = columns[0].rows
+        value = columns[0].first
         kind = (
             "missing (NaN)"
             if np.isnan(value)
@@ -161,7 +162,8 @@ def _find_stale(recording: FirstPass) -> Iterator[Finding]:
         return
     # A value changes once in so many samples.
     times = brief.sum() / brief.size
-    repeats, rate = 1.0 - brief.size / brief.sum(), recording.rate / times
+    repeats = 1.0 - brief.size / brief.sum()
+    rate = recording.rate / times
     if repeats > 0.2:
         yield Finding(
             "stale_samples",

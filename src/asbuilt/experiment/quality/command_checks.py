@@ -25,9 +25,11 @@ UNITS: Mapping[str, float] = MappingProxyType(
 )
 
 
-FOLLOWED, LOST = 0.9, 0.6
+FOLLOWED = 0.9
+LOST = 0.6
 """Correlations from which a position follows a command, and up to which it does not."""
-LONGEST, SEARCHED = 0.3, 1.0
+LONGEST = 0.3
+SEARCHED = 1.0
 """Longest lag [s] of a servo, and the longest that is searched, either way; slow servos, with a
 limited goal, take longer than the first."""
 EVERY_LAG = -SEARCHED, SEARCHED
@@ -90,10 +92,14 @@ def check_commands(model: RobotModel, recording: Recording) -> Iterator[Finding]
 def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     """Return what is compared; None where too little moves or is known."""
     assert recording.command is not None
-    t, q, u = recording.t, recording.q, recording.command
+    t = recording.t
+    q = recording.q
+    u = recording.command
     # Rows without a value of any joint would shift correlations of the others.
     rows = find_advancing_rows(t, np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1))
-    t, q, u = t[rows], q[rows], u[rows]
+    t = t[rows]
+    q = q[rows]
+    u = u[rows]
     if t.size < 4:
         return None
     # Signals are compared at 50 Hz, or at the rate of the log.
@@ -103,11 +109,13 @@ def _select_motion(model: RobotModel, recording: Recording) -> _Motion | None:
     last = np.searchsorted(t, at, side="right") - 1
     # Steps without a sample beyond which the log has a gap, which is left out.
     logged = at - t[last] <= 5.0 * step
-    at, last = at[logged], last[logged]
+    at = at[logged]
+    last = last[logged]
     # Four times the lags that are searched, so that they share enough samples.
     if at.size * step < 4 * SEARCHED:
         return None
-    q, u = np.column_stack([np.interp(at, t, x) for x in q.T]), u[last]
+    q = np.column_stack([np.interp(at, t, x) for x in q.T])
+    u = u[last]
     # Range of positions [rad, m] from which a joint is tested.
     smallest = np.array([0.05 if joint.is_revolute else 0.005 for joint in model.joints])
     extent = np.ptp(q, axis=0)
@@ -131,7 +139,8 @@ def _is_position(recording: Recording, moving: list[int]) -> bool:
     assert recording.command is not None
     if not moving:
         return False
-    q, u = recording.q[:, moving], recording.command[:, moving]
+    q = recording.q[:, moving]
+    u = recording.command[:, moving]
     size = 1e-6 * np.nanmax(np.abs(q), axis=0)
     changes = np.flatnonzero(np.any(np.diff(u, axis=0) != 0.0, axis=1))
     # Where a command holds for many samples it equals the position at rest: only changes count.

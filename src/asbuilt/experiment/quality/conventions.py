@@ -18,7 +18,8 @@ QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 """Zero positions [rad] by which the conventions of two makers differ."""
 
 
-DOUBTFUL, CLEAR = 0.75, 0.9
+DOUBTFUL = 0.75
+CLEAR = 0.9
 """Correlation, or cosine, of measured with rigid-body torques from which a convention is not
 doubted, and that another one must reach. In recordings of seven real robots the cosine is at least
 0.92 in the right direction of gravity, and at most 0.69 in directions across it.
@@ -92,7 +93,8 @@ def check_conventions(
     if not np.any(np.abs(fit.correlation[fit.decides]) < DOUBTFUL):
         return None
     logged = best = Conventions(fit, {})
-    front, near = [logged], []
+    front = [logged]
+    near = []
     for _ in range(fit.model.n_joints):
         # The same conventions may be reached in several orders.
         changes = {

@@ -24,7 +24,8 @@ AXES = {
     for k, axis in enumerate("xyz")
     for sign, factor in (("+", 1.0), ("-", -1.0))
 }
-ABSENT, PARTIAL = 0.1, 0.8
+ABSENT = 0.1
+PARTIAL = 0.8
 """Share of gravity by the masses of CAD, in that of accelerations, below which a log has none, and
 below which it may have a part. Armatures and gains change both: the share is 0.45 to 2 in 35 logs
 of nine real robots whose torques these masses explain, and 0.01 in logs without gravity."""

@@ -20,7 +20,8 @@ from asbuilt.experiment.quality.unit_checks import find_velocity_unit
 from asbuilt.experiment.quality.velocity_checks import check_velocities
 from asbuilt.findings import Cure, Finding, join_names
 
-FAR, KEPT = 2.0, 1.1
+FAR = 2.0
+KEPT = 1.1
 """Multiples of its limit from which a position is far outside, and up to which it is inside."""
 FEWEST_ALIKE = 3
 """Joints with one and the same limit from which it is a placeholder if the log exceeds it."""
@@ -77,12 +78,14 @@ class Excess:
                 " radians",
                 Cure(right_rate, settings={"rate": "HZ"}),
             )
-        other, cure = "", Cure(convert)
+        other = ""
+        cure = Cure(convert)
         if self.unit is None and slower:
             other = f", or {slower}"
             cure = Cure(f"{convert}; or {right_rate}", settings={"rate": "HZ"})
         elif self.unit is None:
-            other, cure = ", or another robot's", Cure(f"choose the robot recorded, or {convert}")
+            other = ", or another robot's"
+            cure = Cure(f"choose the robot recorded, or {convert}")
         kept = "" if slower else ", and as degrees every joint keeps its limits"
         return Finding(
             "degrees",
@@ -153,7 +156,8 @@ def _find_far_position(
     model: RobotModel, recording: FirstPass, turning: list[int]
 ) -> tuple[str, float]:
     """Return which position is far outside its limits, empty if none is, and the largest one."""
-    extremes, joints = recording.position_range, [model.joints[k] for k in turning]
+    extremes = recording.position_range
+    joints = [model.joints[k] for k in turning]
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
     largest = np.where(extremes.count > 0, largest, np.nan)[turning]
     bounds = np.array([max(abs(joint.limits.lower), abs(joint.limits.upper)) for joint in joints])
@@ -243,7 +247,9 @@ def _find_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Findi
 def _check_limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     outside = recording.outside_limits
     for k in np.flatnonzero(outside.count).tolist():
-        joint, value, time = model.joints[k], outside.value[k], float(recording.t[outside.row[k]])
+        joint = model.joints[k]
+        value = outside.value[k]
+        time = float(recording.t[outside.row[k]])
         unit = "rad" if joint.is_revolute else "m"
         yield Finding(
             "position_limit",

@@ -123,10 +123,15 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     lower, upper = position_limits(model)
     # Share of its limit from which a torque counts as saturated.
     full = 0.99 * np.array([joint.limits.torque for joint in model.joints])
-    positions, torques, moments = Extremes(), Extremes(), PositionMoments()
-    outside, saturated = Exceedance(), Exceedance()
+    positions = Extremes()
+    torques = Extremes()
+    moments = PositionMoments()
+    outside = Exceedance()
+    saturated = Exceedance()
     # Flags of all samples are kept, a bit each; values are not.
-    times, flags, spikes = [], [], list[Spikes]()
+    times = []
+    flags = []
+    spikes = list[Spikes]()
     missing: dict[tuple[int, int], Missing] = {}
     first = last = None
     begin = 0
@@ -138,8 +143,10 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         not_repeated = _mark_not_repeated(chunk, last)
         _add_missing(missing, chunk, begin)
         # The chunk as logged decides repetition, before values are blanked.
-        last, chunk = chunk, blank_incredible(chunk)
-        q, tau = chunk.q, chunk.tau
+        last = chunk
+        chunk = blank_incredible(chunk)
+        q = chunk.q
+        tau = chunk.tau
         valid_torque = np.isfinite(chunk.t) & ~find_true_rows(~np.isfinite(tau))
         valid = valid_torque & ~find_true_rows(~np.isfinite(q))
         if chunk.qd is not None:
@@ -155,7 +162,8 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         # Positive beyond the one limit or the other.
         excess = np.maximum(lower - q, q - upper)
         size = np.abs(tau[not_repeated])
-        positions, moments = positions.with_more(q), moments.with_more(q)
+        positions = positions.with_more(q)
+        moments = moments.with_more(q)
         # Repeated samples would count a plateau twice.
         torques = torques.with_more(tau[not_repeated])
         # Distance beyond its limits [rad or m] at which a joint counts as outside them.
@@ -275,7 +283,8 @@ def _add_missing(missing: dict[tuple[int, int], Missing], chunk: Recording, begi
     for what, values in _list_quantities(chunk):
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
-            rows, key = np.flatnonzero(bad[:, k]), (list(CREDIBLE).index(what), k)
+            rows = np.flatnonzero(bad[:, k])
+            key = (list(CREDIBLE).index(what), k)
             # NaN fails the comparison, and counts as missing too.
             known = missing.get(key) or Missing(what, k, rows[:0], float(values[rows[0], k]))
             missing[key] = replace(known, rows=np.append(known.rows, begin + rows))
@@ -351,7 +360,8 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
         if known.n_chunks == 1:
             torques.append(chunk.tau[known.valid_torque])
         # Plateaus count torques that are not repeated, and not samples.
-        begin, place = stop, place + len(changed)
+        begin = stop
+        place = place + len(changed)
     segments = list(map(join_recordings, parts))
     motion = smooth_motion(segments, step, window) if segments else None
     return SecondPass(
@@ -360,7 +370,8 @@ def run_second_pass(model: RobotModel, chunks: Iterable[Recording], known: First
 
 
 def _find_plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
-    low, high = float(known.torque_range.low[joint]), float(known.torque_range.high[joint])
+    low = float(known.torque_range.low[joint])
+    high = float(known.torque_range.high[joint])
     # Number of torques that are not repeated below which there is no plateau.
     if known.torque_range.count[joint] < 20 or high == low:
         return ()

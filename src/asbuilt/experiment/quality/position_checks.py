@@ -247,7 +247,8 @@ def estimate_encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | Non
 
     value, (s, b, c) = lag(np.arange(0))
     parts = [lag(rows)[0] for rows in np.array_split(np.arange(t.size), BLOCKS)]
-    difference, error = other - s * own - c, other - columns @ np.array([s, b, c])
+    difference = other - s * own - c
+    error = other - columns @ np.array([s, b, c])
     return EncoderLag(
         value,
         # Jackknife of m blocks: sqrt(m - 1) times the standard deviation of the parts.

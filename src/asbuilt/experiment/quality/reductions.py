@@ -57,7 +57,8 @@ class Exceedance:
             return self
         # A joint whose amounts are all NaN never exceeds.
         amount = np.where(np.isnan(amount), -np.inf, amount)
-        place, columns = np.argmax(amount, axis=0), np.arange(amount.shape[1])
+        place = np.argmax(amount, axis=0)
+        columns = np.arange(amount.shape[1])
         worst = amount[place, columns]
         # Strictly: of equal ones the first stays.
         worse = worst > self.amount
@@ -111,7 +112,8 @@ class PositionMoments:
 
 GAP_STEPS = 5.0
 """Multiple of the median time step from which a step is a gap."""
-_SEGMENT_SAMPLES, _MOST_SEGMENTS = 4000, 12
+_SEGMENT_SAMPLES = 4000
+_MOST_SEGMENTS = 12
 """Samples per segment and number of segments; more do not change a finding."""
 
 

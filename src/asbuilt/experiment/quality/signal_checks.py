@@ -26,7 +26,9 @@ def check_channels(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
     if not recording.first.has_torque.any():
         return
     for k in np.flatnonzero(~recording.first.has_torque).tolist():
-        joint, value, ranges = model.joints[k], recording.first.tau[0, k], recording.position_range
+        joint = model.joints[k]
+        value = recording.first.tau[0, k]
+        ranges = recording.position_range
         torque, angle = ("N m", "rad") if joint.is_revolute else ("N", "m")
         what = (
             f"is not logged in any of {recording.n_samples} samples"
@@ -76,7 +78,8 @@ def check_saturation(
                     joint=joint.name,
                     time=float(recording.t[changed[start]]),
                 )
-        limit, over = joint.limits.torque, int(recording.saturated.count[k])
+        limit = joint.limits.torque
+        over = int(recording.saturated.count[k])
         # Currents have no limit in the description's unit.
         stated = 0.0 < limit < np.inf and recording.first.torque_source != "current"
         # From half of the samples on the limit itself is doubted elsewhere.
@@ -98,7 +101,8 @@ def check_spikes(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
         spikes_here = [spike for spike in recording.spikes if spike.joint == joint]
         rows = np.concatenate([spike.rows for spike in spikes_here])
         sizes = np.concatenate([spike.sizes for spike in spikes_here])
-        worst, name = int(np.argmax(sizes)), model.joint_names[joint]
+        worst = int(np.argmax(sizes))
+        name = model.joint_names[joint]
         unit = "N m" if model.joints[joint].is_revolute else "N"
         yield Finding(
             "torque_spikes",
@@ -218,7 +222,8 @@ def _mark_weight_bearing(model: RobotModel, recording: Recording) -> Mask:
     # Poses of a recording at which gravity is looked at.
     q = q[:: max(1, len(q) // 200)]
     weight = inverse_dynamics(model, q, np.zeros(q.shape), np.zeros(q.shape), threads=1)
-    low, high = weight.min(axis=0, initial=np.inf), weight.max(axis=0, initial=0.0)
+    low = weight.min(axis=0, initial=np.inf)
+    high = weight.max(axis=0, initial=0.0)
     # Weight, as a share of the largest, that is none but rounding.
     return np.asarray((low > 0.0) & (low > 1e-6 * high))
 
@@ -228,7 +233,8 @@ def _reverses(recording: Recording) -> bool:
     for q, tau in zip(recording.q.T, recording.tau.T, strict=True):
         moved = np.diff(q[np.isfinite(q)])
         # Total way forth and back, so that a drift is no reversal.
-        forth, back = float(moved[moved > 0].sum()), float(-moved[moved < 0].sum())
+        forth = float(moved[moved > 0].sum())
+        back = float(-moved[moved < 0].sum())
         if is_magnitude(tau) and min(forth, back) > 0.1 * max(forth, back):
             return True
     return False

@@ -25,7 +25,8 @@ from asbuilt.experiment.quality.torque_fit import (
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
-CLEAR, CERTAIN = 0.9, 0.95
+CLEAR = 0.9
+CERTAIN = 0.95
 """Correlations with the model's torque from which sign and scale of a joint are clear, and from
 which a single joint may be reported to differ from the others."""
 PLAUSIBLE = 0.3, 3.0
@@ -82,7 +83,8 @@ def check_torques(
 
 def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
     """Check signs by friction, and the scale by the length of the arm."""
-    model, friction = fit.model, fit.friction_correlation
+    model = fit.model
+    friction = fit.friction_correlation
     seen = np.flatnonzero(np.abs(friction) > BRAKING)
     by = (
         f"their signs by friction at {join_names([model.joint_names[k] for k in seen])} alone"
@@ -104,7 +106,8 @@ def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
 
 def _check_signs_by_friction(fit: TorqueFit) -> Iterator[Finding]:
     """Find torques that act along the motion where friction, by any masses, acts against it."""
-    model, friction = fit.model, fit.friction_correlation
+    model = fit.model
+    friction = fit.friction_correlation
     wrong = np.flatnonzero(friction < -BRAKING).tolist()
     # One joint against the motion may be driven by the others; several are a sign.
     right = np.flatnonzero(friction > BRAKING).tolist()
@@ -152,7 +155,8 @@ def _report_swapped(fit: TorqueFit, best: TorqueFit) -> Finding:
     moved = [k for k in range(len(names)) if best.torque_of[k] != k or best.motion_of[k] != k]
     fits = []
     for k in moved:
-        torque, motion = names[best.torque_of[k]], names[best.motion_of[k]]
+        torque = names[best.torque_of[k]]
+        motion = names[best.motion_of[k]]
         what = (
             f"position and torque logged for {torque}"
             if torque == motion
@@ -187,8 +191,11 @@ def _find_swapped_without_cad(fit: TorqueFit) -> Iterator[Finding]:
 
 
 def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
-    model, names = fit.model, fit.model.joint_names
-    correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
+    model = fit.model
+    names = fit.model.joint_names
+    correlation = fit.correlation
+    gain = fit.gain * ratio
+    predicted = fit.predicted
     # A correlation must be clear before gain or sign is read from it.
     clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > CLEAR))]
     if not clear:

@@ -93,7 +93,8 @@ def find_counts(
     The counts of a turn, and where zero is, are those with which gravity, inertia and friction
     explain the torques best, clearly better than with others.
     """
-    low, high = recording.position_range.low, recording.position_range.high
+    low = recording.position_range.low
+    high = recording.position_range.high
     q = recording.first.q
     known = q[np.all(np.isfinite(q), axis=1)]
     largest = float(np.max(np.maximum(np.abs(low), np.abs(high)), initial=0.0))
@@ -120,7 +121,9 @@ def _measure_left_over(model: RobotModel, motion: SmoothedMotion, turn: int, zer
     """Return the share of the torques that the description and friction leave unexplained."""
     scale = 2.0 * np.pi / turn
     rows = motion.thinned(MOST_ROWS)
-    q, qd, qdd = scale * (motion.q[rows] - zero), scale * motion.qd[rows], scale * motion.qdd[rows]
+    q = scale * (motion.q[rows] - zero)
+    qd = scale * motion.qd[rows]
+    qdd = scale * motion.qdd[rows]
     left = [parts.left for parts in _fit_parts(model, q, qd, qdd, motion.tau[rows])]
     return float(np.mean(left)) if left else 1.0
 

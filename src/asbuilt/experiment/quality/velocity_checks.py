@@ -15,7 +15,8 @@ from asbuilt.findings import Cure, Finding, join_names
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
 
 
-SWAPPED, OWN = 0.9, 0.8
+SWAPPED = 0.9
+OWN = 0.8
 """Least correlation of a swapped column with another joint's derivative, and largest with its own;
 a flipped sign has the negative of the second."""
 _OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
@@ -98,7 +99,8 @@ def check_velocities(
             ),
         )
         return
-    low, high = 0.7, 1.4  # gains of a usable velocity; the lower also bounds its correlation
+    low = 0.7  # gains of a usable velocity; the lower also bounds its correlation
+    high = 1.4
     for k, factor, match in zip(moving, gain, np.diag(correlation), strict=True):
         if match < -OWN:
             message = (
@@ -123,7 +125,8 @@ def _find_right_rate(recording: FirstPass, correlation: Array, gain: Array) -> f
     Units of velocity other than the units of the positions are no reason to doubt the rate.
     """
     # The same factor at all joints to a twentieth: no accident of single ones.
-    common, apart = float(np.median(gain)), 0.05
+    common = float(np.median(gain))
+    apart = 0.05
     wrong = (
         gain.size > 1
         and common > 0.0

@@ -29,7 +29,8 @@ LOWEST = 3.0
 """Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a second."""
 NOISE_FROM = 0.3
 """Share of the sampling rate from which the torque, or the pose of a base, is noise."""
-SMOOTHED, ABOVE_NOISE = 11, 4.0
+SMOOTHED = 11
+ABOVE_NOISE = 4.0
 """Number of bins over which the spectrum of a motion is smoothed, and multiple of the noise that it
 then exceeds where a joint or a base moves."""
 MODEL_ERROR = 0.02
@@ -186,7 +187,8 @@ def _predict_errors(
     frequency: Array, torque: Array, excess: Array, logged: Sequence[Array], rate: float
 ) -> Array:
     """Return the squared error with a low-pass at each frequency relative to an ideal one."""
-    above, width = (frequency >= LOWEST)[:, None], float(frequency[1])
+    above = (frequency >= LOWEST)[:, None]
+    width = float(frequency[1])
     floor = np.median(torque[frequency > NOISE_FROM * rate], axis=0)
     useful = np.clip(torque - floor, 0.0, None) * above
     # What a low-pass at each frequency takes away, and what it leaves of the noise.
@@ -262,7 +264,8 @@ LOWEST_CUTOFF = 7.0
 Friction changes sign within a tenth of a second. Tuned on recordings of UR10e, LWR4+, Med 7,
 AIRBOT, Rokae and TX40; none was kept apart to test it.
 """
-HIGHEST_SHARE, HIGHEST_SHARE_LOGGED = 0.2, 0.4
+HIGHEST_SHARE = 0.2
+HIGHEST_SHARE_LOGGED = 0.4
 """Highest default cutoff, as a share of the sampling rate; beyond the first central differences
 take a quarter and more of the rates. The second holds where accelerations are logged, which nothing
 differences.

@@ -189,7 +189,9 @@ def compare_velocities(
     the low-pass removes.
     """
     n = pairs[0][0].shape[1]
-    lags, gains, noises = np.zeros(n), np.ones(n), np.ones(n)
+    lags = np.zeros(n)
+    gains = np.ones(n)
+    noises = np.ones(n)
     speed = np.sqrt(sum(np.sum(v**2, axis=0) for v, *_ in pairs))
     for k in range(n):
         v = np.concatenate([pair[0][:, k] for pair in pairs])

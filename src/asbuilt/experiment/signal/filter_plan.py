@@ -73,7 +73,8 @@ class FilterPlan:
         UsageError
             If the chain has no cutoff yet, or its cutoffs and decimation do not fit the rate.
         """
-        cutoff, total = chain.cutoff, chain.decimate
+        cutoff = chain.cutoff
+        total = chain.decimate
         if cutoff is None:
             raise UsageError(
                 "the signal chain has no cutoff",
@@ -144,7 +145,9 @@ class FilterPlan:
 
     def motion(self, segment: UniformSegment) -> FilteredMotion:
         """Return q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
-        chain, rate, smooth = self.chain, self.rate, self.smooth
+        chain = self.chain
+        rate = self.rate
+        smooth = self.smooth
         cutoff = chain.cutoff or 0.0
         if chain.derivative == "savitzky-golay":
             q, qd, qdd = savitzky_golay(segment.q, rate, cutoff=cutoff)
@@ -162,7 +165,8 @@ class FilterPlan:
 
     def smooth(self, x: Array) -> Array:
         """Return columns of x (L, n) after the low-pass of the positions."""
-        chain, cutoff = self.chain, self.chain.cutoff or 0.0
+        chain = self.chain
+        cutoff = self.chain.cutoff or 0.0
         if chain.derivative == "gaussian":
             # With the differences that follow the response ends at half a period.
             differences = 0 if chain.velocity == "measured" else DIFFERENCES
@@ -180,7 +184,8 @@ class FilterPlan:
         if self.chain.velocity == "measured" or self.parallel is None or len(q) < SPECTRUM:
             return ()
         # An impulse through everything that acts on positions: its squares sum to the noise gain.
-        reach, n = self.exact + DIFFERENCES + 1, self.thinning
+        reach = self.exact + DIFFERENCES + 1
+        n = self.thinning
         impulse = np.zeros(2 * reach + 1)
         impulse[reach] = 1.0
         # Two differences make accelerations of positions.
@@ -218,8 +223,10 @@ class FilterPlan:
         (q, qd, qdd), tau = motion, self._advance(segment.tau)
         if self.chain.derivative == "gaussian":  # not flat in the band, so for both sides alike
             tau = self.smooth(tau)
-        n, speeds = self.thinning, self.chain.standstill
-        first, last = self.late[0], segment.t.size - self.late[1]
+        n = self.thinning
+        speeds = self.chain.standstill
+        first = self.late[0]
+        last = segment.t.size - self.late[1]
         if first >= last:
             # The shift leaves nothing that was logged.
             return [], stop
@@ -232,13 +239,16 @@ class FilterPlan:
             still = find_rests(qd, speeds, self.rate)
             if still.any():
                 # At rest filters leave creeping velocities, whose sign friction would follow.
-                qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
+                qd = np.where(still, 0.0, qd)
+                qdd = np.where(still, 0.0, qdd)
             ranges = find_moving_ranges(still, self.rate, self.shoulder)
         m = self.anti_alias.margin if self.anti_alias else 0
-        parts, after = [], stop
+        parts = []
+        after = stop
         for begin, end in ranges:
             # Where torques were shifted in, or the anti-alias has no input, nothing is kept.
-            a, b = max(begin, low, first + m), min(end, stop, last - m)
+            a = max(begin, low, first + m)
+            b = min(end, stop, last - m)
             if a >= b:
                 continue
             kept = slice(a, b, n)
@@ -259,7 +269,8 @@ class FilterPlan:
 
     def _advance(self, tau: Array) -> Array:
         """Return torques (L, n) shifted back by the known delay of the chain."""
-        delays, n = self.chain.delays, tau.shape[1]
+        delays = self.chain.delays
+        n = tau.shape[1]
         if len(delays) not in (0, 1, n):
             raise UsageError(
                 f"a delay is one number for all joints or one for each of {n}, got {len(delays)}"
@@ -268,7 +279,8 @@ class FilterPlan:
 
     def describe(self) -> Iterator[str]:
         """Yield sentences about what the plan does."""
-        chain, cutoff = self.chain, self.chain.cutoff
+        chain = self.chain
+        cutoff = self.chain.cutoff
         if chain.derivative == "central":
             passes = "of both passes" if chain.corrected else "of each pass"
             yield (

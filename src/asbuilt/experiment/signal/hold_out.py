@@ -118,7 +118,8 @@ def hold_out(samples: Samples, rule: str, *, shared: bool = False) -> tuple[Samp
     >>> [part.n_samples for part in hold_out(samples, "blocks:5s:3")]
     [20, 10]
     """
-    since, chosen = samples.t - samples.origin, parse_rule(rule)
+    since = samples.t - samples.origin
+    chosen = parse_rule(rule)
     if isinstance(chosen, Blocks):
         held = (
             # Rounding of times must not move the first sample of a block into the one before.

@@ -164,7 +164,8 @@ def _solve_steady_state(sections: bytes, count: int) -> Array:
     `q = b2 - a2 (p + b0)`; its input is the gain of the sections before.
     """
     rows = np.frombuffer(sections).reshape(count, 6)
-    b, a = rows[:, :3], rows[:, 3:]
+    b = rows[:, :3]
+    a = rows[:, 3:]
     system = np.tile(np.eye(2), (count, 1, 1))
     system[:, 0, 1] = -1.0
     system[:, :, 0] += a[:, 1:]
@@ -183,29 +184,50 @@ def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
     """
     last = rows.shape[1] - 1
     for g in range(0, rows.shape[0], 4):
-        r0, r1, r2, r3 = rows[g], rows[g + 1], rows[g + 2], rows[g + 3]
+        r0 = rows[g]
+        r1 = rows[g + 1]
+        r2 = rows[g + 2]
+        r3 = rows[g + 3]
         for way in range(2):
             # The state that the first sample would have held for ever: no step at the ends.
             at = last if way else 0
-            u0, u1, u2, u3 = r0[at], r1[at], r2[at], r3[at]
+            u0 = r0[at]
+            u1 = r1[at]
+            u2 = r2[at]
+            u3 = r3[at]
             for s in range(sections.shape[0]):
-                b0, b1, b2 = sections[s, 0], sections[s, 1], sections[s, 2]
-                a1, a2 = sections[s, 4], sections[s, 5]
-                p0, p1 = steady[s, 0] * u0, steady[s, 0] * u1
-                p2, p3 = steady[s, 0] * u2, steady[s, 0] * u3
-                q0, q1 = steady[s, 1] * u0, steady[s, 1] * u1
-                q2, q3 = steady[s, 1] * u2, steady[s, 1] * u3
+                b0 = sections[s, 0]
+                b1 = sections[s, 1]
+                b2 = sections[s, 2]
+                a1 = sections[s, 4]
+                a2 = sections[s, 5]
+                p0 = steady[s, 0] * u0
+                p1 = steady[s, 0] * u1
+                p2 = steady[s, 0] * u2
+                p3 = steady[s, 0] * u3
+                q0 = steady[s, 1] * u0
+                q1 = steady[s, 1] * u1
+                q2 = steady[s, 1] * u2
+                q3 = steady[s, 1] * u3
                 for k in range(last + 1):
                     # The way back runs over the same rows in reverse.
                     j = last - k if way else k
-                    x0, x1, x2, x3 = r0[j], r1[j], r2[j], r3[j]
-                    y0, y1, y2, y3 = b0 * x0 + p0, b0 * x1 + p1, b0 * x2 + p2, b0 * x3 + p3
+                    x0 = r0[j]
+                    x1 = r1[j]
+                    x2 = r2[j]
+                    x3 = r3[j]
+                    y0 = b0 * x0 + p0
+                    y1 = b0 * x1 + p1
+                    y2 = b0 * x2 + p2
+                    y3 = b0 * x3 + p3
                     p0 = b1 * x0 - a1 * y0 + q0
                     p1 = b1 * x1 - a1 * y1 + q1
                     p2 = b1 * x2 - a1 * y2 + q2
                     p3 = b1 * x3 - a1 * y3 + q3
-                    q0, q1 = b2 * x0 - a2 * y0, b2 * x1 - a2 * y1
-                    q2, q3 = b2 * x2 - a2 * y2, b2 * x3 - a2 * y3
+                    q0 = b2 * x0 - a2 * y0
+                    q1 = b2 * x1 - a2 * y1
+                    q2 = b2 * x2 - a2 * y2
+                    q3 = b2 * x3 - a2 * y3
                     r0[j], r1[j], r2[j], r3[j] = y0, y1, y2, y3
 
 

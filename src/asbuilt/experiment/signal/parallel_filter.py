@@ -214,7 +214,8 @@ def _filter_rows(
         for k in range(0, count, LANES):
             # The last eight overlap those before, so that no tail is needed.
             at = min(k, count - LANES)
-            begin, to = first * stride + at * decimation, first * out_stride + at
+            begin = first * stride + at * decimation
+            to = first * out_stride + at
             _sum_eight_rows(memory, begin, stride, below, weights, span, out, to, out_stride)
 
 

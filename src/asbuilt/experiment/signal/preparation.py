@@ -99,16 +99,19 @@ def stream_samples(
         If the chain decimates without a parallel filter, as `paper2015` does; that works on whole
         recordings only.
     """
-    chain, filters = chain or SignalChain(), MotionFilters()
+    chain = chain or SignalChain()
+    filters = MotionFilters()
     plan: FilterPlan | None = None
     held: Recording | None = None
     has_torque: Mask | None = None
     low = -np.inf
-    origin, clock_bound = np.nan, np.inf
+    origin = np.nan
+    clock_bound = np.inf
     chunks = iter(recordings)
     following = next(chunks, None)
     while following is not None:
-        chunk, following = following, next(chunks, None)
+        chunk = following
+        following = next(chunks, None)
         more = following is not None
         # A chunk is held until the next one comes, since its end has no filter response yet.
         held = joined = chunk if held is None else join_recordings([held, chunk])
@@ -118,7 +121,9 @@ def stream_samples(
         # The first chunk decides which joints have torque, for all.
         has_torque = joined.has_torque if has_torque is None else has_torque
         grid = plan_grid(joined, chain, plan.rate if plan else None, has_torque)
-        segments, rate, notes = grid.uniform(), grid.rate, grid.notes
+        segments = grid.uniform()
+        rate = grid.rate
+        notes = grid.notes
         if plan is None:
             chain, chosen, clock_bound = settle_chain(chain, joined, segments, rate, filters)
             plan = FilterPlan.of(chain, rate)

@@ -132,9 +132,11 @@ class PreparedMotion:
         UsageError
             If delays are of another number of joints.
         """
-        recording, rate = self.recording, self.plan.rate
+        recording = self.recording
+        rate = self.plan.rate
         plan = replace(self.plan, chain=replace(self.plan.chain, delay=delay))
-        parts, seconds = list[SegmentArrays](), 0.0
+        parts = list[SegmentArrays]()
+        seconds = 0.0
         for segment, motion in zip(self.segments, self.motions, strict=True):
             if motion is not None:
                 # Ends that the filter has not settled at are cut, whichever torque is there.
@@ -236,8 +238,10 @@ def settle_chain(
 
     The bound is `Samples.clock_bound`.
     """
-    chain, commanded = _fit_contacts(chain, recording), recording.torque_source == "command"
-    notes, clock_bound = list[str](), np.inf
+    chain = _fit_contacts(chain, recording)
+    commanded = recording.torque_source == "command"
+    notes = list[str]()
+    clock_bound = np.inf
     # Checked before anything is chosen: no cutoff suits such a clock.
     if rate < SLOWEST_RATE:
         raise RecordingError(

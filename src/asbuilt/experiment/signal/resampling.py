@@ -114,7 +114,8 @@ class Grid:
     def uniform(self) -> list[UniformSegment]:
         """Return the segments."""
         recording = self.recording
-        q, tau = self.channel(recording.q), self.channel(recording.tau)
+        q = self.channel(recording.q)
+        tau = self.channel(recording.tau)
         qd = self._logged_channel(recording.qd)
         # The last tick may lie beyond the last sample by rounding: a spline must not extrapolate.
         qdd = self._logged_channel(recording.qdd if recording.undriven else None)
@@ -221,7 +222,8 @@ def plan_uniform_grid(
             value=rate,
             upper=logged_rate,
         )
-    gap, pause = max(GAP * period, resolved) if max_gap is None else max_gap, GAP * period
+    gap = max(GAP * period, resolved) if max_gap is None else max_gap
+    pause = GAP * period
     bridges = plan_bridges(recording.t, kept_rows, gap, pause)
     if bridges.pauses:
         longest = steps[[pause.row - 1 for pause in bridges.pauses]].max()
@@ -229,7 +231,8 @@ def plan_uniform_grid(
             f"{len(bridges.pauses)} pauses of up to {longest:.3g} s, shorter than the filter"
             " resolves, were bridged by local polynomials"
         )
-    stamps, kept_rows = bridges.t, bridges.rows
+    stamps = bridges.t
+    kept_rows = bridges.rows
     steps = np.diff(stamps[kept_rows])
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
@@ -392,7 +395,8 @@ def _select_around(t: Array, place: int, count: int, pause: float) -> slice:
     """Return the samples on either side of a pause, up to the next pause."""
     # Fewest samples on either side of a pause that the polynomial is fitted to.
     width = max(8, count)
-    first, last = max(place + 1 - width, 0), min(place + 1 + width, t.size)
+    first = max(place + 1 - width, 0)
+    last = min(place + 1 + width, t.size)
     earlier = np.flatnonzero(np.diff(t[first : place + 1]) > pause)
     later = np.flatnonzero(np.diff(t[place + 1 : last]) > pause)
     begin = first + int(earlier[-1]) + 1 if earlier.size else first
@@ -402,7 +406,8 @@ def _select_around(t: Array, place: int, count: int, pause: float) -> slice:
 def _interpolate_locally(t: Array, values: Array, times: Array) -> Array:
     """Return a polynomial through values (L, n) at other times (m, n)."""
     # Centred and of unit width: powers of times would lose their digits.
-    centre, half = float(times.mean()), max(float(np.ptp(t)) / 2.0, 1e-12)
+    centre = float(times.mean())
+    half = max(float(np.ptp(t)) / 2.0, 1e-12)
     # Degree of the polynomial; a sine at the cutoff makes less than one turn in its window.
     degree = min(5, t.size - 1)
     fit = np.linalg.lstsq(np.vander((t - centre) / half, degree + 1), values, rcond=None)[0]

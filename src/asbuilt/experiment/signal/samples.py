@@ -200,7 +200,8 @@ class Samples:
         if self.parallel is None:
             return self.in_segments(x)
         # Windows of neighbouring chunks overlap by the width of the filter.
-        step, width = self.parallel.decimation, self.parallel.taps.size
+        step = self.parallel.decimation
+        width = self.parallel.taps.size
         at_once = max(1, AT_ONCE // step)
         parts = []
         for a, b in self.segments:

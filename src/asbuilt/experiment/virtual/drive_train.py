@@ -85,7 +85,8 @@ class DriveTrain:
 
     def friction_law(self, n: int) -> Callable[[Array], Array]:
         """Return `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)` of n joints."""
-        coulomb, stiction = self.of("coulomb", n), self.of("stiction", n)
+        coulomb = self.of("coulomb", n)
+        stiction = self.of("stiction", n)
         velocity = self.of("stribeck_velocity", n)
         return lambda v: coulomb + stiction * np.exp(-((v / velocity) ** 2))
 

@@ -212,7 +212,8 @@ class Physics:
         torque = np.empty(states[0].shape)
         flags = self.compiled.opt.disableflags
         self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        data, every = self.data, self.every
+        data = self.data
+        every = self.every
         moved = self.model.link_motion(*states)
         for k in range(len(torque)):
             data.qpos[every], data.qvel[every] = moved.q[k], moved.qd[k]
@@ -230,8 +231,11 @@ class Physics:
         States, torques and the friction of each sample are (N, n). Friction is what the drive has
         to overcome: `tau = rigid bodies + armature qdd + friction`.
         """
-        acceleration, friction = np.empty(q.shape), np.empty(q.shape)
-        data, order, moved = self.data, self.order, self.model.link_motion(q, qd)
+        acceleration = np.empty(q.shape)
+        friction = np.empty(q.shape)
+        data = self.data
+        order = self.order
+        moved = self.model.link_motion(q, qd)
         for k in range(len(q)):
             data.qpos[self.every], data.qvel[self.every] = moved.q[k], moved.qd[k]
             data.qfrc_applied[order] = tau[k]

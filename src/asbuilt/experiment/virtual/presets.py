@@ -36,7 +36,8 @@ def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> Ro
         If the robot has no moving link or frame of that name.
     """
     index, placement = _find_flange(model, at)
-    link, carried = model.links[index], body.moved(placement)
+    link = model.links[index]
+    carried = body.moved(placement)
     links = list(model.links)
     links[index] = replace(
         link,

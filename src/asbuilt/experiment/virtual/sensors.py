@@ -91,7 +91,8 @@ class SensorNoise:
         n = model.n_joints
         of = partial(self.of, n=n)
         turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, 1.0)
-        counts, ripple = of("encoder_counts"), of("torque_ripple")
+        counts = of("encoder_counts")
+        ripple = of("torque_ripple")
         step = np.divide(turn, counts, out=np.zeros(n), where=counts > 0)
         q = truth.q + of("position_noise") * rng.standard_normal(truth.q.shape)
         torque = (

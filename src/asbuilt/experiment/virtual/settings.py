@@ -75,7 +75,8 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
                 value=setting,
                 available=list(known),
             )
-        part, field = known[name], name.rpartition(".")[2]
+        part = known[name]
+        field = name.rpartition(".")[2]
         if robot.controller is None and part in ("", "train", *FOLLOWERS):
             raise UsageError(
                 f"the setting {name!r} belongs to robots in MuJoCo; this one follows exactly",

@@ -55,7 +55,8 @@ def track(
     MotionError
         If a joint does not follow the command.
     """
-    t, n = command.t, command.n_joints
+    t = command.t
+    n = command.n_joints
     stiffness, lead = gains
     names = ("viscous", "stiction", "offset", "armature", "backlash", "engagement")
     viscous, stiction, offset, armature, backlash, engagement = (train.of(x, n) for x in names)
@@ -63,14 +64,18 @@ def track(
     # Duration of the first pose before the recording starts [s].
     settling = round(0.5 / (t[1] - t[0])) if not np.any(command.qd[0]) else 0
     warmth = np.concatenate([np.ones(settling), train.warmth(t)])
-    q, qd, torque = np.empty((t.size, n)), np.empty((t.size, n)), np.empty((t.size + 1, n))
+    q = np.empty((t.size, n))
+    qd = np.empty((t.size, n))
+    torque = np.empty((t.size + 1, n))
     physics.start(command.q[0], command.qd[0])
-    varies, half = bool(np.any(stiction > 0)) or train.warming > 0, 0.5 * backlash
+    varies = bool(np.any(stiction > 0)) or train.warming > 0
+    half = 0.5 * backlash
     tau = feedforward[0]
     torque[0] = tau
     with physics.quiet():
         for k in range(-settling, t.size):
-            i, warm = max(k, 0), warmth[k + settling]
+            i = max(k, 0)
+            warm = warmth[k + settling]
             position, velocity = physics.state
             if k >= 0:
                 q[k], qd[k] = position, velocity
@@ -87,7 +92,8 @@ def track(
                 _check_distance(physics, position, command.q[i], float(t[i]), torque_limit)
                 if progress is not None:
                     progress(i / t.size)
-    motor, warm_ticks = 0.5 * (torque[:-1] + torque[1:]), train.warmth(t)[:, None]
+    motor = 0.5 * (torque[:-1] + torque[1:])
+    warm_ticks = train.warmth(t)[:, None]
     qdd, friction = physics.accelerations(
         q, qd, motor - offset, coulomb=warm_ticks * law(qd), viscous=warm_ticks * viscous
     )

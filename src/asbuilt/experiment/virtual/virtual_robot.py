@@ -293,7 +293,8 @@ class VirtualRobot:
         measured = DriveSet.parse("viscous,coulomb,offset" if sensed else FULL_DRIVE)
         if self.name != "ideal":
             return measured
-        n, described = self.model.n_joints, described_drive(self._described)[0].keys
+        n = self.model.n_joints
+        described = described_drive(self._described)[0].keys
         acting = {key for key in measured.keys if np.any(self.train.of(key, n))}
         if np.any(np.asarray(self.sensors.torque_bias)):
             acting.add("offset")
@@ -396,14 +397,18 @@ class VirtualRobot:
         if not isinstance(self.train, TermDrives):
             raise UsageError("a robot in MuJoCo has no exact torque", cure=_FOLLOW)
         rigid = inverse_dynamics(self.model, q, qd, qdd)
-        drive, values, shares = self.train.drive, self.train.values, self.model.motor_shares
+        drive = self.train.drive
+        values = self.train.values
+        shares = self.model.motor_shares
         return rigid + drive_torque(drive, values, q, qd, qdd, load=rigid, shares=shares)
 
     def follow(
         self, motion: Motion, *, progress: Callable[[float], None] | None = None
     ) -> tuple[TrackedMotion, Trajectory]:
         """Return the true motion at the controller's ticks and the command, in MuJoCo."""
-        model, train, controller = self.model, self.train, self.controller
+        model = self.model
+        train = self.train
+        controller = self.controller
         if controller is None or isinstance(train, TermDrives):
             raise UsageError("a robot without a controller follows motions exactly", cure=_FOLLOW)
         n = model.n_joints

@@ -135,11 +135,14 @@ def _bound_by_shapes(prior: CadPrior, model: RobotModel) -> BodyBounds:
     """Return the bounds of links by the shapes of their description."""
     bounds = list[Bound]()
     for k, (lower, upper) in LINK_SHAPES.find("urdf")(model).items():
-        link, first, m = model.links[k], 10 * k, 10 * k + 9
+        link = model.links[k]
+        first = 10 * k
+        m = 10 * k + 9
         heaviest = STEEL * float(np.prod(upper - lower))
         bounds.append(({m: -1.0}, heaviest, f"m{k + 1} <= {heaviest:.3g} kg (steel)"))
         for axis, low, high in zip(range(3), lower.tolist(), upper.tolist(), strict=True):
-            moment, label = first + 6 + axis, f"{link.name} within its shapes along {'xyz'[axis]}"
+            moment = first + 6 + axis
+            label = f"{link.name} within its shapes along {'xyz'[axis]}"
             bounds.append(({moment: 1.0, m: -low}, 0.0, label))
             bounds.append(({moment: -1.0, m: high}, 0.0, label))
             # integral x^2 dm = (Iyy + Izz - Ixx) / 2, and so on.
@@ -213,14 +216,17 @@ def bound_bodies(
     bounds: list[Bound] = []
     for link, (lower, upper) in (mass or {}).items():
         _check(prior, link, lower, upper, "mass")
-        m, name = 10 * link + 9, f"m{link + 1}"
+        m = 10 * link + 9
+        name = f"m{link + 1}"
         bounds.append(({m: 1.0}, -float(lower), f"{name} >= {lower:.3g} kg"))
         if np.isfinite(upper):
             bounds.append(({m: -1.0}, float(upper), f"{name} <= {upper:.3g} kg"))
     for link, centre in (com or {}).items():
         for axis, low, high in zip(range(3), *centre, strict=True):
             _check(prior, link, low, high, f"centre of mass along {'xyz'[axis]}")
-            moment, m, name = 10 * link + 6 + axis, 10 * link + 9, f"c{'xyz'[axis]}{link + 1}"
+            moment = 10 * link + 6 + axis
+            m = 10 * link + 9
+            name = f"c{'xyz'[axis]}{link + 1}"
             # m c >= low m, linear in the standard parameters.
             bounds.append(({moment: 1.0, m: -float(low)}, 0.0, f"{name} >= {low:.3g} m"))
             bounds.append(({moment: -1.0, m: float(high)}, 0.0, f"{name} <= {high:.3g} m"))

@@ -171,7 +171,8 @@ class CadPrior:
         # Along the line to CAD eigenvalues move linearly from `smallest` to 1.
         share = np.minimum(1.0, (1.0 - least) / np.maximum(1.0 - smallest, 1e-300))
         share[smallest >= least] = 1.0
-        consistent, cad = np.array(parameters), self.parameters[: 10 * self.n_links]
+        consistent = np.array(parameters)
+        cad = self.parameters[: 10 * self.n_links]
         consistent[: len(cad)] = cad + np.repeat(share, 10) * (consistent[: len(cad)] - cad)
         return consistent
 
@@ -203,13 +204,17 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         points = _list_joint_points(model, i)
         reach[i] = max(RULES.smallest_reach, float(np.max(np.linalg.norm(points, axis=1))))
         if masses[i] > 0:
-            mass, com = masses[i], link.inertia.com
+            mass = masses[i]
+            com = link.inertia.com
             spread = _second_moment(link.inertia.inertia_about_com)
         elif link.negligible:
             # A frame without mass must stay a body, else the logarithm of its determinant has none.
-            mass, com, spread = RULES.negligible, points.mean(axis=0), np.zeros((3, 3))
+            mass = RULES.negligible
+            com = points.mean(axis=0)
+            spread = np.zeros((3, 3))
         else:
-            mass, com = _average_neighbouring_mass(model, masses, i), points.mean(axis=0)
+            mass = _average_neighbouring_mass(model, masses, i)
+            com = points.mean(axis=0)
             spread = (
                 _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
             )
@@ -302,7 +307,8 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     own column is small, stays next to zero. A larger CAD value is the scale itself; joints without
     torque take the scale of the largest torque. Like CAD's, the weight is for independent samples.
     """
-    links, n = 10 * prior.n_links, information.n_joints
+    links = 10 * prior.n_links
+    n = information.n_joints
     torque = np.sqrt(information.torque_energy / information.n_samples)
     # A joint without torque takes the largest scale: less would hold what nothing says.
     torque = np.where(torque > 0.0, torque, torque.max())
@@ -342,7 +348,8 @@ def design_values(model: RobotModel, base: BaseParameters) -> Array:
     A drive value that the description lacks, or states for a simulator's sake, adds nothing to
     sums with links and is NaN by itself.
     """
-    chi, links = parameter_values(model, base.drive), 10 * model.n_links
+    chi = parameter_values(model, base.drive)
+    links = 10 * model.n_links
     for i, link in enumerate(model.links):
         if not link.inertia_known:
             chi[10 * i : 10 * i + 10] = np.nan

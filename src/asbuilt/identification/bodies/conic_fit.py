@@ -103,7 +103,8 @@ ABOUT: tuple[dict[str, float | bool], ...] = (
 )
 """Settings for bounds, each tried where the one before fails: six digits, which optima at bodies
 without extent on a line or plane reach where the default of eight stalls."""
-FARTHEST, OPEN = 1e4, 0.9
+FARTHEST = 1e4
+OPEN = 0.9
 """Distance of a value from zero, in bodies of CAD, at which its search ends, and the part of it
 from which the value counts as unbounded: a link of ten thousand times its mass is no bound. Of a
 ratio, such as a centre of mass, the square root, since inertia grows with the square of it.
@@ -135,7 +136,9 @@ class ConicProblem:
     ) -> None:
         self.prior, self.smallest_part = prior, smallest_part
         self.bodies, self.q0 = scale_near_one(prior)
-        n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
+        n = len(prior.parameters)
+        inertial = 10 * prior.n_links
+        p = len(regrouping)
         # Unit rows: tolerances of the solver are absolute.
         self.bounds, self.margin = np.zeros((0, n)), np.zeros(0)
         if bounds is not None:
@@ -170,8 +173,11 @@ class ConicProblem:
         A `rough` one is within about a thousandth of a standard error. Raises
         `IdentifiabilityError` if the bounds are infeasible or the solver fails.
         """
-        prior, z = self.prior, factor[:-1, -1]
-        p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
+        prior = self.prior
+        z = factor[:-1, -1]
+        p = len(z)
+        n = len(self.q0)
+        inertial = 10 * self.prior.n_links
         torque = factor[:-1, :-1] @ self.torque
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
         for resolved in RESOLVED:
@@ -230,13 +236,16 @@ class ConicProblem:
 
         Raises `IdentifiabilityError` if no chi meets the constraints.
         """
-        z, n = factor[:-1, -1], len(self.q0)
+        z = factor[:-1, -1]
+        n = len(self.q0)
         p = len(z)
-        goal, normal = self.bodies.T @ value, np.zeros(n)
+        goal = self.bodies.T @ value
+        normal = np.zeros(n)
         if divisor is not None:
             normal = self.bodies.T @ divisor
             # In units of the divisor, so that one limit of distance serves all ratios.
-            goal, normal = goal / np.linalg.norm(normal), normal / np.linalg.norm(normal)
+            goal = goal / np.linalg.norm(normal)
+            normal = normal / np.linalg.norm(normal)
         size = float(np.linalg.norm(goal))
         farthest = FARTHEST if divisor is None else np.sqrt(FARTHEST)
         rows = np.zeros((3, n + p + 1))
@@ -289,7 +298,8 @@ class ConicProblem:
 
     def _unscale(self, q: Array) -> Array:
         """Return chi, with drive parameters moved to their bound if rounding left them beyond."""
-        q, inertial = q.copy(), 10 * self.prior.n_links
+        q = q.copy()
+        inertial = 10 * self.prior.n_links
         # A bound of a single parameter: rounding is moved onto it.
         for row, margin in zip(self.bounds[:, inertial:], self.margin, strict=True):
             (places,) = np.nonzero(row)
@@ -313,7 +323,8 @@ class ConicProblem:
             lower=True,
             check_finite=False,
         )
-        u, slopes = solved[:, 0], solved[:, 1:]
+        u = solved[:, 0]
+        slopes = solved[:, 1:]
         # Violations of the bounds by the unconstrained minimum.
         broken = -(self.margin + u @ slopes)
         if np.any(broken > 0.0):
@@ -331,7 +342,8 @@ class ConicProblem:
 
 def scale_near_one(prior: CadPrior) -> tuple[Array, Array]:
     """Return M and q0 (CAD) with `chi = M q`: svec(Q_i) of every link, then scaled drives."""
-    n, inertial = len(prior.parameters), 10 * prior.n_links
+    n = len(prior.parameters)
+    inertial = 10 * prior.n_links
     roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]
     # P = L Q L^T, solved for the parameters that have this svec.
     images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)

@@ -88,7 +88,8 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         *[clarabel.PSDTriangleConeT(4)] * n_links,
     ]
     # Maximise t.
-    nothing, goal = sparse.csc_matrix((n + 1, n + 1)), np.append(np.zeros(n), -1.0)
+    nothing = sparse.csc_matrix((n + 1, n + 1))
+    goal = np.append(np.zeros(n), -1.0)
     solution = solve_cone_program(nothing, goal, constraints, bounds, cones)
     # Without a bound t grows for ever: no link is constrained.
     if "DualInfeasible" in solution.status:
@@ -273,7 +274,8 @@ class _Separation:
 
     def shortened(self, surest: Array) -> Array:
         """Return a proof with few parameters, starting from the most significant."""
-        proof, prices = surest, np.ones(len(surest))
+        proof = surest
+        prices = np.ones(len(surest))
         for _ in range(RULES.rounds):
             candidate = self.solve(prices)
             proof = proof if candidate is None else candidate
@@ -291,7 +293,9 @@ class _Separation:
         With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta =
         -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
         """
-        p, at, identity = len(self.beta), self.beta / self.size, np.eye(len(self.beta))
+        p = len(self.beta)
+        at = self.beta / self.size
+        identity = np.eye(len(self.beta))
         # beta = 0 is consistent.
         length = float(np.linalg.norm(at))
         if length == 0.0:

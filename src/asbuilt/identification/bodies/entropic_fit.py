@@ -148,7 +148,8 @@ class EntropicProblem:
         # svec(W^-1 Z W^-1): the symmetric Kronecker product, in pairs of places.
         blocks = 0.5 * np.outer(SVEC_LENGTH, SVEC_LENGTH) * pairs
         if self.held:
-            parts, drives = self.along[:n].reshape(-1, 10, self.along.shape[1]), self.along[n:]
+            parts = self.along[:n].reshape(-1, 10, self.along.shape[1])
+            drives = self.along[n:]
             hessians += (_transpose(parts) @ blocks @ parts).sum(
                 axis=1
             ) + self.prior.drive_weight * drives.T @ drives
@@ -179,9 +180,11 @@ class EntropicProblem:
                 " inside the bounds"
             )
         # Each problem stops by itself, so that its result does not depend on the others.
-        active, steps = np.arange(len(search.y)), 0
+        active = np.arange(len(search.y))
+        steps = 0
         while active.size and steps < NEWTON.most_steps:
-            active, steps = active[~search.advance(active, close)], steps + 1
+            active = active[~search.advance(active, close)]
+            steps = steps + 1
         if active.size:
             raise IdentifiabilityError(
                 f"the entropic fit of {self.prior.robot} did not converge: the squared Newton"
@@ -215,7 +218,8 @@ class _Search:
         self.problem, self.weight, self.barrier = problem, weight, barrier
         self.weights = weight * problem.prior.strength
         self.start = start.chi if isinstance(start, EntropicFits) else start
-        m, v = len(self.start), problem.free.shape[1]
+        m = len(self.start)
+        v = problem.free.shape[1]
         self.A, self.error = np.zeros((m, 0, v)), np.zeros((m, 0))
         if factors is not None:
             self.A = factors[:, :-1, :-1] @ problem.torque
@@ -243,7 +247,9 @@ class _Search:
 
         T takes links and duals to the same diagonal, `T Q T^T = T^-T Z T^-1 = diag(V)`.
         """
-        problem, n, q = self.problem, self.problem.inertial, self.q[a]
+        problem = self.problem
+        n = self.problem.inertial
+        q = self.q[a]
         roots = self.roots[a]
         inverse = np.asarray(np.linalg.inv(roots), dtype=np.float64)
         # Eigenvalues V^2 of L^T Z L, Q = L L^T: T Q T^T = T^-T Z T^-1 = diag(V).
@@ -271,16 +277,16 @@ class _Search:
 
     def advance(self, active: Indices, close: float) -> NDArray[np.bool_]:
         """Take one step of the active problems, and return which of them have arrived."""
-        problem, m, n = self.problem, len(active), self.problem.inertial
+        problem = self.problem
+        m = len(active)
+        n = self.problem.inertial
         # A slice is a view: the usual case of all problems copies nothing.
         a: Indices | slice = active if m < len(self.y) else slice(None)
-        error, q, slack, multipliers, strength = (
-            self.error[a],
-            self.q[a],
-            self.slack[a],
-            self.multipliers[a],
-            self.weights[:, None],
-        )
+        error = self.error[a]
+        q = self.q[a]
+        slack = self.slack[a]
+        multipliers = self.multipliers[a]
+        strength = self.weights[:, None]
         gradient, hessian, T, V = self.model(a)
         try:
             step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]))[:, :, 0]
@@ -290,7 +296,8 @@ class _Search:
             ) from None
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
-        narrowing, swing = step @ problem.slopes.T, _multiply_vectors(self.A[a], step)
+        narrowing = step @ problem.slopes.T
+        swing = _multiply_vectors(self.A[a], step)
 
         X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _transpose(T)
         # Z Q = weight linearised in the scaled space, where both are diag(V).
@@ -306,7 +313,8 @@ class _Search:
         # Backtracking of each problem alone: Armijo, and infinity outside the domain.
         trying = np.arange(m)
         while trying.size:
-            b, far = active[trying], length[trying, None]
+            b = active[trying]
+            far = length[trying, None]
             tried = (
                 q[trying] + far * change[trying],
                 error[trying] + far * swing[trying],
@@ -334,8 +342,10 @@ class _Search:
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:
         """Return values and Cholesky roots of the links; infinite values outside."""
-        problem, n = self.problem, self.problem.inertial
-        bodies, drives = q[:, :n].reshape(len(q), -1, 10), q[:, n:] - problem.q0[n:]
+        problem = self.problem
+        n = self.problem.inertial
+        bodies = q[:, :n].reshape(len(q), -1, 10)
+        drives = q[:, n:] - problem.q0[n:]
         roots = _factor_matrices(smat(bodies))
         with np.errstate(divide="ignore", invalid="ignore"):
             value = (

@@ -49,7 +49,8 @@ class EntropicPath:
 
     def fit_descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
         """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
-        wanted, fits = set(weights), dict[float, Array]()
+        wanted = set(weights)
+        fits = dict[float, Array]()
         # Through all stronger weights, as links may lie far from CAD.
         for weight in sorted({*wanted, *(w for w in DESCENT if w > min(wanted))}, reverse=True):
             with suppress(IdentifiabilityError):
@@ -153,9 +154,11 @@ def find_plausible_parameters(
         return chi, float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
 
     with suppress(IdentifiabilityError):
-        path, above = EntropicPath(cad, base, bound_generously(cad)), np.inf
+        path = EntropicPath(cad, base, bound_generously(cad))
+        above = np.inf
         for weight in TO_THE_DATA:
-            below, found = weight, fit(weight)
+            below = weight
+            found = fit(weight)
             if found[1] <= limit:
                 break
             above = weight
@@ -170,7 +173,8 @@ def find_plausible_parameters(
             tried = fit(weight)
             # The found weight always meets the limit, whenever the search ends.
             if tried[1] <= limit:
-                below, found = weight, tried
+                below = weight
+                found = tried
             else:
                 above = weight
         return found

@@ -127,7 +127,8 @@ class FeasibleRegion:
 
         They do if it is a combination `w^T R K` of what they determine; its error then is `|w|`.
         """
-        seen, scaled = self._seen.T, self._scales * value
+        seen = self._seen.T
+        scaled = self._scales * value
         # value @ chi = w^T (R K chi): solved in units of the bodies.
         w, *_ = np.linalg.lstsq(seen, scaled, rcond=1e-10)
         if np.linalg.norm(seen @ w - scaled) > ROUNDING * np.linalg.norm(scaled):
@@ -141,7 +142,8 @@ class FeasibleRegion:
         linear program. The first names are parameters that the quantity does not have, the second
         its own, which alone have no effect on the torques if there are no first ones.
         """
-        scales, n = self._scales, len(value)
+        scales = self._scales
+        n = len(value)
         size = np.linalg.norm(self._seen, axis=1)
         # Unit rows, so that directions count alike whatever their size.
         seen = self._seen / np.where(size > 0.0, size, 1.0)[:, None]

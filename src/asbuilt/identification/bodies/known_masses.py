@@ -31,8 +31,10 @@ def limits_from_text(text: str) -> Limits:
     """
     text = text.strip()
     if (found := WITHIN.fullmatch(text)) is not None:
-        mass, error = float(found["mass"]), float(found["error"])
-        lower, upper = max(mass - error, 0.0), mass + error
+        mass = float(found["mass"])
+        error = float(found["error"])
+        lower = max(mass - error, 0.0)
+        upper = mass + error
     elif (found := BOUND.fullmatch(text)) is not None:
         mass = float(found["mass"])
         lower, upper = (0.0, mass) if found["side"] == "<=" else (mass, math.inf)

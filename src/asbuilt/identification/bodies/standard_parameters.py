@@ -207,7 +207,8 @@ def find_standard_parameters(
     of_motion = _measure_joint_rms(motion @ asked, model.n_joints)
     # Rounding: CAD values may lie on their bound.
     known = bound_known_masses(cad).wider(RULES.rounding, cad.parameters)
-    shared, passive = shared.and_also(known), drives.and_also(bound_known_masses(cad))
+    shared = shared.and_also(known)
+    passive = drives.and_also(bound_known_masses(cad))
     within = shared.and_also(bound_widely(cad).wider(RULES.rounding, cad.parameters))
     chi, part = find_deepest_inside(cad, coordinates, asked, within)
     # Wide bounds give way before beta does: they are only likely.

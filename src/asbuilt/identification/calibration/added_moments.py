@@ -130,7 +130,8 @@ Group = tuple[tuple[int, bool], ...]
 def _group_blocks(rows: PayloadRows) -> list[Group]:
     """Return the blocks by pairs, of one number in loaded and bare recordings alike."""
     n = rows.n_loaded
-    own, bare = [(k, True) for k in range(n)], [(k, False) for k in range(n, len(rows.blocks))]
+    own = [(k, True) for k in range(n)]
+    bare = [(k, False) for k in range(n, len(rows.blocks))]
     pairs = [(*own[k : k + 1], *bare[k : k + 1]) for k in range(n)]
     return [*pairs, *((each,) for each in bare[n:])]
 
@@ -144,7 +145,8 @@ def _build_columns(
     again: bool,
 ) -> Array:
     """Return rows of weight, arm where it is estimated again, and the torque that is left."""
-    p, found = result.n_base, []
+    p = result.n_base
+    found = []
     for k, is_loaded in group:
         block = blocks[k]
         left = block[:, -1] - block[:, :p] @ result.estimates

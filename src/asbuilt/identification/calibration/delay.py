@@ -217,7 +217,8 @@ def find_delays(
     common = _build_joint_shares(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
     lags = _build_friction_shares(count, n)
     together, columns = fits.settle(np.zeros(count), common)
-    delays, std_errors = together, columns.solve(common).std_errors
+    delays = together
+    std_errors = columns.solve(common).std_errors
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
     std_errors = np.hypot(std_errors, mean_lag.increments[:count])
     if abs(mean_lag.increments[-1]) > RULES.significant * mean_lag.std_errors[-1]:
@@ -225,13 +226,16 @@ def find_delays(
         delays, columns = fits.settle(together, whole)
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
     std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
-    lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
+    lag = float(mean_lag.increments[-1])
+    lag_error = float(mean_lag.std_errors[-1])
     of_joints = _estimate_joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error)
     if of_joints is None:
         sure = np.abs(delays) > RULES.significant * std_errors
-        doubtful, shifts = np.any(sure & (std_errors >= RULES.certain)), np.where(sure, delays, 0.0)
+        doubtful = np.any(sure & (std_errors >= RULES.certain))
+        shifts = np.where(sure, delays, 0.0)
     else:
-        doubtful, shifts = np.median(of_joints[1]) >= RULES.certain, of_joints[0]
+        doubtful = np.median(of_joints[1]) >= RULES.certain
+        shifts = of_joints[0]
     helps = fits.predict_better(shifts) if doubtful else None
     joints, errors = (None, None) if of_joints is None or helps is False else of_joints
     return DelayEstimate(delays, std_errors, lag, lag_error, joints, errors, helps)
@@ -258,7 +262,8 @@ class _Fits:
 
     def predict_better(self, delays: Array) -> bool:
         """Return whether torques shifted back by delays are predicted better on other motions."""
-        after, before = self._shift_samples(delays), self._shift_samples(np.zeros(self.count))
+        after = self._shift_samples(delays)
+        before = self._shift_samples(np.zeros(self.count))
         weights = self._fit_plain(self._take_rows(after)).weights
         return predicts_better(
             self.model, self._base, weights, before, after, block_seconds=self._block_seconds
@@ -302,7 +307,8 @@ class _Fits:
 
     def settle(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
         """Return the delays (R,) after which the residual falls no further."""
-        columns, ahead = self.columns(delays), FixedPoint()
+        columns = self.columns(delays)
+        ahead = FixedPoint()
         for _ in range(RULES.most_steps):
             step = columns.increments(shares)[: self.count]
             # Each step leaves up to 0.7 of the error: friction that lags bends what is left.
@@ -358,8 +364,10 @@ def _estimate_joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Arra
     changes counts as error, and delays that differ must do so by more than the largest lag of
     friction (`lag`) [s].
     """
-    n, count = fits.model.n_joints, fits.count
-    columns, each = fits.columns(delays), _build_joint_shares(count, n)
+    n = fits.model.n_joints
+    count = fits.count
+    columns = fits.columns(delays)
+    each = _build_joint_shares(count, n)
     wide = np.repeat(delays[:, None], n, axis=1)
     for _ in range(RULES.most_steps // 2):
         step = np.clip(columns.increments(each).reshape(count, n), -fits.longest, fits.longest)

@@ -88,7 +88,8 @@ class EncoderPair:
     @property
     def stiffness(self) -> tuple[float, float] | None:
         """Stiffness and its standard error [N m/rad or N/m]; None if it is not determined."""
-        c, error = self.compliance, self.compliance_error
+        c = self.compliance
+        error = self.compliance_error
         return (1.0 / c, error / c**2) if self.determined else None
 
     @property
@@ -168,7 +169,8 @@ def identify_encoders(
 
 def _identify_joint(given: Sequence[tuple[Samples, Array]], k: int, turns: bool) -> EncoderPair:
     """Identify a joint from samples and friction of the drives (N, n)."""
-    first, late = given[0][0], 0.0
+    first = given[0][0]
+    late = 0.0
     # The first time finds the lag, in which the columns are linear only where it is short.
     for _ in range(PASSES):
         rows = np.concatenate([_stack_joint_rows(each, k, f[:, k], late) for each, f in given])
@@ -237,7 +239,8 @@ def _is_pair(samples: Samples, k: int) -> bool:
     """Return whether both encoders of a joint move together."""
     assert samples.encoder is not None
     motor, link = _orient_sides(samples, k)
-    wide, apart = float(np.ptp(motor[0])), float(np.std(motor[0] - link[0]))
+    wide = float(np.ptp(motor[0]))
+    apart = float(np.std(motor[0] - link[0]))
     return wide > 0.0 and apart < RULES.apart * wide
 
 
@@ -247,10 +250,8 @@ def _orient_sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Ar
     The link's is put forward by a lag [s].
     """
     assert samples.encoder is not None
-    first, second = (
-        np.stack([x[:, k] for x in (samples.q, samples.qd, samples.qdd)]),
-        samples.encoder[:, :, k],
-    )
+    first = np.stack([x[:, k] for x in (samples.q, samples.qd, samples.qdd)])
+    second = samples.encoder[:, :, k]
     sign = -1.0 if float(first[1] @ second[1]) < 0.0 else 1.0
     sides = first, sign * second
     motor, link = sides if samples.encoder_at == "link" else sides[::-1]
@@ -316,7 +317,8 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
 
     def coefficients(normal: Array) -> Array:
         values = np.zeros(len(used))
-        inner, right = normal[:-1, :-1][np.ix_(used, used)], normal[:-1, -1][used]
+        inner = normal[:-1, :-1][np.ix_(used, used)]
+        right = normal[:-1, -1][used]
         values[used] = Scaled(inner).solve(right)
         return np.asarray(values * scale[-1] / scale[:-1])
 

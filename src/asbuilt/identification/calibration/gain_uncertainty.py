@@ -174,7 +174,8 @@ def split_by_joint(
     `stand_in`, weighted rows `[W_k | ...]` of other motion with the torque that the result
     predicts. Dropped parameters stay zero.
     """
-    p, beta = result.n_base, result.estimates
+    p = result.n_base
+    beta = result.estimates
     if result.cause_data is not None:
         cause_data = result.cause_data
         places = np.append(cause_data.places(result.base.names), -1)

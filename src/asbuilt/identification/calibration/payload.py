@@ -260,7 +260,8 @@ def identify_payload_samples(
     uncertainty = derive_gain_errors(result, source, gain_uncertainty)
     name, link, placement = choose_payload_frame(result.model, frame)
     p = result.n_base
-    prior, vague = _build_prior(result), _build_vague_prior(result.model)
+    prior = _build_prior(result)
+    vague = _build_vague_prior(result.model)
     x = np.concatenate([result.estimates, np.zeros(10)])
     for _ in range(RULES.load_iterations if result.base.drive.needs_load else 1):
         rows = PayloadRows.of(
@@ -272,7 +273,8 @@ def identify_payload_samples(
         noise = _jackknife(rows.blocks, prior, vague, result.estimates, arm) + carried
         slopes = _derive_gain_slopes(result, rows, prior, vague, arm)
     gains = slopes @ gain_covariance(uncertainty) @ slopes.T
-    beta, estimate = x[:p], x[p:]
+    beta = x[:p]
+    estimate = x[p:]
     if not estimate[9] > 0:
         raise IdentifiabilityError(
             f"the payload of {result.robot} at {name} has an estimated mass of"
@@ -395,9 +397,11 @@ def _solve_payload(
 
     Undetermined directions of the arm stay at the result's `estimates` (p,).
     """
-    p, data = len(estimates), triangular_factor(np.vstack(blocks))
+    p = len(estimates)
+    data = triangular_factor(np.vstack(blocks))
     if arm == "frozen":
-        root, own = np.linalg.pinv(prior[:, :p]), _subtract_arm(data, estimates)
+        root = np.linalg.pinv(prior[:, :p])
+        own = _subtract_arm(data, estimates)
         _check_known_arm(data[:, :p], prior[:, :p])
         _check_rank(solve_factor(triangular_factor(own), len(own)).rank)
         solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
@@ -413,7 +417,8 @@ def _solve_payload(
     ]
     _check_rank(ranks[0] - ranks[1])
     held = np.vstack([prior, _widen_vague(vague, p)])
-    factor, start = triangular_factor(np.vstack([held, data])), np.append(estimates, np.zeros(10))
+    factor = triangular_factor(np.vstack([held, data]))
+    start = np.append(estimates, np.zeros(10))
     solution = solve_factor(factor, len(data), start)
     carried = (solution.inverse_root @ solution.inverse_root.T @ held[:, :-1].T)[p:]
     return solution.x, carried @ carried.T
@@ -452,15 +457,18 @@ def _jackknife(
     blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
 ) -> Array:
     """Return the covariance (10, 10) of pi from leaving out one time block at a time."""
-    n, p = len(blocks), len(estimates)
+    n = len(blocks)
+    p = len(estimates)
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
             f"{n} time blocks are too few for the errors of a payload, {FEWEST_BLOCKS} are needed",
             cure=Cure("record longer"),
         )
-    rows, held = blocks, np.vstack([prior, _widen_vague(vague, p)])
+    rows = blocks
+    held = np.vstack([prior, _widen_vague(vague, p)])
     if arm == "frozen":
-        rows, held = [_subtract_arm(block, estimates) for block in blocks], vague
+        rows = [_subtract_arm(block, estimates) for block in blocks]
+        held = vague
     total = sum((row.T @ row for row in rows), start=held.T @ held)
     found = []
     for row in rows:
@@ -474,7 +482,8 @@ def _find_nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]
     if LinkInertia(estimate).is_consistent:
         return estimate, False
     own = Scaled(covariance).raised()
-    root, scale = own.inverse_root.T, own.size
+    root = own.inverse_root.T
+    scale = own.size
     floor = RULES.interior * float(np.abs(estimate[9]))
     solution = solve_cone_program(
         sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale))),

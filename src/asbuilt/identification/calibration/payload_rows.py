@@ -46,7 +46,9 @@ class PayloadRows:
 
         Columns of parameters that the result dropped are zero.
         """
-        p, weights, kept = result.n_base, result.weights, ~result.dropped
+        p = result.n_base
+        weights = result.weights
+        kept = ~result.dropped
         of_link = np.arange(10 * link, 10 * link + 10)
         columns = np.union1d(result.base.columns, of_link)
         own, carried = (np.searchsorted(columns, each) for each in (result.base.columns, of_link))

@@ -259,7 +259,8 @@ def identify_gains(
     with use_one_blas_thread():
         theta, inverse, sigma = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.std_errors(theta, inverse, sigma, known)
-    gains, payload = 1.0 / inverse, theta[-10:]
+    gains = 1.0 / inverse
+    payload = theta[-10:]
     open_ended = ~(scatter < np.abs(gains)) | (
         np.abs(gains) > RULES.runaway * np.nanmedian(np.abs(gains))
     )
@@ -335,7 +336,8 @@ class _Problem:
             triangular_factor(np.vstack([block[k] for block in self.blocks]))
             for k in range(self._n)
         ]
-        n_samples, p = sum(block.n_samples for block in self.times), self._p
+        n_samples = sum(block.n_samples for block in self.times)
+        p = self._p
         free = self._select_free(known)
         theta = np.concatenate([np.zeros(p), given])
         inverse = self._find_signs(rows, theta, free)
@@ -376,7 +378,8 @@ class _Problem:
         free: NDArray[np.bool_],
     ) -> tuple[Array, Array]:
         """Return the matrix of `[beta, free phi, 1 / gain]` about a solution, and the errors."""
-        matrix, errors = [], []
+        matrix = []
+        errors = []
         for k, (r, g, s) in enumerate(zip(rows, inverse, sigma, strict=True)):
             own = np.zeros((len(r), self._n))
             own[:, k] = r[:, :-1] @ theta
@@ -386,7 +389,8 @@ class _Problem:
 
     def _find_signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
         """Return the sign (n,) of each gain by a fit of `-i_k g_k + Y_k beta + P_k phi = 0`."""
-        matrix, target = [], []
+        matrix = []
+        target = []
         for k, r in enumerate(rows):
             own = np.zeros((len(r), self._n))
             own[:, k] = -r[:, -1]
@@ -415,7 +419,8 @@ class _Problem:
         They belong to the fit about the solution, as in `block_uncertainty`: the arm and the
         unknown part of the payload absorb residuals too.
         """
-        free, p = self._select_free(known), self._p
+        free = self._select_free(known)
+        p = self._p
         parts = [self._linearise(block, theta, inverse, sigma, free) for block in self.blocks]
         whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
         root, lost = _invert_root(whole)

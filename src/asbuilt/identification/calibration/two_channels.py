@@ -176,7 +176,8 @@ def identify_two_channels(
             )
     if link_side.needs_load or ahead.needs_load:
         raise UsageError("two channels need drive terms that do not depend on load")
-    acting, base = _find_acting(model, ahead), find_base_parameters(model, link_side)
+    acting = _find_acting(model, ahead)
+    base = find_base_parameters(model, link_side)
     links = RegressorPlan.of(model, link_side, base.columns, spare_rows=1)
     drives = RegressorPlan.of(model, ahead, 10 * model.n_links + acting, spare_rows=1)
     fit = partial(_fit_channels, base, links, drives, sensors, motors)
@@ -184,7 +185,8 @@ def identify_two_channels(
         fit, model.n_joints, base.n_base
     )
     rms = np.sqrt(information.residual_energy(estimate.beta) / information.n_samples)
-    n, kept = model.n_joints, base.n_base + len(acting)
+    n = model.n_joints
+    kept = base.n_base + len(acting)
     return TwoChannelEstimate(
         robot=model.name,
         joint_names=model.joint_names,
@@ -237,7 +239,9 @@ def _join_channels(
     beta: Array | None,
 ) -> SquareRootInformation:
     """Return the information of both channels; scales multiply the torque of links `beta`."""
-    model, n, p = links.model, links.model.n_joints, len(links.columns)
+    model = links.model
+    n = links.model.n_joints
+    p = len(links.columns)
     first = p + len(drives.columns)
     own_scale = [[first + scaled.index(k)] if k in scaled else [] for k in range(n)]
     support = (
@@ -248,7 +252,8 @@ def _join_channels(
         ),
     )
     factors: list[list[Array]] = [[] for _ in support]
-    sums, times = [], []
+    sums = []
+    times = []
     for seen, driven in zip(
         divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
     ):
@@ -291,12 +296,14 @@ def _fit_scales(
     the fit before; `first` is the number of their parameters.
     """
     found = fit(np.ones(n), (), None)
-    scales, errors = np.ones(n), np.full(n, np.nan)
+    scales = np.ones(n)
+    errors = np.full(n, np.nan)
     scaled: tuple[int, ...] = tuple(range(n))
     for _ in range(SCALE.rounds):
         divisors = np.where(np.isin(np.arange(n), scaled), scales, 1.0)
         found = fit(divisors, scaled, found[2].beta[:first])
-        change, error = found[2].beta[-len(scaled) :], found[3].std_errors[-len(scaled) :]
+        change = found[2].beta[-len(scaled) :]
+        error = found[3].std_errors[-len(scaled) :]
         chosen = list(scaled)
         errors[chosen] = divisors[chosen] * error
         scales[chosen] = divisors[chosen] * (1.0 + change)
@@ -334,7 +341,9 @@ def _combine_sides(
     acting = [every[j] for j in drives.columns - 10 * drives.model.n_links]
     added = [*acting, *((f"scalem{k + 1}", "1") for k in scaled)]
     names, units = (tuple(each[i] for each in added) for i in (0, 1))
-    first, p, m = base.n_standard, base.n_base, len(names)
+    first = base.n_standard
+    p = base.n_base
+    m = len(names)
     regrouping = np.zeros((p + m, first + m))
     regrouping[:p, :first], regrouping[p:, first:] = base.regrouping, np.eye(m)
     why = "the difference between motor and sensor torque holds the motor side alone"

@@ -115,7 +115,8 @@ def settle_nonlinear(model: RobotModel, samples: Sequence[Samples], drive: Drive
         if term.stands_for is not None and term.stands_for not in plain.keys:
             plain = plain.with_term(available_terms()[term.stands_for])
     found = fit_nonlinear(model, drive, samples)
-    sentences, findings = found.sentences(model.joint_names), found.findings(model.joint_names)
+    sentences = found.sentences(model.joint_names)
+    findings = found.findings(model.joint_names)
     before, after = (_predict_held_out(model, samples, each) for each in (plain, found.drive))
     if before is not None and after is not None:
         gain = _measure_gain(before, after)

@@ -204,13 +204,17 @@ def _fit_one(
 
     grid = np.linspace(first, last, SEARCH.grid)
     errors = np.array([error(real(points)) for points in grid])
-    best, every = errors.argmin(axis=0), np.arange(model.n_joints)
+    best = errors.argmin(axis=0)
+    every = np.arange(model.n_joints)
     low, high = (grid[np.clip(best + side, 0, SEARCH.grid - 1), every] for side in (-1, 1))
-    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    at_a, at_b = error(real(a)), error(real(b))
+    a = high - GOLDEN * (high - low)
+    b = low + GOLDEN * (high - low)
+    at_a = error(real(a))
+    at_b = error(real(b))
     for _ in range(SEARCH.refinements):
         left = at_a < at_b
-        low, high = np.where(left, low, a), np.where(left, b, high)
+        low = np.where(left, low, a)
+        high = np.where(left, b, high)
         renewed = np.where(left, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
         at = error(real(renewed))
         a, b, at_a, at_b = (
@@ -219,7 +223,8 @@ def _fit_one(
             np.where(left, at, at_b),
             np.where(left, at_a, at),
         )
-    values, least = real(np.where(at_a < at_b, a, b)), np.minimum(at_a, at_b)
+    values = real(np.where(at_a < at_b, a, b))
+    least = np.minimum(at_a, at_b)
     of_grid = errors.min(axis=0)
     values = np.where(least > of_grid, real(grid[best, every]), values)
     energy = np.maximum(remaining.energy, np.finfo(np.float64).tiny)
@@ -271,7 +276,8 @@ class _Remaining:
         plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
         self._bases, self._torques = [], []
         for rows in _stack_rows(plan, chosen):
-            columns, torque = rows[:-1], rows[-1]
+            columns = rows[:-1]
+            torque = rows[-1]
             sizes = np.linalg.norm(columns, axis=1)
             present = sizes > 1e-12 * sizes.max(initial=0.0)
             _, s, vt = np.linalg.svd(columns[present] / sizes[present, None], full_matrices=False)

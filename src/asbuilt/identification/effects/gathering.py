@@ -161,7 +161,9 @@ def _place_candidates(
     """Return candidates, the parameter in each slot of each joint (-1: none), and the number."""
     # Slots, not parameters, are columns of the regressor: a local variant fills one for all joints.
     parameters = np.full((n, sum(variant.n_columns for variant in variants)), -1)
-    candidates, first, size = list[Candidate](), 0, base.n_base
+    candidates = list[Candidate]()
+    first = 0
+    size = base.n_base
     for variant in variants:
         slots = slice(first, first + variant.n_columns)
         first = slots.stop

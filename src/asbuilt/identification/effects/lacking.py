@@ -93,7 +93,8 @@ class Lacking:
         )
         plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
         free = self._follows(fit, plain.weights)
-        bias, free_bias = moves @ mean, free @ mean
+        bias = moves @ mean
+        free_bias = free @ mean
         # What the mean moves is a bias of unknown sign to the user: it widens the error as its
         # square.
         covariance = np.outer(bias, bias) + moves @ spread @ moves.T

@@ -68,7 +68,8 @@ def _report_unseen(effects: Effects) -> Iterator[Finding]:
     names = effects.model.joint_names
     named = {(known.effect, known.joint) for known in effects.found}
     for key, effect in EFFECTS.items():
-        sized, never = list[str](), list[str]()
+        sized = list[str]()
+        never = list[str]()
         for (sought, joint), size in effects.unseen.items():
             name = None if joint is None else names[joint]
             # At `farthest` no size that robots have would show: no number is said.
@@ -121,7 +122,8 @@ def describe_stated(
     if not drive.terms:
         return
     # Same objective as in the search: what others' motion and CAD's quadratic form say.
-    information, estimate = fit.information, fit.estimate
+    information = fit.information
+    estimate = fit.estimate
     prior = with_drive_scale(build_cad_prior(fit.model, fit.base.drive), information)
     P = design_effect(information, estimate) * prior_information(information, prior)
     toward = P @ fit.base.regrouping @ prior.parameters
@@ -130,7 +132,8 @@ def describe_stated(
     folds = list(divide_into_folds(information, groups)) or [(information, information)]
 
     def error(left_out: Indices) -> float:
-        kept, shares = np.setdiff1d(np.arange(information.base.n_base), left_out), []
+        kept = np.setdiff1d(np.arange(information.base.n_base), left_out)
+        shares = []
         for training, held in folds:
             factor = training.stacked(estimate.weights)
             # The last row and column of the Gram matrix are the torque's.

@@ -177,14 +177,16 @@ class _Search:
             path = _select_further(selection, removed)
         # One at a time: what is taken out moves the linearisation point of all others.
         while (first := self._next_removed(path, removed)) is not None:
-            own, settled = first.candidate, list[Trial]()
+            own = first.candidate
+            settled = list[Trial]()
             # A tilt becomes the model's gravity: it must hold without effects that are only named.
             if not own.effect.in_model or selection.holds(own):
                 new = replace(first, values=_expand_values(first.values, own, selection))
                 settled, further = self._settle([*removed, new])
             robot = selection.equations.robot
             if settled and own.effect.is_possible(settled[-1].values, own.joint, robot):
-                removed, selection = settled, further
+                removed = settled
+                selection = further
             else:
                 # Not asked again, else the loop would not end.
                 self.impossible.add(own.at)
@@ -266,7 +268,8 @@ class _Search:
         # Chi-square of the values by their own covariance: a tilt has two, about both axes.
         """Return whether an effect that is taken out is no chance, and large enough to matter."""
         own = selection.own(removed.candidate.at)
-        values, covariance = _select_acting(removed, selection), selection.values_of([own])[1]
+        values = _select_acting(removed, selection)
+        covariance = selection.values_of([own])[1]
         square = Scaled(covariance).square(values)
         possible = own.effect.is_possible(removed.values, None, selection.equations.robot)
         return possible and float(chdtrc(len(values), square)) < RULES.level
@@ -287,7 +290,8 @@ class _Search:
         except (AsbuiltError, np.linalg.LinAlgError):
             return [], selection
         # A factor that predicts other motion worse has only found another imitation.
-        before, after = selection.held_out_error([]), without.held_out_error(without.taken)
+        before = selection.held_out_error([])
+        after = without.held_out_error(without.taken)
         possible = EFFECTS[key].is_possible(found.values, None, selection.equations.robot)
         if not possible or after > before:
             return [], selection
@@ -326,7 +330,8 @@ class _Search:
         """
         nearer = list(removed)
         for _ in range(LIMITS.rounds):
-            own, selection = nearer, self._begin_selection(nearer)
+            own = nearer
+            selection = self._begin_selection(nearer)
             nearer = [_advance_values(each, selection) for each in own]
             # About these values the equations are made; the step left is below `settled`.
             if all(
@@ -338,7 +343,8 @@ class _Search:
 
     def _take_out(self, removed: Sequence[Trial]) -> tuple[RobotModel, list[Samples]]:
         """Return the robot and its samples without effects."""
-        model, samples = self.model, list(self.samples)
+        model = self.model
+        samples = list(self.samples)
         for each in removed:
             own = each.candidate
             model, samples = own.effect.without(model, samples, own.joint, each.values)
@@ -374,7 +380,8 @@ class _Search:
     def _begin_selection(self, removed: Sequence[Trial]) -> Selection:
         """Return the selection on a robot without effects, whose columns are taken."""
         model, samples = self._take_out(removed)
-        base, prior = find_base_parameters(model, self.drive), build_cad_prior(model, self.drive)
+        base = find_base_parameters(model, self.drive)
+        prior = build_cad_prior(model, self.drive)
         seen = accumulate_stream(model, base, samples, block_seconds=self.seconds, kept=self.kept)
         fit = fit_consistent(seen, prior)
         groups = group_different_motions(seen, fit.weights)
@@ -397,7 +404,8 @@ class _Search:
         return selection
 
     def _describe_found(self, trial: Trial, selection: Selection) -> FoundEffect:
-        own, names = trial.candidate, self.model.joint_names
+        own = trial.candidate
+        names = self.model.joint_names
         return own.effect.found(
             None if own.joint is None else names[own.joint],
             trial.values,
@@ -416,7 +424,8 @@ class _Search:
 def _select_further(selection: Selection, removed: Sequence[Trial]) -> list[Trial]:
     """Return the effects taken after those removed, with held-out errors before and after each."""
     selection.taken = [selection.candidate(each.candidate.at) for each in removed]
-    given, path = list(selection.taken), selection.run()
+    given = list(selection.taken)
+    path = selection.run()
     added = [each.candidate for each in path]
     # Errors before and after each, in the order taken, as a reader adds them up.
     steps = [selection.held_out_error([*given, *added[:k]]) for k in range(len(added) + 1)]
@@ -425,7 +434,8 @@ def _select_further(selection: Selection, removed: Sequence[Trial]) -> list[Tria
 
 def _advance_values(removed: Trial, selection: Selection) -> Trial:
     """Return an effect with the values that leave nothing of it, to first order."""
-    own, effect = selection.own(removed.candidate.at), removed.candidate.effect
+    own = selection.own(removed.candidate.at)
+    effect = removed.candidate.effect
     step = _expand_values(selection.values()[own.places], own, selection)
     found = replace(removed, values=effect.advanced(removed.values, step))
     if effect.in_model and np.linalg.norm(found.values) > effect.farthest:

@@ -39,7 +39,9 @@ class Selection(Trials):
 
     def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
-        path, before, swapped = list[Trial](), list[Trial](), False
+        path = list[Trial]()
+        before = list[Trial]()
+        swapped = False
         self.given_up.clear()
         while True:
             busy = {slot for candidate in self.taken for slot in candidate.busy}
@@ -53,7 +55,8 @@ class Selection(Trials):
                 and (not candidate.effect.of_log or self._is_shown(candidate))
             ]
             # Forms and trial values of an effect at a joint count as one question.
-            n, robot = len({candidate.at for candidate in left}), self.equations.robot
+            n = len({candidate.at for candidate in left})
+            robot = self.equations.robot
             sure = [trial for trial in self.trials(left) if trial.is_sure(n, robot)]
             trials = [trial for trial in sure if trial.is_taken(n, robot, self.held)]
             # Only now it shows which others the last effect has made needless.
@@ -155,7 +158,8 @@ class Selection(Trials):
         trials = self._try_with(
             [candidate for candidate in self.taken if candidate is not own], alike
         )
-        n, robot = self.n_asked, self.equations.robot
+        n = self.n_asked
+        robot = self.equations.robot
         now = next(
             (
                 trial
@@ -186,7 +190,8 @@ class Selection(Trials):
         than the number of parameters that the data determine, p - tr((A + P)^-1 P) (MacKay, Neural
         Computation 4, 1992, eq. 4.8).
         """
-        inside, base = self._list_inside(self.taken), self.equations.base
+        inside = self._list_inside(self.taken)
+        base = self.equations.base
         # Standard parameters below 10 n_links are of bodies, the rest of drives.
         links = np.flatnonzero(base.columns[inside[inside < base.n_base]] < 10 * base.n_links)
         A, P = self._build_normal(self._total, inside)

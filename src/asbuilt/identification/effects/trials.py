@@ -130,7 +130,8 @@ class Trial:
         """
         if not self.is_sure(n_candidates, robot):
             return False
-        mean, error = float(self.relief.mean()), self.relief_error
+        mean = float(self.relief.mean())
+        error = self.relief_error
         certain = RULES.certain if held else RULES.unheld
         predicts = mean > certain * error and mean > RULES.worth
         imitated = held and self.nearer > RULES.imitated and mean > -error
@@ -202,7 +203,8 @@ class Trials:
     @cached_property
     def _apart(self) -> Array:
         """Squared part of each column outside the model's own, in its length, (P,)."""
-        gram, model = self._total[:-1, :-1], self._list_inside(())
+        gram = self._total[:-1, :-1]
+        model = self._list_inside(())
         # Unit columns, so that the tolerance is a share.
         size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
         scaled = gram / np.outer(size, size)
@@ -245,7 +247,8 @@ class Trials:
             for squares in (self._leave_out(self._list_inside(taken)), self._torque)
         )
         # Exact fits of simulations have no logarithm.
-        there, least = torque > 0.0, float(np.finfo(np.float64).eps) ** 2
+        there = torque > 0.0
+        least = float(np.finfo(np.float64).eps) ** 2
         squares = np.maximum(error[there] / torque[there], least)
         return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares.size else 0.0
 
@@ -273,7 +276,8 @@ class Trials:
     def values_in_halves(self, candidate: Candidate) -> list[Array]:
         """Return the values of a candidate next to all others in each half of the blocks."""
         others = [taken for taken in self.taken if taken is not candidate]
-        inside, blocks = self._list_inside(others), np.arange(len(self.equations.counts))
+        inside = self._list_inside(others)
+        blocks = np.arange(len(self.equations.counts))
         found = []
         for half in np.array_split(blocks, 2):
             gram = self.equations.stacked(self.weights, half)
@@ -307,7 +311,8 @@ class Trials:
         energy = np.zeros(len(self.equations.support))
         for k, gram in enumerate(self.equations.of_joints):
             columns = self._place[k, candidate.places]
-            at, x = columns[columns >= 0], values[columns >= 0]
+            at = columns[columns >= 0]
+            x = values[columns >= 0]
             energy[k] = x @ gram[np.ix_(at, at)] @ x
         return np.sqrt(np.maximum(energy, 0.0) / self._n_samples)
 
@@ -336,15 +341,18 @@ class Trials:
 
     def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
-        P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
+        P = self.equations.n_parameters
+        key = (id(gram), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
-            factor, b = cho_factor(self._build_normal(gram, inside)[0]), gram[inside, -1].copy()
+            factor = cho_factor(self._build_normal(gram, inside)[0])
+            b = gram[inside, -1].copy()
             model = np.flatnonzero(inside < self.equations.n_base)
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
             self._factored[key] = factor, cho_solve(factor, b)
         factor, solution = self._factored[key]
-        residual, moves = np.zeros(P + 1), np.zeros((P + 1, len(columns)))
+        residual = np.zeros(P + 1)
+        moves = np.zeros((P + 1, len(columns)))
         # tau - W x: minus the values, and one for the torque.
         residual[inside], residual[-1] = -solution, 1.0
         moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
@@ -355,7 +363,8 @@ class Trials:
 
     def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        model, prior = np.flatnonzero(inside < self.equations.n_base), np.zeros((len(inside),) * 2)
+        model = np.flatnonzero(inside < self.equations.n_base)
+        prior = np.zeros((len(inside),) * 2)
         prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
         A = gram[np.ix_(inside, inside)] + prior
         # On the diagonal relative to it, so that units do not matter; prior-free columns stay
@@ -446,7 +455,8 @@ class Trials:
         gaining = []
         for candidate in acting:
             c = np.searchsorted(columns, candidate.places)
-            schur, scale = fit.schur[np.ix_(c, c)], self._size[candidate.places]
+            schur = fit.schur[np.ix_(c, c)]
+            scale = self._size[candidate.places]
             # A column within the others up to rounding would have any value.
             if np.linalg.eigvalsh(schur / np.outer(scale, scale))[0] < RULES.separate:
                 continue
@@ -498,8 +508,10 @@ def _expand_squares(
     for places, gram in grams:
         kept = np.arange(len(places)) if moving is None else np.flatnonzero(moving[places])
         # Rows of zero coefficients are most of a block, and cost nothing when passed over.
-        at, part = places[kept], gram[np.ix_(kept, kept)]
-        r, M = fit.residual[at], fit.moves[at]
+        at = places[kept]
+        part = gram[np.ix_(kept, kept)]
+        r = fit.residual[at]
+        M = fit.moves[at]
         felt = M.T @ part
         squares.append((r @ part @ r, felt @ r, felt @ M))
     value, slope, curvature = map(np.array, zip(*squares, strict=True))

@@ -87,7 +87,8 @@ def _fit_draws(
 ) -> tuple[Array, Array]:
     """Return the consistent parameters next to the draws of a part, and their chi-squares."""
     factors = np.stack([factor_distance(information_root, beta) for beta in drawn])
-    fits, distances = list[Array](), list[Array]()
+    fits = list[Array]()
+    distances = list[Array]()
     path = EntropicPath(cad, base, bound_generously(cad))
     for weight in TO_THE_DATA:
         try:
@@ -148,7 +149,8 @@ class Ensemble:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns of `table`: `Ixx1 ... m1 ... Ia1 Fv1 ... kp1 ... delay`."""
-        model, base = self.result.model, self.result.base
+        model = self.result.model
+        base = self.result.base
         numbers = range(1, model.n_joints + 1)
         servo = (*(f"kp{k}" for k in numbers), *(f"kd{k}" for k in numbers), "delay")
         return (*parameter_names(model, base.drive), *(servo if self.kp is not None else ()))
@@ -156,7 +158,8 @@ class Ensemble:
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the columns of `table`."""
-        model, base = self.result.model, self.result.base
+        model = self.result.model
+        base = self.result.base
         turning = [joint.is_revolute for joint in model.joints]
         servo = (
             *("N m/rad" if each else "N/m" for each in turning),
@@ -255,7 +258,10 @@ def draw_ensemble(
     drawn = result.estimates + _draw_tails(result, n, random)[:, None] * (
         random.normal(size=(n, covariance.rank)) @ covariance.root
     )
-    kp, kd, delay, notes = None, None, None, list[str]()
+    kp = None
+    kd = None
+    delay = None
+    notes = list[str]()
     errors = result.servo_errors
     if result.servo is not None:
         kp, factors, notes = _draw_stiffness(result, n, random)
@@ -268,7 +274,9 @@ def draw_ensemble(
     chi, chi_square = make_draws_consistent(
         prior, result.base, np.vstack([result.estimates, drawn]), root, workers=workers
     )
-    centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
+    centre = chi[0]
+    chi = chi[1:]
+    chi_square = chi_square[1:]
     far = int(np.sum(chi_square > 1.0))
     lead = 0.0 if errors is None else errors.lead
     possible = (
@@ -326,10 +334,12 @@ def _draw_stiffness(
     result: IdentificationResult, n: int, random: np.random.Generator
 ) -> tuple[Array, Array, list[str]]:
     """Return stiffnesses (N, n_joints), their factors, and notes."""
-    servo, errors = result.servo, result.servo_errors
+    servo = result.servo
+    errors = result.servo_errors
     if servo is None:
         raise ValueError("the result has no servo")
-    kp, joints = np.nan_to_num(np.array(servo.kp)), result.model.n_joints
+    kp = np.nan_to_num(np.array(servo.kp))
+    joints = result.model.n_joints
     own = np.zeros(joints) if errors is None or not errors.kp else np.array(errors.kp)
     relative = np.divide(own, kp, out=np.zeros(joints), where=kp > 0)
     unknown = ~np.isfinite(relative)
@@ -350,8 +360,10 @@ def _scale_draws(result: IdentificationResult, drawn: Array, factors: Array) -> 
     """Return draws of base parameters that follow the torque scale of the joints."""
     if np.all(factors == factors[:, :1]):
         return drawn * factors[:, :1]
-    columns, links = np.asarray(result.base.columns), 10 * result.model.n_links
-    scaled, of_drive = drawn.copy(), columns >= links
+    columns = np.asarray(result.base.columns)
+    links = 10 * result.model.n_links
+    scaled = drawn.copy()
+    of_drive = columns >= links
     joints = (columns[of_drive] - links) // result.base.drive.columns_per_joint
     scaled[:, of_drive] *= factors[:, joints]
     return scaled

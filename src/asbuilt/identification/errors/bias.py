@@ -90,7 +90,8 @@ def position_noise_bias(
 
     `noise` are the variances of the accelerations (n,) of each recording in `training`.
     """
-    base, model = result.base, result.model
+    base = result.base
+    model = result.model
     total = sum(len(samples.q) for samples in training)
     weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny) ** 2
     normal = np.zeros((base.n_base, base.n_base))

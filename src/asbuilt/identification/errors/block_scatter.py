@@ -312,7 +312,8 @@ def estimate_common_growth(
     # Of what blocks share beyond chance the fit takes its part too. Least part that it leaves: of
     # few motions it absorbs almost all.
     left = np.maximum(1.0 - taken[1:], 0.3)
-    x, v = parts[1:] / left, spreads[1:] / rank / left**2
+    x = parts[1:] / left
+    v = spreads[1:] / rank / left**2
     # An excess x of variance v is shrunk by its chance part: below its error nothing is left.
     beyond = x - np.divide(v, x, out=np.zeros_like(x), where=x > 0.0)
     along = of_noise + float(np.maximum(beyond, 0.0).sum())
@@ -334,8 +335,10 @@ def effective_rank(moves: Array) -> float:
     Products of *different* blocks give `tr(O^2)` without bias (Chen & Qin, Annals of Statistics 38,
     2010).
     """
-    products, n = moves @ moves.T, len(moves)
-    squares, trace = np.diag(products), float(np.trace(products))
+    products = moves @ moves.T
+    n = len(moves)
+    squares = np.diag(products)
+    trace = float(np.trace(products))
     # Pairs of different blocks only; n / (n - 1) makes up for those left out.
     across = float((products**2).sum() - (squares**2).sum()) * n / max(n - 1, 1)
     return float(np.clip(trace**2 / max(across, 1e-12 * trace**2), 1.0, moves.shape[1]))
@@ -376,7 +379,8 @@ def _add_pairs(
     For each mask of pairs: that sum, what the fit takes from it where residuals are independent,
     and its variance for independent blocks with moves of one column.
     """
-    products, flat = moves @ moves.T, absorbed.reshape(len(moves), -1)
+    products = moves @ moves.T
+    flat = absorbed.reshape(len(moves), -1)
     energy = np.diag(products)
     whole = float(energy.sum())
     taken = float(np.trace(products)) / leverage * (flat @ flat.T)

@@ -86,7 +86,8 @@ class DelayColumns:
         absorb residuals too and that residuals outlast a block. The base parameters follow by
         `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
         """
-        fit, m = self._solved(shares), shares.shape[-1]
+        fit = self._solved(shares)
+        m = shares.shape[-1]
         inverse = fit.root @ fit.root.T
         if fit.free.size and not textbook and len(self.blocks) >= FEWEST_BLOCKS:
             # Correlations stay those of the fit; few blocks determine variances alone.
@@ -101,7 +102,8 @@ class DelayColumns:
     def _solved(self, shares: Array) -> _Solved:
         """Return the fit of base parameters and delays together, by elimination."""
         spread = shares[self.place]
-        r, grams = self.root.shape[1], self.grams
+        r = self.root.shape[1]
+        grams = self.grams
         # Contiguous, by which the order of sums in `einsum` does not depend on the other parts.
         across, between, late = map(
             np.ascontiguousarray,
@@ -110,15 +112,18 @@ class DelayColumns:
         A = np.einsum("brk,bkm->brm", across, spread)
         D = np.einsum("bkl,bkj,bjm->blm", spread, between, spread, optimize=True)
         of_delay = np.einsum("bkm,bk->bm", spread, late)
-        moved, whole = self._known.solve(A.sum(axis=0)), D.sum(axis=0)
+        moved = self._known.solve(A.sum(axis=0))
+        whole = D.sum(axis=0)
         # Schur complement: what of the columns of delays the base parameters cannot imitate.
         left = whole - moved.T @ grams.sum(axis=0) @ moved
         # Squared part of a delay's column outside all others below which it is undetermined.
         free = np.flatnonzero(
             np.diag(left) > 1e-9 * np.maximum(np.diag(whole), np.finfo(np.float64).tiny)
         )
-        A, D = A[..., free], D[:, free][..., free]
-        of_delay, moved = of_delay[:, free], moved[:, free]
+        A = A[..., free]
+        D = D[:, free][..., free]
+        of_delay = of_delay[:, free]
+        moved = moved[:, free]
         root = np.linalg.cholesky(np.linalg.inv(left[np.ix_(free, free)]))
         grams = np.block([[grams, A], [A.transpose(0, 2, 1), D]])
         scores = np.hstack([self.normal[:, :r, -1], of_delay])
@@ -130,7 +135,8 @@ class DelayColumns:
     def _variance(self, found: _Solved) -> Array:
         """Return the variances of delays from time blocks."""
         whitened = self._known.inverse_root
-        m, r = found.free.size, whitened.shape[1]
+        m = found.free.size
+        r = whitened.shape[1]
         # Inverse root of base parameters and delays together: lower right that of the delays.
         whole = np.block([[whitened, -found.moved @ found.root], [np.zeros((m, r)), found.root]])
         data = BlockScores(
@@ -226,9 +232,13 @@ def build_delay_columns(
     `rows` are the rows of the samples, if they are at hand.
     """
     rows = Rows(model, base, samples, block_seconds) if rows is None else rows
-    root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints
+    root = estimate.solution.inverse_root
+    weights = estimate.weights
+    n = model.n_joints
     r = root.shape[1]
-    every_normal, places, blocks = list[Array](), list[int](), list[TimeBlock]()
+    every_normal = list[Array]()
+    places = list[int]()
+    blocks = list[TimeBlock]()
     every = zip(rows, rows.grams(), strict=True)
     for place, batch in enumerate(samples):
         rates = _derive_torque_rates(model, base, estimate.beta, batch)

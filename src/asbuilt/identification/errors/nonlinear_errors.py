@@ -86,7 +86,8 @@ def estimate_nonlinear_errors(
     changes = _derive_changes(model, base, estimate.beta, nonlinear)
     first = [nonlinear.index(name) for name in names]
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + len(nonlinear))
-    root, m = estimate.solution.inverse_root, len(places)
+    root = estimate.solution.inverse_root
+    m = len(places)
     r = root.shape[1]
     at = [[i for i, place in enumerate(places) if place.joint == k] for k in range(model.n_joints)]
     blocks = []
@@ -108,8 +109,10 @@ def estimate_nonlinear_errors(
                 gram[where] += estimate.weights[k] ** 2 * (seen @ seen.T)
         blocks.append(gram)
     together = np.sum(blocks, axis=0)
-    known, across = together[:r, :r], together[:r, r : r + m]
-    alone, moved = together[r : r + m, r : r + m], Scaled(known).solve(across)
+    known = together[:r, :r]
+    across = together[:r, r : r + m]
+    alone = together[r : r + m, r : r + m]
+    moved = Scaled(known).solve(across)
     left = alone - moved.T @ across
     # Squared part of that derivative outside all linear columns below which it is undetermined.
     determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(alone)).tolist()

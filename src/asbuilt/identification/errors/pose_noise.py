@@ -156,7 +156,8 @@ def expect_pose_noise(
     # No direction holds more noise than all that was observed of it.
     share = np.maximum(share, 0.0)
     kept = 1.0 / np.maximum(share, 1.0)
-    along, of = root @ axes, axes.T @ np.linalg.pinv(root)
+    along = root @ axes
+    of = axes.T @ np.linalg.pinv(root)
     # Directions with more noise than observed signal get as much as was observed.
     grams = grams @ (np.eye(base.n_base) + (along * (kept - 1.0)) @ of)
     # Each pass adds a power of the share: the series of (1 - share)^-1, cut off.
@@ -183,7 +184,8 @@ def _average_noise(model: RobotModel, base: BaseParameters, samples: Samples) ->
     if not samples.pose_noise or samples.contact is None:
         return squares
     step = max(1, -(-len(samples.q) // RULES.states))
-    q, contact = samples.q[::step], samples.contact[::step]
+    q = samples.q[::step]
+    contact = samples.contact[::step]
     still = np.zeros_like(q)
     scale = np.array(samples.noise) if samples.noise else np.ones(model.n_joints)
     basis = contact_basis(model, q, contact, samples.noise)

@@ -28,7 +28,8 @@ from asbuilt.identification.information.triangular import pack_triangle, unpack_
 
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""
-FEWEST_BLOCKS, FEWEST_RECORDINGS = 8, 4
+FEWEST_BLOCKS = 8
+FEWEST_RECORDINGS = 4
 """Blocks, and recordings, below which their scatter gives no usable variance."""
 
 
@@ -77,7 +78,8 @@ def estimate_block_uncertainty(
     `effective_samples` = N times the geometric mean over parameters of textbook variance /
     variance.
     """
-    n_blocks, n_samples = information.n_blocks, information.n_samples
+    n_blocks = information.n_blocks
+    n_samples = information.n_samples
     if n_blocks < FEWEST_BLOCKS or estimate.rank == 0:
         return Uncertainty(
             estimate.covariance,
@@ -154,7 +156,9 @@ def correct_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Arra
 
     `root` (p, rank) is the inverse root, by which moves become changes of parameters.
     """
-    moves, absorbed, trace = np.empty_like(scores), np.empty_like(grams), 0.0
+    moves = np.empty_like(scores)
+    absorbed = np.empty_like(grams)
+    trace = 0.0
     leverages = np.empty((len(grams), root.shape[1], root.shape[0]))
     weight = np.empty((len(grams), root.shape[0]))
     for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
@@ -202,7 +206,8 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
 
     e is the weighted residual, S the inverse root.
     """
-    residual, products = np.append(-estimate.beta, 1.0), []
+    residual = np.append(-estimate.beta, 1.0)
+    products = []
     for b in range(information.n_blocks):
         factor = information.stacked(estimate.weights, b)
         whitened = factor[:, :-1] @ estimate.solution.inverse_root
@@ -241,7 +246,8 @@ def estimate_recording_variances(information: SquareRootInformation, estimate: E
     members = [sources == name for name in information.sources]
     if len(members) < FEWEST_RECORDINGS or estimate.rank == 0:
         return np.zeros(len(estimate.beta))
-    of_blocks, root = block_scores(information, estimate), estimate.solution.inverse_root
+    of_blocks = block_scores(information, estimate)
+    root = estimate.solution.inverse_root
     grams, scores = (
         np.array([of_all[chosen].sum(axis=0) for chosen in members]) for of_all in of_blocks
     )

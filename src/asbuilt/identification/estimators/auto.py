@@ -241,7 +241,8 @@ def design_effect(information: SquareRootInformation, estimate: Estimate) -> flo
 def prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
     """Return the information (p, p) of CAD on base parameters: `(K M^-1 K^T)^-1`, M its metric."""
     # K M^-1 K^T of the links, and of the drives, whose metric is diagonal.
-    regrouping, inertial = information.base.regrouping, 10 * prior.n_links
+    regrouping = information.base.regrouping
+    inertial = 10 * prior.n_links
     links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)
     covariance = np.einsum("pia,iab,qib->pq", links, np.linalg.inv(prior.metric), links)
     drives = regrouping[:, inertial:] * prior.drive_scale
@@ -260,7 +261,9 @@ def _fit_candidates(
     parts: list[tuple[SquareRootInformation, SquareRootInformation]],
 ) -> _Candidates:
     """Return the candidates, the closest to CAD first, fitted without each part in turn."""
-    candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
+    candidates = _Candidates()
+    of_joints = consistent.weights
+    K = information.base.regrouping
     rough: dict[float, Array] = {}
 
     def select_trainings() -> Iterator[SquareRootInformation]:
@@ -413,7 +416,8 @@ def _join_notes(information: SquareRootInformation, fit: Estimate, free: Estimat
         notes=(*free.notes, *fit.notes),
         findings=(*free.findings, *fit.findings),
     )
-    energy, n = information.residual_energy(free.beta), information.n_samples
+    energy = information.residual_energy(free.beta)
+    n = information.n_samples
     # The parameters are shared evenly, as no joint has its own count here.
     noise = np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0))
     sigma = np.maximum(noise, quietest_noise(information))

@@ -175,7 +175,8 @@ def fit_toward_cad(
     reason = "" if weight is None else f"weight of CAD {weight:g}"
     if weight is None:
         choice = choose_weight(information, w, base.regrouping, fit_roughly)
-        weight, reason = choice.weight, choice.reason
+        weight = choice.weight
+        reason = choice.reason
     fit = partial(conic.fit if path is None else path.fit_exactly, weight=float(weight))
     return _estimate(metric, information, prior, w, fit, weight, rounds, reason)
 
@@ -197,7 +198,8 @@ def _fit_joint_weights(
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
     if weights is not None:
         return np.where(information.has_torque, weights, 0.0), 0
-    quietest, base = quietest_noise(information), information.base
+    quietest = quietest_noise(information)
+    base = information.base
     # Only the residuals count here, so that undetermined directions may have any value.
     free = fit_least_squares(information, weights="joint", prior=np.zeros(base.n_base))
     w = 1.0 / np.maximum(free.sigma, quietest)

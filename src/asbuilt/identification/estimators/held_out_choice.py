@@ -61,7 +61,8 @@ def choose_weight(
         )
     groups = np.array_split(np.arange(information.n_blocks), n_groups)
     held = np.array([information.select(group).stacked(joint_weights) for group in groups])
-    factors, errors = _without_each(held), np.empty((len(weights), n_groups))
+    factors = _without_each(held)
+    errors = np.empty((len(weights), n_groups))
     counts = [sum(information.blocks[b].n_samples for b in group) for group in groups]
     for row, weight in enumerate(weights):
         beta = fits(factors, weight) @ regrouping.T
@@ -92,7 +93,8 @@ def _without_each(factors: Array) -> Array:
         return triangular_factor(np.vstack([one, other]))
 
     # Of prefixes and suffixes each factor without one group is a single join: 3 m instead of m^2.
-    before, after = [*accumulate(factors[:-1], join)], [*accumulate(factors[:0:-1], join)][::-1]
+    before = [*accumulate(factors[:-1], join)]
+    after = [*accumulate(factors[:0:-1], join)][::-1]
     between = [join(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
     return np.array([after[0], *between, before[-1]])
 
@@ -139,7 +141,8 @@ class MotionChoice:
 
     def sentence(self, candidate: int) -> str:
         """Return the error of a candidate as text, and what is expected beyond it, if anything."""
-        held, beyond = self.errors[candidate].mean(), self.extrapolation[candidate]
+        held = self.errors[candidate].mean()
+        beyond = self.extrapolation[candidate]
         more = f" + {beyond:.2g}" if beyond > 0.0 else ""
         return f"{self.candidates[candidate].name} {held:.3g}{more}"
 
@@ -191,7 +194,8 @@ def choose_candidate(
     root = information.stacked(joint_weights)[:-1, :-1]
     # Only rows^T rows count: a triangle has the same, and p rows.
     random_rows = triangular_factor(random_motion) / np.sqrt(len(random_motion))
-    random_rows, whole = _project_determined(random_rows, root), root.T @ root
+    random_rows = _project_determined(random_rows, root)
+    whole = root.T @ root
     roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
     used = [factor.T @ factor for factor in roots]
     held_rows = [
@@ -253,6 +257,7 @@ def _evaluate_leverage(rows: Array, gram: Array, prior: Array) -> float:
     total = Scaled(gram + prior)
     if np.any(prior):
         # With a prior the matrix is positive definite; else only what is determined has a leverage.
-        scaled, seen = total.matrix / np.outer(total.size, total.size), rows / total.size
+        scaled = total.matrix / np.outer(total.size, total.size)
+        seen = rows / total.size
         return float(np.sum(seen.T * cho_solve(cho_factor(scaled), seen.T)))
     return float(np.sum(total.whiten(rows.T) ** 2))

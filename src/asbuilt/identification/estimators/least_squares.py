@@ -69,7 +69,8 @@ def fit_least_squares(
     IdentifiabilityError
         If directions are undetermined without prior or refused, or rows are fewer than parameters.
     """
-    n, rows = information.n_joints, information.n_rows
+    n = information.n_joints
+    rows = information.n_rows
     refuse_few_rows(information)
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
     floor = noise_floor(information)
@@ -82,7 +83,9 @@ def fit_least_squares(
     seen = information.has_torque
     given = np.ones(n) if weights is None or isinstance(weights, str) else weights
     w = np.where(seen, check_weights(given, seen), 0.0)
-    iterations, converged, ahead = int(not iterated), True, FixedPoint(NEAR)
+    iterations = int(not iterated)
+    converged = True
+    ahead = FixedPoint(NEAR)
     while iterated:
         iterations += 1
         x, root = solve_fast(information.stacked(w), rows, toward)
@@ -186,7 +189,8 @@ def _make_refusal(
 
 def check_weights(weights: ArrayLike, seen: Mask) -> Array:
     """Return weights of n joints as an array, positive where `seen` (n,); else `UsageError`."""
-    w, n = np.asarray(weights, dtype=np.float64), len(seen)
+    w = np.asarray(weights, dtype=np.float64)
+    n = len(seen)
     if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w[seen] <= 0):
         raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
     return w

@@ -69,7 +69,8 @@ class RecursiveIdentification:
         prior: ArrayLike | None = None,
         prior_strength: float = 0.0,
     ) -> None:
-        n, p = model.n_joints, base.n_base
+        n = model.n_joints
+        p = base.n_base
         w = np.ones(n) if weights is None else check_weights(weights, np.ones(n, dtype=np.bool_))
         if not 0.0 < forgetting <= 1.0:
             raise UsageError(
@@ -106,7 +107,8 @@ class RecursiveIdentification:
         Raises `IdentifiabilityError` for NaN.
         """
         arrays = [np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd, tau)]
-        n, p = self.model.n_joints, self.base.n_base
+        n = self.model.n_joints
+        p = self.base.n_base
         if any(x.shape != (len(arrays[0]), n) for x in arrays):
             raise UsageError(
                 f"a sample of {self.model.name} needs q, qd, qdd and tau of {n} values each, got"
@@ -142,7 +144,8 @@ class RecursiveIdentification:
 
     def solution(self) -> FactorSolution:
         """Return the least-squares solution behind the estimate."""
-        p, factor = self.base.n_base, self.factor
+        p = self.base.n_base
+        factor = self.factor
         if self._strength > 0.0:
             # The mean length of a column per sample is what one sample says about its parameter.
             length = np.linalg.norm(factor[:, :p], axis=0) / np.sqrt(max(self._counted, 1.0))

@@ -130,9 +130,14 @@ def reweight(
 
     The rows of all blocks `together` are faster, and round what data hardly determine otherwise.
     """
-    information, support, floor = data.information, data.rows.support, noise_floor(data.information)
-    root, beta = start.solution.inverse_root / start.weights.max(), start.beta
-    sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
+    information = data.information
+    support = data.rows.support
+    floor = noise_floor(data.information)
+    root = start.solution.inverse_root / start.weights.max()
+    beta = start.beta
+    sigma = start.sigma if scale is None else scale
+    iterations = 0
+    converged = False
     parts = data.rows.parts if together else data.rows.by_block
     while not converged and iterations < ROBUST.most_iterations:
         residuals = _evaluate_residuals(parts(), support, beta)
@@ -141,7 +146,8 @@ def reweight(
             sigma = np.maximum(ROBUST.mad_to_sigma * medians, floor)
             # An infinite scale is a weight of 0.
             sigma[~information.has_torque] = np.inf
-        gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
+        gram = np.zeros((root.shape[1],) * 2)
+        score = np.zeros(root.shape[1])
         sums = [np.zeros((places.size, places.size + 1)) for places in support]
         for b, rows in enumerate(parts()):
             for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
@@ -167,7 +173,9 @@ def _fit_robust(
 ) -> Estimate:
     """Return the estimate that the iteration from a `start` reaches, with its errors."""
     reached = reweight(data, loss, start, scale)
-    information, rows, sigma = data.information, data.rows, reached.sigma
+    information = data.information
+    rows = data.rows
+    sigma = reached.sigma
     root = start.solution.inverse_root / start.weights.max()
     residuals = _evaluate_residuals(rows.by_block(), rows.support, reached.beta)
     standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
@@ -220,7 +228,8 @@ def _average_informed_slope(
     if outliers are distributed evenly over the motion.
     """
     p = root.shape[1]
-    assumed, actual = np.zeros((p, p)), np.zeros((p, p))
+    assumed = np.zeros((p, p))
+    actual = np.zeros((p, p))
     for b, block in enumerate(rows):
         for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
             seen = root[support].T @ columns[:-1] / sigma[k]

@@ -125,7 +125,8 @@ def gather_cause_data(
     growing = [
         [GrowingFactor(len(own) + plan.spare_rows) for own in plan.support] for _ in range(2)
     ]
-    counts, sources = [0, 0], dict[str, None]()
+    counts = [0, 0]
+    sources = dict[str, None]()
 
     def add(place: int, part: SampleBlock) -> None:
         q = part.samples.q

@@ -104,7 +104,8 @@ class Estimate:
         found = solution.x if beta is None else beta
         root = solution.inverse_root if inverse_root is None else inverse_root
         error = information.stacked(self.weights) @ np.append(-found, 1.0)
-        energy, n_rows = float(error @ error), information.n_rows
+        energy = float(error @ error)
+        n_rows = information.n_rows
         return replace(
             self,
             method=method,
@@ -141,7 +142,8 @@ def residual_deviation(
     # Joints without torque have infinite noise, and so no weight.
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
     if information.mixed:
-        energy, spent = np.full_like(energy, energy.mean()), np.full_like(spent, spent.mean())
+        energy = np.full_like(energy, energy.mean())
+        spent = np.full_like(spent, spent.mean())
     return np.asarray(np.sqrt(energy / np.maximum(information.n_samples - spent, 1.0)))
 
 

@@ -78,7 +78,8 @@ def measure_held_out_errors(
     groups: Sequence[Indices] | None = None,
 ) -> tuple[Array, Array]:
     """Return squared torque errors (n_folds, n) on held-out groups, and each beta (n_folds, p)."""
-    betas, errors = [], []
+    betas = []
+    errors = []
     for training, held in divide_into_folds(information, groups):
         betas.append(fit(training))
         errors.append(held.residual_energy(betas[-1]) / held.n_samples)

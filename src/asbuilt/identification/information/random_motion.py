@@ -49,14 +49,16 @@ def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
 
 def measure_recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
     """Return the standard deviations of velocities and accelerations of samples, each (n,)."""
-    count, sums = 0, np.zeros((2, 1))
+    count = 0
+    sums = np.zeros((2, 1))
     for batch, span in ((each, span) for each in samples for span in each.spans()):
         rates = (batch.qd[span], batch.qdd[span])
         found = [
             np.concatenate([rate.sum(axis=0) for rate in rates]),
             np.concatenate([np.einsum("ij,ij->j", rate, rate) for rate in rates]),
         ]
-        count, sums = count + len(rates[0]), sums + np.vstack(found)
+        count = count + len(rates[0])
+        sums = sums + np.vstack(found)
     mean, square = sums / max(count, 1)
     # Mean square less squared mean, in one pass; rounding can leave it below zero.
     velocity, acceleration = np.split(np.sqrt(np.maximum(square - mean**2, 0.0)), 2)

@@ -172,7 +172,8 @@ class SampleBlock:
     @property
     def time(self) -> TimeBlock:
         """Time and number of samples."""
-        t, parallel = self.samples.t[self.start : self.stop], self.samples.parallel
+        t = self.samples.t[self.start : self.stop]
+        parallel = self.samples.parallel
         t = parallel.times(t) if parallel else t
         return TimeBlock(
             self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs
@@ -207,7 +208,8 @@ class SampleBlock:
 
         As in `chunks`, they are zero where a joint moves slower than `samples.slowest`.
         """
-        samples, parallel = self.samples, self.samples.parallel
+        samples = self.samples
+        parallel = self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
         # The window of the filter reaches beyond the last output by its width.
         span = slice(self.start + self.first * step, self.start + (self.last - 1) * step + width)
@@ -233,7 +235,8 @@ class SampleBlock:
         samples, each (L, n), placed before the torque; `plan` has a spare row for each and one
         more.
         """
-        samples, parallel = self.samples, self.samples.parallel
+        samples = self.samples
+        parallel = self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
         # Of decimated samples the windows overlap: fewer outputs fit a chunk.
         at_once = min(self.n_outputs, max(1, (ROWS.samples_at_once - width) // step + 1))
@@ -402,7 +405,8 @@ class Rows:
         if self._held is not None:
             yield from self._held
             return
-        kept, size = list[RowBlock](), 0
+        kept = list[RowBlock]()
+        size = 0
         for part in self._divide(self._samples):
             chunks = [tuple(rows.copy() for rows in chunk) for chunk in part.chunks(self._plan)]
             block = RowBlock(

@@ -150,7 +150,8 @@ class SquareRootInformation:
 
     def together(self) -> SquareRootInformation:
         """Return the information of all blocks as one, which takes the memory of one."""
-        first, last = self.blocks[0], self.blocks[-1]
+        first = self.blocks[0]
+        last = self.blocks[-1]
         return replace(
             self,
             factors=tuple(factor[None] for factor in self.joint_factors),
@@ -347,7 +348,8 @@ def _reduce_block(
         GrowingFactor(len(own) + 1, min(ROWS_AT_ONCE, part.n_outputs)) for own in plan.support
     ]
     torque_sum = np.zeros(plan.model.n_joints)
-    m, q = (further.count if further else 0), part.samples.q
+    m = further.count if further else 0
+    q = part.samples.q
     products = tuple(np.zeros((len(own) + 1 + m, m)) for own in plan.support)
     columns = None if further is None else lambda span: further.columns(q[span])
     for chunk in part.chunks(plan, columns):

@@ -83,7 +83,8 @@ class GrowingFactor:
 
         With `support` they are these columns (s, m) only, the others zero.
         """
-        start, places = 0, slice(None) if support is None else support
+        start = 0
+        places = slice(None) if support is None else support
         while start < columns.shape[1]:
             if self._filled == self._rows.shape[1]:
                 self._reduce()
@@ -169,14 +170,16 @@ def solve_factor(
     (rank).
     """
     p = len(factor) - 1
-    r, z = factor[:p, :p], factor[:p, p]
+    r = factor[:p, :p]
+    z = factor[:p, p]
     length = np.linalg.norm(r, axis=0)
     present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
     # A column of nothing but rounding would be scaled up to noise.
     scale = np.where(present, length, 1.0)
     u, every, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
     rank = int(np.sum(every > rank_tolerance(n_rows, p) * every.max(initial=0.0)))
-    s, start = every[:rank], np.zeros(p) if toward is None else toward
+    s = every[:rank]
+    start = np.zeros(p) if toward is None else toward
     damped = np.sqrt(s**2 + ridge)
     inverse_root = (vt[:rank].T / damped) / scale[:, None]
     # From `toward` on, so that directions without information keep it.

@@ -48,7 +48,8 @@ class PoorDetermination:
 
 
 POOR = PoorDetermination()
-MOST_DIRECTIONS, MOST_NAMES = 6, 12
+MOST_DIRECTIONS = 6
+MOST_NAMES = 12
 
 
 def conclude(
@@ -94,7 +95,8 @@ def conclude(
     further
         Other fields of the result: `provenance`, `chain`, `holdout`, `digests`, `cause_data`.
     """
-    base, design = information.base, design_values(model, information.base)
+    base = information.base
+    design = design_values(model, information.base)
     uncertainty = uncertainty or estimate_block_uncertainty(
         estimate.information or information, estimate
     )
@@ -159,7 +161,8 @@ def conclude(
 def measure_errors_by_information(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
     """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN."""
     n = information.n_samples
-    error, energy = information.residual_energy(beta), information.torque_energy
+    error = information.residual_energy(beta)
+    energy = information.torque_energy
     spread = energy - information.torque_sum.sum(axis=0) ** 2 / n
     with np.errstate(divide="ignore", invalid="ignore"):
         return TorqueMetrics(
@@ -270,7 +273,8 @@ def _report_determination(
 
 
 def _report_errors(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Finding]:
-    basis, blocks = uncertainty.basis, {"errors": "blocks"}
+    basis = uncertainty.basis
+    blocks = {"errors": "blocks"}
     if basis.kind == "textbook" and basis.growth is None:
         yield Finding(
             "few_blocks",

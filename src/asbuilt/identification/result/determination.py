@@ -126,7 +126,8 @@ class Determination:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Classes, correlated parameters and advice, in sentences."""
-        well, poor = f"{100 * LIMITS.well:g} %", f"{100 * LIMITS.poor:g} %"
+        well = f"{100 * LIMITS.well:g} %"
+        poor = f"{100 * LIMITS.poor:g} %"
         classes = (
             (f"Standard error at most {well}", self.well, ""),
             (f"Standard error of {well} to {poor}", self.fairly, ""),
@@ -189,7 +190,8 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     Determination
         Classes, correlated parameters and advice.
     """
-    names, classes = np.array(result.base.names), _classify_parameters(result)
+    names = np.array(result.base.names)
+    classes = _classify_parameters(result)
     determined = classes["well"] | classes["fairly"] | classes["hardly"]
     information = known_information(result)
     combinations = _find_combinations(result, information, determined)
@@ -207,7 +209,8 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
 def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
     """Return which parameters are in each class of `Determination`."""
     size = np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
-    dropped, error = result.dropped, result.std_errors
+    dropped = result.dropped
+    error = result.std_errors
     determined = np.array([each.determined for each in result.parameters]) & ~dropped
     well = determined & (error <= LIMITS.well * size)
     hardly = determined & (error > LIMITS.poor * size)
@@ -223,7 +226,8 @@ def _classify_parameters(result: IdentificationResult) -> dict[str, Mask]:
 
 def report_springs(result: IdentificationResult) -> tuple[Finding, ...]:
     """Report springs, with the masses that look the same in all motions of this recording."""
-    base, names = result.base, result.model.joint_names
+    base = result.base
+    names = result.model.joint_names
     springs = {
         f"{symbol}{k + 1}": names[k]
         for k in range(result.model.n_joints)

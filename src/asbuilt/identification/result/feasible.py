@@ -280,7 +280,8 @@ def bound_effects(
         if own is None or interval is None or interval.determined:
             found.append(each)
             continue
-        least, greatest = interval.least - own[1], interval.greatest - own[1]
+        least = interval.least - own[1]
+        greatest = interval.greatest - own[1]
         if each.effect == "payload":
             least = max(least, 0.0)  # what is added has a mass
         chosen = each.estimate if each.effect in BODIES else interval.chosen or 0.0
@@ -311,7 +312,8 @@ def _name_quantity(result: IdentificationResult, effect: FoundEffect) -> tuple[s
     term = next((each for each in result.base.drive.terms if each.key == effect.effect), None)
     if not effect.in_model or effect.joint is None or term is None:
         return None
-    symbol, k = term.symbols[0], model.joint_names.index(effect.joint)
+    symbol = term.symbols[0]
+    k = model.joint_names.index(effect.joint)
     place = result.base.standard_names.index(f"{symbol}{k + 1}")
     seen = bool(np.any(result.base.regrouping[:, place]))
     return (f"{symbol}:{effect.joint}", 0.0) if seen else None
@@ -321,7 +323,8 @@ def _bound(
     quantity: _Quantity, region: FeasibleRegion, chosen: Array | None, cad: Array
 ) -> FeasibleInterval:
     least, greatest = region.find_interval(quantity.value, quantity.divisor)
-    alone, undetermined = region.find_estimate(quantity.value), quantity.value
+    alone = region.find_estimate(quantity.value)
+    undetermined = quantity.value
     if quantity.divisor is not None and alone is not None:
         alone = _divide(alone, region.find_estimate(quantity.divisor))
         undetermined = quantity.divisor
@@ -357,7 +360,9 @@ def _divide(
 @lru_cache(maxsize=8)
 def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion:
     """Return the region of a result, with passive drives and masses that are known."""
-    cad, base, free = build_cad_prior(result.model, result.base.drive), result.base, result.free
+    cad = build_cad_prior(result.model, result.base.drive)
+    base = result.base
+    free = result.free
     covariance = np.array(result.covariance if free is None else free.covariance)
     size = np.abs(base.regrouping) @ np.abs(cad.parameters)
     covariance[np.diag_indices_from(covariance)] += (RESOLUTION * size) ** 2
@@ -382,7 +387,8 @@ def _find_chosen(result: IdentificationResult) -> Array | None:
 
 def _read_cad(result: IdentificationResult) -> Array:
     """Return the standard parameters by CAD, NaN where the description has none."""
-    model, base = result.model, result.base
+    model = result.model
+    base = result.base
     cad = np.array(parameter_values(model, base.drive))
     for k, link in enumerate(model.links):
         if not link.inertia_known:
@@ -444,8 +450,10 @@ def _sum_of_links(
     result: IdentificationResult, name: str, symbol: str, links: Iterable[str]
 ) -> _Quantity:
     """Return the sum of one inertial parameter over links, those of no account left out."""
-    model, base = result.model, result.base
-    value, unit = np.zeros(base.n_standard), ""
+    model = result.model
+    base = result.base
+    value = np.zeros(base.n_standard)
+    unit = ""
     for link in links:
         if link not in model.link_names:
             known = model.link_names
@@ -463,7 +471,8 @@ def _sum_of_links(
 
 def _of_joint(result: IdentificationResult, symbol: str, joint: str) -> _Quantity | None:
     """Return a drive parameter of a joint; None if the joint does not have it."""
-    model, base = result.model, result.base
+    model = result.model
+    base = result.base
     if joint not in model.joint_names:
         known = model.joint_names
         raise UsageError(

@@ -22,7 +22,8 @@ from asbuilt.identification.result.determination import (
 )
 from asbuilt.identification.result.result import IdentificationResult
 
-MOTIONS, NAMES = 2, 4
+MOTIONS = 2
+NAMES = 4
 """Motions that are advised, and parameters that are named of each."""
 NEARLY = 0.9
 """Part of the parameters that the best motion helps for which a gentler one is advised: own choice,

@@ -216,7 +216,8 @@ class IdentificationResult:
     encoders: tuple[EncoderPair, ...] = ()
 
     def __post_init__(self) -> None:
-        p, n = self.base.n_base, self.model.n_joints
+        p = self.base.n_base
+        n = self.model.n_joints
         shapes = {
             "covariance": (p, p),
             "textbook_covariance": (p, p),
@@ -422,7 +423,8 @@ class IdentificationResult:
     @cached_property
     def torque_model(self) -> TorqueModel:
         """The robot as built as a function of the state, drives included."""
-        chi, links = expand_parameters(self.base, self.estimates), 10 * self.model.n_links
+        chi = expand_parameters(self.base, self.estimates)
+        links = 10 * self.model.n_links
         return TorqueModel(self.model, self.base.drive, chi[links:], parameters=chi[:links])
 
     def torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
@@ -466,7 +468,8 @@ class IdentificationResult:
         UsageError
             If positions are needed and not given.
         """
-        drive, rest = self.base.drive, np.zeros(np.shape(qd))
+        drive = self.base.drive
+        rest = np.zeros(np.shape(qd))
         if q is None and (drive.needs_load or any(each.by_position for each in drive.terms)):
             raise UsageError(f"the drive terms {drive} depend on load or position; give q too")
         return self.torque_model.friction(rest if q is None else q, qd, rest)

@@ -194,7 +194,8 @@ def summarise(
 
 def _format_mass(mass: FeasibleInterval, unit: str = "") -> str:
     """Return the interval of a mass, what was chosen in it, and CAD."""
-    cad, chosen = round_significant(mass.cad), round_significant(mass.chosen)
+    cad = round_significant(mass.cad)
+    chosen = round_significant(mass.chosen)
     return f"{mass.text.replace(' kg', unit)}, chosen {chosen}{unit} (CAD {cad}{unit})"
 
 

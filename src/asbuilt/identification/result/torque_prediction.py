@@ -243,7 +243,8 @@ def parameter_torque(
     `chi` are standard parameters as `expand_parameters` returns them, `added` (10 n,) link
     parameters on top.
     """
-    links, drives = chi[: 10 * model.n_links], chi[10 * model.n_links :]
+    links = chi[: 10 * model.n_links]
+    drives = chi[10 * model.n_links :]
     links = links if added is None else links + added
     rigid = inverse_dynamics(model, q, qd, qdd, parameters=links)
     if not drive:
@@ -264,7 +265,8 @@ def pair_with_measured(model: RobotModel, samples: Samples, torque: Array) -> Pr
             for each in (samples.tau, samples.tau_raw, torque)
         )
         samples = replace(samples, tau=tau, tau_raw=raw)
-    squares, count = np.zeros((1, len(samples.joint_names))), 0
+    squares = np.zeros((1, len(samples.joint_names)))
+    count = 0
     for span in samples.spans():
         error = samples.tau_raw[span] - torque[span]
         # row by row, so that the sum equals the sum of all rows at once to the last bit

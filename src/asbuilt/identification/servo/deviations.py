@@ -92,7 +92,8 @@ class GoalRules:
     determined: float = 0.2
 
 
-DEADBAND, GOAL = DeadbandRules(), GoalRules()
+DEADBAND = DeadbandRules()
+GOAL = GoalRules()
 
 
 def fill_unknown(servo: PositionServo, **values: float) -> PositionServo:
@@ -142,13 +143,15 @@ def estimate_deadband(
     def costs(width: float) -> Array:
         return _validate_halves(rows(width), plain, joints, usual)
 
-    best, lowest = 0.0, float(np.sum(costs(0.0)))
+    best = 0.0
+    lowest = float(np.sum(costs(0.0)))
     for width in _list_widths(plain, joints):
         cost = float(np.sum(costs(width)))
         # The cost has one minimum over the width: the first rise ends the search.
         if not cost < lowest:
             break
-        best, lowest = width, cost
+        best = width
+        lowest = cost
     # Tested before the refinement, which costs as much as the search, and after it again.
     if best == 0.0 or not _is_better_at_joints(costs(0.0) - costs(best), plain):
         return 0.0, 0.0
@@ -288,7 +291,8 @@ def _list_visible_limits(
     if not largest > 0.0:
         return
     plain = replace(recording, servo=fill_unknown(servo, goal_acceleration=np.inf))
-    held, rate = hold_command(plain), hold_command(plain, derivative=1)
+    held = hold_command(plain)
+    rate = hold_command(plain, derivative=1)
     count = 1 + round(np.log(GOAL.fastest / GOAL.slowest) / np.log(GOAL.ratio))
     for limit in (GOAL.slowest * largest * GOAL.ratio ** np.arange(count)[::-1]).tolist():
         limited = fill_unknown(servo, goal_acceleration=limit)
@@ -298,11 +302,14 @@ def _list_visible_limits(
 
 def _is_visible(recording: Recording, held: Array, rate: Array, joints: Indices) -> bool:
     """Whether the goal of a recording differs visibly from the delayed command, in any joint."""
-    moved, error = hold_command(recording) - held, held - recording.q
+    moved = hold_command(recording) - held
+    error = held - recording.q
     rows = np.all(np.isfinite(moved) & np.isfinite(rate) & np.isfinite(error), axis=1)
     if not np.any(rows):
         return False
-    moved, rate, error = moved[rows][:, joints], rate[rows][:, joints], error[rows][:, joints]
+    moved = moved[rows][:, joints]
+    rate = rate[rows][:, joints]
+    error = error[rows][:, joints]
     # A limit that only delays is no limit: what is proportional to the rate is taken off.
     late = np.sum(moved * rate, axis=0) / np.maximum(np.sum(rate**2, axis=0), 1e-300)
     size = np.max(np.abs(moved - late * rate), axis=0)

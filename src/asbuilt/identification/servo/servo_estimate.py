@@ -69,7 +69,8 @@ class ServoEstimate:
         """Return the servo with the limit of its goal in one of the recordings."""
         # A limit that was stated holds for every recording; one that was sought may act in some
         # alone.
-        limit, servo = _read_limit(self.goals[number]), self.servo
+        limit = _read_limit(self.goals[number])
+        servo = self.servo
         found = np.where(self.errors.goal_sought, limit, servo.goal_acceleration)
         return replace(servo, goal_acceleration=tuple(found.tolist()))
 
@@ -143,8 +144,10 @@ def estimate_servo(
     stated = recordings[0].servo
     if stated is None:
         raise ValueError("the recordings have no servo")
-    base, design = find_base_parameters(model, drive), build_cad_prior(model, drive)
-    unknown, late = np.isnan(np.array(stated.kp)), 0.0 if delay is None else delay
+    base = find_base_parameters(model, drive)
+    design = build_cad_prior(model, drive)
+    unknown = np.isnan(np.array(stated.kp))
+    late = 0.0 if delay is None else delay
     _refuse_stiffness(model, stated, shared)
 
     filters = filters or MotionFilters()
@@ -191,7 +194,8 @@ def estimate_servo(
         free_delay=delay is None,
         shared=shared,
     )
-    scale, excess = at.scale, at.found.excess
+    scale = at.scale
+    excess = at.found.excess
     limit, limit_error = average_limits(goals)
     errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
     sources = ("given",) * model.n_joints if scale is None else scale.source
@@ -278,7 +282,8 @@ def _settle_servo(
     shared
         Whether all unknown stiffnesses are one.
     """
-    motion, replayed = motions[0], None
+    motion = motions[0]
+    replayed = None
     at = _alternate(design, motions, recordings, servo, late, None, free_delay, shared)
     # Replays before the last only move the start: one pair of noise is enough for them.
     for last in (False,) * (ITERATIONS.replays - 1) + (True,):
@@ -313,13 +318,16 @@ def _alternate(
     shared: bool,
 ) -> _Settled:
     """Return the gains and the delay that are found in turn from a start."""
-    model, base = motions[0].model, motions[0].base
+    model = motions[0].model
+    base = motions[0].base
     unknown = np.isnan(np.array(servo.kp))
-    kd, error = np.nan_to_num(np.array(servo.kd)).tolist(), 0.0
+    kd = np.nan_to_num(np.array(servo.kd)).tolist()
+    error = 0.0
     before: tuple[float, float] | None = None
     for _ in range(ITERATIONS.most):
         rows = reduce_servo_recordings(motions, recordings, late)
-        kp, scale = np.array(servo.kp), None
+        kp = np.array(servo.kp)
+        scale = None
         if np.any(unknown):
             # The scale is that of the links: drives are free columns of their own.
             links = design.parameters.copy()
@@ -336,7 +344,8 @@ def _alternate(
         if not free_delay:
             break
         # The fit is linear about this delay, and is made again where it leads.
-        step, error = _take_secant_step(late, found.step, before), found.std_error
+        step = _take_secant_step(late, found.step, before)
+        error = found.std_error
         before = late, found.step
         late = float(np.clip(late + step, -ITERATIONS.longest, ITERATIONS.longest))
         # Closer than a twentieth of its own error no delay is known.

@@ -95,7 +95,9 @@ def find_scale(
     Raises nothing: a stiffness that nothing determines has an infinite standard error.
     """
     n = unknown.size
-    c, V, source = np.full(n, np.nan), np.full(n, np.inf), ["gravity"] * n
+    c = np.full(n, np.nan)
+    V = np.full(n, np.inf)
+    source = ["gravity"] * n
     for k in np.flatnonzero(unknown).tolist():
         c[k], V[k], source[k] = _estimate_own_scale(rows, base, design, kd[k], k)
     good = unknown & (c > 0) & np.isfinite(V)
@@ -145,7 +147,8 @@ def _estimate_own_scale(
     inverse = Scaled(normal).pseudo_inverse
     # Scores of the blocks along the row of the inverse that belongs to c.
     scores = sum_clusters(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
-    rest, size = Scaled(normal[1:, 1:]).pseudo_inverse, {}
+    rest = Scaled(normal[1:, 1:]).pseudo_inverse
+    size = {}
     for name, part in parts.items():
         t = np.zeros(support.size + 3)
         t[: support.size] = K @ part
@@ -275,21 +278,29 @@ def fit_delay(
     independent residuals. Without a replay it is also at least what joints disagree by, the only
     sign of what does not average out. What is taken off has an error too (`DOUBT`).
     """
-    n, p = len(rows.support), base.n_standard
-    prior, links = np.eye(p + 1) / DELAY.drives**2, slice(10 * base.n_links)
+    n = len(rows.support)
+    p = base.n_standard
+    prior = np.eye(p + 1) / DELAY.drives**2
+    links = slice(10 * base.n_links)
     prior[links, links] = DELAY.links * block_diag(*design.metric)
     # Nothing is known of the delay beforehand.
     prior[p, p] = 0.0
-    start, lower = np.zeros(p + 1), np.full(p + 1, -np.inf)
+    start = np.zeros(p + 1)
+    lower = np.full(p + 1, -np.inf)
     start[links], lower[design.non_negative] = design.parameters[links], 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
-    weight, lengths = np.ones((n, len(rows.times))), rows.lengths
-    x, scale, free = start, np.ones(n), np.arange(p + 1)
+    weight = np.ones((n, len(rows.times)))
+    lengths = rows.lengths
+    x = start
+    scale = np.ones(n)
+    free = np.arange(p + 1)
     for _ in range(DELAY.passes):
-        normal, right = prior.copy(), prior @ start
+        normal = prior.copy()
+        right = prior @ start
         for k, (whole, torque) in enumerate(maps):
-            J, at = whole[:, reached[k]], reached[k]
+            J = whole[:, reached[k]]
+            at = reached[k]
             weighted = J.T @ rows.total(k, weight[k])
             normal[np.ix_(at, at)] += weighted @ J
             right[at] += weighted @ torque
@@ -306,16 +317,21 @@ def fit_delay(
             weight[k] = own * scale[k]
     # The row of the delay, given everything that is not at a bound.
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
-    scores, along, by_joint, taken = np.zeros(len(rows.times)), [], [], 0.0
+    scores = np.zeros(len(rows.times))
+    along = []
+    by_joint = []
+    taken = 0.0
     for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True)):
         along.append(J[:-1, free] @ inverse)
         own = weight[k] * ((rows.grams[k] @ residual)[:, :-1] @ along[k])
         if replayed is not None:
             less = weight[k] * lengths * float(replayed.weighted[k] @ along[k])
-            own, taken = own - less, taken + float(np.sum(less))
+            own = own - less
+            taken = taken + float(np.sum(less))
         scores += own
         by_joint.append(float(np.sum(own)))
-    variance, together = float(inverse[-1]), sum_clusters(scores, rows)
+    variance = float(inverse[-1])
+    together = sum_clusters(scores, rows)
     # With fewer blocks their scatter says nothing about its own size.
     if together.size >= FEWEST_BLOCKS:
         least = variance
@@ -358,8 +374,10 @@ def _solve_bounded(
     """
     # Unit diagonal: links and drives differ by many decades.
     scale = 1.0 / np.sqrt(np.diag(normal))
-    scaled, aim = normal * np.outer(scale, scale), right * scale
-    x, held = np.zeros(len(aim)), np.ones(len(aim), dtype=np.bool_)
+    scaled = normal * np.outer(scale, scale)
+    aim = right * scale
+    x = np.zeros(len(aim))
+    held = np.ones(len(aim), dtype=np.bool_)
     # Most calls keep their active bounds: one Cholesky then verifies what bvls would search.
     x[near], held[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near]), False
     if np.all(x[near] > lower[near]) and np.all((scaled @ x - aim)[held] >= 0.0):

@@ -131,10 +131,12 @@ def replay(
     total = sum(recording.n_samples for recording in recordings)
     pairs = 1 if roughly else min(max(round(RULES.samples / (2 * total)), 1), RULES.most_pairs)
     # A fixed seed: the same recordings have the same errors.
-    rng, beta = np.random.default_rng(0), base.values(parameters)
+    rng = np.random.default_rng(0)
+    beta = base.values(parameters)
     copies: list[list[_Copy]] = []
     for recording in recordings:
-        had, acting = recording.servo, servo
+        had = recording.servo
+        acting = servo
         if had is not None:
             acting = replace(
                 servo, goal_acceleration=had.goal_acceleration, goal_speed=had.goal_speed
@@ -181,7 +183,8 @@ def replay_recording(
     links = parameters[: 10 * model.n_links]
     values = parameters[10 * model.n_links :].reshape(model.n_joints, -1)
     robot = SimulatedRobot(model, base.drive, values, servo).centred(RULES.step)
-    driving, engine = DriveSignal.of(recording, "command"), Trajectories(model, base)
+    driving = DriveSignal.of(recording, "command")
+    engine = Trajectories(model, base)
     out = np.full(recording.q.shape, np.nan)
     runs = _split_segments(recording)
     for number, rows in enumerate(runs):
@@ -229,7 +232,8 @@ def _simulate_spans(
         motion = engine.simulate(robot, windows, links)
         yield np.asarray(start + RULES.step * np.arange(steps + 1)), np.asarray(motion.q[0])
         # The state is handed on, so that the spans are one motion.
-        q, v = motion.q[:, -1], motion.v[:, -1]
+        q = motion.q[:, -1]
+        v = motion.v[:, -1]
 
 
 def _split_segments(recording: Recording) -> list[Indices]:
@@ -292,7 +296,8 @@ class _Copy:
     @classmethod
     def of(cls, rows: ServoRows, beta: Array, servo: PositionServo) -> _Copy:
         """Return the scores `[W_k, qd, du/dt]^T e_k` of the robot with these base parameters."""
-        scores, weights = [], []
+        scores = []
+        weights = []
         for k, support in enumerate(rows.support):
             # e = kp (u - q) - kd qd - W beta as a combination of the rows.
             e = np.concatenate([-beta[support], [-servo.kd[k], 0.0, servo.kp[k]]])

@@ -80,9 +80,12 @@ def measure_ground(
             cure=Cure("let the base float, or leave the rollout out"),
         )
     usable = np.all(np.isfinite(recording.q), axis=1) & np.isfinite(recording.t)
-    t, up = recording.t[usable], find_vertical(model)
-    poses, closed = link_poses(model, recording.q[usable]), recording.contact[usable] > 0.5
-    heights, normals = np.empty((len(starts), len(model.contacts))), []
+    t = recording.t[usable]
+    up = find_vertical(model)
+    poses = link_poses(model, recording.q[usable])
+    closed = recording.contact[usable] > 0.5
+    heights = np.empty((len(starts), len(model.contacts)))
+    normals = []
     for k, contact in enumerate(model.contacts):
         link, placement = model.placed(contact.frame)
         stands = closed[:, k]
@@ -105,7 +108,8 @@ def add_ground(mujoco: Any, spec: Any, model: RobotModel, ground: Ground, step: 
     level = quaternion_from_rotation(_complete_axes(find_vertical(model)))
     for contact, normal in zip(model.contacts, ground.normals, strict=True):
         link, placement = model.placed(contact.frame)
-        name, size = f"ground of {contact.frame}", _choose_radius(contact.radius)
+        name = f"ground of {contact.frame}"
+        size = _choose_radius(contact.radius)
         floor = spec.worldbody.add_body(name=name, mocap=True)
         shape = {"contype": 0, "conaffinity": 0, "mass": 0.0}
         floor.add_geom(

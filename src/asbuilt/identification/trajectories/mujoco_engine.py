@@ -94,7 +94,8 @@ class _Engine:
         self.every = self.physics.every
         if robot.step:
             self._take_away_what_steps_add()
-        option, bits = self.compiled.opt, self.mujoco.mjtDisableBit
+        option = self.compiled.opt
+        bits = self.mujoco.mjtDisableBit
         option.timestep, option.integrator = step, self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         option.disableflags &= ~int(bits.mjDSBL_ACTUATION | bits.mjDSBL_CONTACT)
         option.cone, option.impratio = self.mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
@@ -108,7 +109,8 @@ class _Engine:
 
         With one below zero the mass matrix, which MuJoCo factors too, might not be positive.
         """
-        model, kd = self.compiled, np.zeros(self.compiled.nv)
+        model = self.compiled
+        kd = np.zeros(self.compiled.nv)
         kd[self.order] = self.robot.stiffness[1]
         half = 0.5 * self.robot.step
         model.dof_armature -= np.clip(half * (model.dof_damping + kd), 0.0, model.dof_armature)
@@ -116,7 +118,9 @@ class _Engine:
 
     def in_threads(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return positions and velocities after every step, two (W, steps, n)."""
-        rollout, state, n = import_module("mujoco.rollout"), self.mujoco.mjtState, len(self.every)
+        rollout = import_module("mujoco.rollout")
+        state = self.mujoco.mjtState
+        n = len(self.every)
         size = self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS)
         start = np.zeros((windows.n_windows, size))
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
@@ -133,18 +137,23 @@ class _Engine:
     def in_step(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return the same, all windows step by step, with the drive terms that MuJoCo lacks."""
         forces = self._build_forces(windows.inputs(self.robot.delay, self.robot.lead))
-        order, n_controls = self.order, self.compiled.nu
+        order = self.order
+        n_controls = self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
         for run, q, qd, floors in zip(runs, moved.q, moved.qd, self.floors, strict=True):
             run.qpos[self.every], run.qvel[self.every] = q, qd
             run.mocap_pos[:] = floors.reshape(-1, 3)
         shape = (windows.n_windows, steps, len(order))
-        positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
-        q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)
+        positions = np.full(shape, np.nan)
+        velocities = np.full(shape, np.nan)
+        q = windows.start_q.copy()
+        qd = windows.start_qd.copy()
+        qdd = np.zeros_like(windows.start_q)
         # looked up once: a look-up in MuJoCo's memory takes as long as half a step
         arrays = [(x.ctrl, x.qfrc_applied, x.qpos, x.qvel, x.qacc) for x in runs]
-        friction, step_once = self.compiled.dof_frictionloss, self.mujoco.mj_step
+        friction = self.compiled.dof_frictionloss
+        step_once = self.mujoco.mj_step
         for step in range(steps):
             added, dry = self._evaluate_others(q, qd, qdd)
             applied = forces[:, step, n_controls:].copy()
@@ -186,8 +195,10 @@ class _Engine:
 
     def _evaluate_others(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """Return torque and dry friction of the terms that MuJoCo lacks, two (W, n)."""
-        model, sound = self.robot.model, np.where(np.abs(qd) < DIVERGED, qd, 0.0)
-        where, rest = np.where(np.isfinite(q), q, 0.0), np.zeros_like(q)
+        model = self.robot.model
+        sound = np.where(np.abs(qd) < DIVERGED, qd, 0.0)
+        where = np.where(np.isfinite(q), q, 0.0)
+        rest = np.zeros_like(q)
         load = (
             inverse_dynamics(model, where, sound, np.nan_to_num(qdd))
             if self.others.needs_load

@@ -131,7 +131,8 @@ class Objective:
 
     def robot(self, point: Point) -> SimulatedRobot:
         """Return the robot of a point, the links of the description in place of its own."""
-        model, drive = self.trajectories.model, self.trajectories.base.drive
+        model = self.trajectories.model
+        drive = self.trajectories.base.drive
         values = point.chi[10 * self.n_links :].reshape(model.n_joints, -1)
         return SimulatedRobot(model, drive, values, point.servo)
 
@@ -166,7 +167,8 @@ class Objective:
         ]
         if some is not None:
             cuts = [cut.some(at) for cut, at in zip(cuts, some, strict=True)]
-        robot, links = self.robot(point), point.chi[: 10 * self.n_links]
+        robot = self.robot(point)
+        links = point.chi[: 10 * self.n_links]
         parts = [
             (k, at)
             for k, cut in enumerate(cuts)
@@ -237,7 +239,8 @@ class Objective:
         They do not depend on weights. Others are computed each time that they are asked for.
         """
         needed = np.any(self._derive_parameters(point)[:, self.free] != 0.0, axis=1)
-        robot, links = self.robot(point), point.chi[: 10 * self.n_links]
+        robot = self.robot(point)
+        links = point.chi[: 10 * self.n_links]
         found = [
             partial(
                 self.trajectories.derivatives, robot.centred(cut.step), cut, links, motion, needed
@@ -264,7 +267,8 @@ class Objective:
         slopes = self.slopes(point, motions) if slopes is None else slopes
         H, scores, starts, gain = self._reduce_windows(point, motions, weights, slopes, len(to_z))
         data = to_z.T @ H @ to_z
-        matrix, gradient = data.copy(), -to_z.T @ scores.sum(axis=0)
+        matrix = data.copy()
+        gradient = -to_z.T @ scores.sum(axis=0)
         rows, rest = self._build_torque_rows(point)
         A = rows @ to_z
         matrix += A.T @ A
@@ -287,8 +291,11 @@ class Objective:
     ) -> tuple[Array, Array, tuple[Starts, ...], float]:
         """Return matrix (size, size) and scores (W, size) of windows, starts, and their gain."""
         H = np.zeros((size, size))
-        scores, starts, gain = [], list[Starts](), 0.0
-        errors, away = self.errors(motions), self._measure_start_moves(point)
+        scores = []
+        starts = list[Starts]()
+        gain = 0.0
+        errors = self.errors(motions)
+        away = self._measure_start_moves(point)
         for k, (cut, derivatives, error, of_window) in enumerate(
             zip(self.windows, slopes, errors, weights.windows, strict=True)
         ):
@@ -365,7 +372,8 @@ class Objective:
         """Return the drive and servo parameters that the trajectories hardly determine."""
         names = [*self.prior.names, *self.of_servo.names]
         at = np.ix_(self.free, self.free)
-        inverse, held = np.linalg.inv(quadratic.matrix[at]), np.zeros(self.size)
+        inverse = np.linalg.inv(quadratic.matrix[at])
+        held = np.zeros(self.size)
         rest = quadratic.matrix[at] - quadratic.data[at]
         held[self.free] = np.diag(inverse @ rest @ inverse) / np.diag(inverse)
         drives = range(10 * self.n_links, self.size)
@@ -373,7 +381,8 @@ class Objective:
 
     def _derive_parameters(self, point: Point) -> Array:
         """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
-        n, p = self.n_links, self.trajectories.base.n_base
+        n = self.n_links
+        p = self.trajectories.base.n_base
         K = self.trajectories.base.regrouping
         roots = np.linalg.inv(body_metric_root(point.chi[: 10 * n], np.ones(n)))
         to_z = np.zeros((self.trajectories.n_parameters, self.size))
@@ -387,12 +396,17 @@ class Objective:
 
     def _build_torque_rows(self, point: Point) -> tuple[Array, Array]:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
-        base, own, start = self.trajectories.base, point.servo, self.start.servo
-        beta, rows, rest = base.regrouping @ point.chi, [], []
+        base = self.trajectories.base
+        own = point.servo
+        start = self.start.servo
+        beta = base.regrouping @ point.chi
+        rows = []
+        rest = []
         for k, (support, factor) in enumerate(
             zip(self.information.support, self.information.joint_factors, strict=True)
         ):
-            weighted, scale = self.torque_weights[k] * factor, 1.0
+            weighted = self.torque_weights[k] * factor
+            scale = 1.0
             row = np.zeros((len(factor), self.trajectories.n_parameters))
             row[:, support] = weighted[:, :-1]
             if own is not None and start is not None and self.of_servo.stiffness:
@@ -421,8 +435,11 @@ class Objective:
 
         Both are zero for links.
         """
-        ridge, away, chi = np.zeros(self.size), np.zeros(self.size), point.chi
-        drives, servo = slice(10 * self.n_links, len(chi)), slice(len(chi), None)
+        ridge = np.zeros(self.size)
+        away = np.zeros(self.size)
+        chi = point.chi
+        drives = slice(10 * self.n_links, len(chi))
+        servo = slice(len(chi), None)
         ridge[drives] = RULES.drive_ridge / self.prior.drive_scale**2
         away[drives] = (chi - self.start.chi)[drives]
         ridge[servo] = self.of_servo.weights

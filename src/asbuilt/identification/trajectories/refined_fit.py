@@ -40,7 +40,8 @@ class FitRules:
 
 
 RULES = FitRules()
-FEW, FEWEST = Steps(rounds=1, most=8), Steps(rounds=1, most=4)
+FEW = Steps(rounds=1, most=8)
+FEWEST = Steps(rounds=1, most=4)
 """Steps by which starts are compared: two, and many that lie along a valley."""
 LATE = (0.0, 0.005, 0.01, 0.015, 0.02)
 """Delays [s] from which the search for a lead starts: positions of servo and log are up to a
@@ -113,7 +114,9 @@ def refine_fit(
     progress
         Called with the fraction done.
     """
-    model, base, linear = fit.model, fit.base, fit.estimate
+    model = fit.model
+    base = fit.base
+    linear = fit.estimate
     links = slice(10 * model.n_links)
     prior = build_simulated_prior(model, base.drive)
     if not isinstance(linear, ConsistentEstimate):
@@ -122,7 +125,8 @@ def refine_fit(
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
         chi[links] = prior.parameters[links]
-    wanted, windows = of_servo or ServoCoordinates(delay=True), thin_windows(windows)
+    wanted = of_servo or ServoCoordinates(delay=True)
+    windows = thin_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
     share = RULES.same_samples * fit.uncertainty.effective_samples / fit.information.n_samples
@@ -145,7 +149,8 @@ def refine_fit(
         objective, first = _try_lead(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
-    own, beta = covariance[: base.n_base, : base.n_base], base.regrouping @ found.point.chi
+    own = covariance[: base.n_base, : base.n_base]
+    beta = base.regrouping @ found.point.chi
     sigma = np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples)
     note = _word_note(found, windows)
     refined = replace(
@@ -184,7 +189,8 @@ def refine_fit(
 
 def _derive_servo_errors(objective: Objective, covariance: Array) -> tuple[float, float, float]:
     """Return standard errors of relative stiffness, delay and lead; NaN where not fitted."""
-    free, servo = objective.of_servo, objective.start.servo
+    free = objective.of_servo
+    servo = objective.start.servo
     first = objective.trajectories.base.n_base
     errors = np.sqrt(np.diag(covariance))
     kp = 1.0 if servo is None else max(servo.kp[0], np.finfo(np.float64).tiny)
@@ -203,7 +209,8 @@ def _choose_start(objective: Objective, start: Point, servo: PositionServo) -> P
     Stiffness, damping and delay of an unknown servo trade off, so that a search may miss the
     best of them; a few steps show which start leads lower under the same weights.
     """
-    chi, links = start.chi.copy(), 10 * objective.n_links
+    chi = start.chi.copy()
+    links = 10 * objective.n_links
     chi[:links] = objective.prior.parameters[:links]
     chi[links:] *= RULES.stiffer
     stiffer = replace(servo, kp=tuple(RULES.stiffer * kp for kp in servo.kp), delay=0.0)
@@ -256,7 +263,8 @@ def thin_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
     """Return every k-th window, so that together they last `RULES.most_seconds`."""
     total = sum(each.n_windows * each.horizon for each in windows)
     every = max(1, int(np.ceil(total / RULES.most_seconds)))
-    count, chosen = 0, list[Windows]()
+    count = 0
+    chosen = list[Windows]()
     for each in windows:
         at = np.arange((-count) % every, each.n_windows, every)
         count += each.n_windows
@@ -306,8 +314,10 @@ def predict_fall(objective: Objective, found: Refinement, term: DriveTerm) -> fl
 
     The score test: nothing is simulated again (Rao, Proc. Cambridge Philos. Soc. 44, 1948).
     """
-    model, drive = objective.trajectories.model, objective.trajectories.base.drive
-    n, wider = model.n_joints, drive.with_term(term)
+    model = objective.trajectories.model
+    drive = objective.trajectories.base.drive
+    n = model.n_joints
+    wider = drive.with_term(term)
     point, start = (
         replace(each, chi=widen_parameters(each.chi, drive, wider, n))
         for each in (found.point, objective.start)
@@ -321,7 +331,8 @@ def predict_fall(objective: Objective, found: Refinement, term: DriveTerm) -> fl
     )
     quadratic = wide.quadratic(point, found.motions, found.weights)
     free = ~wide.at_bound(point, quadratic.gradient)
-    added, links = np.zeros_like(free), 10 * model.n_links
+    added = np.zeros_like(free)
+    links = 10 * model.n_links
     added[links : len(point.chi)] = np.tile(_find_new_columns(drive, wider), n)
     return quadratic.fall(free) - quadratic.fall(free & ~added)
 

@@ -76,8 +76,11 @@ def _refine_point(
     steps: Steps,
     progress: Callable[[float], None] | None,
 ) -> Refinement:
-    point, motions = start, objective.motions(start)
-    done, inflation, damping = 0, 1.0, steps.damping
+    point = start
+    motions = objective.motions(start)
+    done = 0
+    inflation = 1.0
+    damping = steps.damping
     weights = derive_weights(objective, motions, steps, inflation)
     slopes = objective.slopes(point, motions)
     quadratic = objective.quadratic(point, motions, weights, slopes)
@@ -102,7 +105,8 @@ def _refine_point(
                 break
             point, motions, damping = moved
             slopes = objective.slopes(point, motions)
-            before, quadratic = quadratic.cost, objective.quadratic(point, motions, weights, slopes)
+            before = quadratic.cost
+            quadratic = objective.quadratic(point, motions, weights, slopes)
             if progress is not None:
                 progress((number + done / (steps.most * steps.rounds)) / steps.rounds)
             if before - quadratic.cost < enough:
@@ -139,7 +143,8 @@ def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
     recordings on, the scores of whole recordings count where they vary more.
     """
     scores = Scaled(quadratic.data).whiten(quadratic.scores.T).T
-    found, g = float(np.mean(np.sum(scores**2, axis=0))), len(weights.windows)
+    found = float(np.mean(np.sum(scores**2, axis=0)))
+    g = len(weights.windows)
     if g < FEWEST_RECORDINGS:
         return found
     ends = np.cumsum([len(each) for each in weights.windows])[:-1]
@@ -165,7 +170,8 @@ def _find_better_point(
 ) -> tuple[Point, list[Motion], float] | None:
     """Return a better point, its motions and the next damping; None if there is none."""
     free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
-    H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
+    H = quadratic.matrix[np.ix_(free, free)]
+    g = quadratic.gradient[free]
     scale = np.diag(H)
     before = objective.window_costs(point, motions, weights)
     while damping < steps.strongest:

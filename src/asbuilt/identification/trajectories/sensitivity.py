@@ -86,9 +86,11 @@ class Trajectories:
     @cached_property
     def branches(self) -> tuple[Branch, ...]:
         """The branches of the robot, which move independently of each other."""
-        n, p = self.model.n_joints, self.base.n_base
+        n = self.model.n_joints
+        p = self.base.n_base
         moved_by = np.array(self.model.link_joints)
-        roots, shares = np.arange(n), self.model.link_shares != 0.0
+        roots = np.arange(n)
+        shares = self.model.link_shares != 0.0
         for link in range(self.model.n_links):
             joints = np.flatnonzero(shares[list(self.model.ancestors(link))].any(axis=0))
             roots[np.isin(roots, roots[joints])] = roots[joints].min()
@@ -112,7 +114,8 @@ class Trajectories:
         shape = (windows.n_windows, windows.n_steps, self.model.n_joints)
         q, v = (np.empty((shape[0], shape[1] + 1, shape[2])) for _ in range(2))
         q[:, 0], v[:, 0] = windows.start_q, windows.start_qd
-        a, state = np.empty(shape), np.empty(shape)
+        a = np.empty(shape)
+        state = np.empty(shape)
         codes, program, numbers = self._compile_program(robot, links)
         simulate(
             codes,
@@ -171,14 +174,16 @@ class Trajectories:
         motion: Motion,
         branches: Sequence[Branch],
     ) -> Iterator[tuple[Branch, Array]]:
-        n, shape = self.model.n_joints, motion.a.shape
+        n = self.model.n_joints
+        shape = motion.a.shape
         q, v, a = (
             np.nan_to_num(x).reshape(-1, n) for x in (motion.q[:, :-1], motion.v[:, :-1], motion.a)
         )
         after = np.nan_to_num(motion.v[:, 1:]).reshape(-1, n)
         added = 0.5 * robot.step * a  # torque by the armature that steps add per damping
         slopes = torque_derivatives(self.model, q, v, a, links[None])[:, 0]
-        by_q, by_v = np.ascontiguousarray(slopes[..., 0]), np.ascontiguousarray(slopes[..., 1])
+        by_q = np.ascontiguousarray(slopes[..., 0])
+        by_v = np.ascontiguousarray(slopes[..., 1])
         mass = np.ascontiguousarray(slopes[..., 2])
         sign = np.sign(motion.state - np.where(motion.state > 2.0, 4.0, 0.0)).reshape(-1, n)
         _add_drive_slopes(robot, robot.drive.without(*IN_MATRICES), q, v, sign, by_q, by_v)
@@ -221,7 +226,8 @@ class Trajectories:
                     if place[number] >= 0:
                         columns[:, i, place[number]] = values
             every = windows.divisions
-            m, width = len(branch.joints), columns.shape[2]
+            m = len(branch.joints)
+            width = columns.shape[2]
             out = np.empty((shape[0], shape[1] // every, m, width + 2 * m))
             four = (*shape[:2], n, n)
             sensitivities(
@@ -244,7 +250,8 @@ class Trajectories:
 
     def _drive_columns(self, k: int) -> list[tuple[int, int]]:
         """Return column of the drive terms and place among the base parameters, for joint k."""
-        per, first = self.base.drive.columns_per_joint, 10 * self.model.n_links
+        per = self.base.drive.columns_per_joint
+        first = 10 * self.model.n_links
         return [
             (int(column - first - k * per), place)
             for place, column in enumerate(self.base.columns.tolist())
@@ -268,7 +275,8 @@ class Trajectories:
         self, robot: SimulatedRobot, links: Array
     ) -> tuple[Indices, Indices, Array]:
         """Return codes of the links, codes with the drive program, and numbers."""
-        layout, coupling = build_layout(self.model.tree), self.model.coupling
+        layout = build_layout(self.model.tree)
+        coupling = self.model.coupling
         bodies = links.reshape(-1, 10)
         if coupling is not None:
             bodies = coupling.parameters(bodies)
@@ -301,7 +309,8 @@ def _build_drive_rows(
     robot: SimulatedRobot, q: Array, v: Array, after: Array, a: Array, sign: Array
 ) -> list[Array]:
     """Return the torque of unit drive parameters of every joint, shape (columns, N) each."""
-    shares, drive = robot.model.motor_shares, robot.drive
+    shares = robot.model.motor_shares
+    drive = robot.drive
     away = np.maximum(np.abs(v), SLOWEST)
     still = np.zeros_like(q)
     load = inverse_dynamics(robot.model, q, v, still) if drive.needs_load else None

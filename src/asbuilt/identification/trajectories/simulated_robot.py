@@ -99,7 +99,8 @@ def build_robot_as_built(
     result: IdentificationResult, servo: PositionServo | None = None
 ) -> SimulatedRobot:
     """Return the robot with the standard parameters closest to CAD that a result supports."""
-    chi, links = as_built_parameters(result).parameters, 10 * result.model.n_links
+    chi = as_built_parameters(result).parameters
+    links = 10 * result.model.n_links
     return SimulatedRobot(
         result.model.with_parameters(chi[:links]),
         result.base.drive,

@@ -56,7 +56,9 @@ def eliminate_starts(J: Array, e: Array, stiff: Array, off: Array) -> Eliminated
     right[:, p:] -= stiff * off
     both = np.concatenate([right[:, p:, None], normal[:, p:, :p]], axis=2)
     solved = np.linalg.solve(normal[:, p:, p:], both)
-    across, to_best, by_parameters = normal[:, :p, p:], solved[:, :, 0], solved[:, :, 1:]
+    across = normal[:, :p, p:]
+    to_best = solved[:, :, 0]
+    by_parameters = solved[:, :, 1:]
     return Eliminated(
         np.sum(normal[:, :p, :p] - across @ by_parameters, axis=0),
         right[:, :p] - np.einsum("wps,ws->wp", across, to_best),

@@ -68,9 +68,11 @@ def _write_row_starts(codes, moved_by, rotors, damping, first):
     for i in range(codes.size // CODES):
         j = i
         while j >= 0:
-            k, r = i, j
+            k = i
+            r = j
             if moved_by.size > 0:
-                k, r = moved_by[i], moved_by[j]
+                k = moved_by[i]
+                r = moved_by[j]
             first[max(k, r)] = min(first[max(k, r)], k, r)
             j = codes[CODES * j + PARENT]
 
@@ -118,7 +120,8 @@ def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, o
         away[k] = -away[k]
     run(program, CODES * links, numbers, constants, q, away, zero, load, stack, odd)
     for k in range(n):
-        ahead, back = even[k], odd[k]
+        ahead = even[k]
+        back = odd[k]
         even[k], odd[k] = 0.5 * (ahead + back), 0.5 * (ahead - back)
 
 
@@ -200,13 +203,28 @@ def simulate(
     (n_links,) are as in `_write_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and
     `falling` (n,) are the deadband and how much the limit falls per speed.
     """
-    n, windows, steps, links = kp.size, inputs.shape[0], inputs.shape[1], codes.size // CODES
-    tree, masses = np.empty((4, links)), np.empty((links, links))
-    bias, even, odd, zero = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
-    away, friction, stack = np.empty(n), np.empty(n), np.empty(STACK)
-    M, W, column, tau = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
-    position, rate, free = np.empty(n), np.empty(n), np.empty(n)
-    full, first = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64)
+    n = kp.size
+    windows = inputs.shape[0]
+    steps = inputs.shape[1]
+    links = codes.size // CODES
+    tree = np.empty((4, links))
+    masses = np.empty((links, links))
+    bias = np.empty(n)
+    even = np.empty(n)
+    odd = np.empty(n)
+    zero = np.zeros(n)
+    away = np.empty(n)
+    friction = np.empty(n)
+    stack = np.empty(STACK)
+    M = np.empty((n, n))
+    W = np.empty((n, n))
+    column = np.empty(n)
+    tau = np.empty(n)
+    position = np.empty(n)
+    rate = np.empty(n)
+    free = np.empty(n)
+    full = np.empty(n, dtype=np.bool_)
+    first = np.empty(n, dtype=np.int64)
     _write_row_starts(codes, moved_by, rotors, damping, first)
     for w in range(windows):
         friction[:] = 0.0
@@ -295,7 +313,8 @@ def _evaluate_kept_share(state, accelerations, s, k):
     here = _sign(state[s, k])
     if s == 0 or (here == 0.0 and s + 1 == state.shape[0]):
         return 0.0 if here == 0.0 else -1.0
-    before, after = s - 1, s if here != 0.0 else s + 1
+    before = s - 1
+    after = s if here != 0.0 else s + 1
     if _sign(state[before, k]) * _sign(state[after, k]) != -1.0:
         return 0.0 if here == 0.0 else -1.0
     return min(max(accelerations[after, k] / accelerations[before, k], 0.0), 1.0)
@@ -340,12 +359,18 @@ def sensitivities(
         Shape (W, S // every, m, p + 2 m): by the parameters, then by position and velocity of
         each joint at the start.
     """
-    m, known = joints.size, columns.shape[3]
+    m = joints.size
+    known = columns.shape[3]
     p = known + 2 * m
-    windows, steps = columns.shape[0], columns.shape[1]
-    A, place, dense = np.empty((m, m)), np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
+    windows = columns.shape[0]
+    steps = columns.shape[1]
+    A = np.empty((m, m))
+    place = np.empty(m, dtype=np.int64)
+    dense = np.zeros(m, dtype=np.int64)
     kept = np.empty(m)
-    dq, dv, right = np.empty((m, p)), np.empty((m, p)), np.empty((m, p))
+    dq = np.empty((m, p))
+    dv = np.empty((m, p))
+    right = np.empty((m, p))
     for w in range(windows):
         dq[:], dv[:] = 0.0, 0.0
         for i in range(m):
@@ -366,9 +391,11 @@ def sensitivities(
                 right[x, known:] = 0.0
                 for j in range(m):
                     r = joints[j]
-                    G, C = by_position[w, s, k, r], by_velocity[w, s, k, r] + damping[k, r]
+                    G = by_position[w, s, k, r]
+                    C = by_velocity[w, s, k, r] + damping[k, r]
                     if i == j:
-                        G, C = G + stiffness[w, s, k], C + slope[w, s, k]
+                        G = G + stiffness[w, s, k]
+                        C = C + slope[w, s, k]
                     for c in range(p):
                         right[x, c] -= G * dq[j, c] + C * dv[j, c]
                 for y in range(moving):

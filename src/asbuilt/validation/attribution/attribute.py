@@ -221,10 +221,12 @@ def _find_single_bodies(
     n: int,
 ) -> tuple[FoundEffect, ...]:
     """Return bodies of these torques, next to what the model leaves of the torque of n samples."""
-    names, joints = result.joint_names, result.base.link_joints
+    names = result.joint_names
+    joints = result.base.link_joints
     found = []
     for k, body in enumerate(bodies.bodies):
-        family, y = EFFECTS[body.key], torques[str(k)]
+        family = EFFECTS[body.key]
+        y = torques[str(k)]
         joint = None if body.key == Payload.key else names[joints[body.link]]
         before, after = (
             float(np.linalg.norm(residual) / np.linalg.norm(torque))

@@ -103,7 +103,8 @@ def explain_bodies(
     seen = null_space(_select_open_columns(model, base)[used].T)
     if not seen.shape[1]:
         return BodyDifference()
-    d, C = seen.T @ difference[used], seen.T @ covariance[np.ix_(used, used)] @ seen
+    d = seen.T @ difference[used]
+    C = seen.T @ covariance[np.ix_(used, used)] @ seen
     M = seen.T @ CadTolerance().covariance(model, base)[np.ix_(used, used)] @ seen
     K = (seen.T @ K)[:, : 10 * model.n_links].reshape(len(d), -1, 10)
     left = [
@@ -130,14 +131,13 @@ def explain_bodies(
             for candidate, other_fit in fits
             if candidate.link != best.link and alone.least - other_fit.least > RULES.alike * gain
         }
-        mean, spread = fit.mean(best.root), fit.covariance(best.root)
+        mean = fit.mean(best.root)
+        spread = fit.covariance(best.root)
         found.append(Body(best.key, best.link, mean, spread, tuple(alike)))
         added = K[:, best.link] @ best.root * fit.amount
         # What is explained becomes part of the errors: others are tested next to it.
-        C, left = (
-            C + added @ added.T,
-            [candidate for candidate in left if candidate.link != best.link],
-        )
+        C = C + added @ added.T
+        left = [candidate for candidate in left if candidate.link != best.link]
     # Without the prior of the scatter: do the data alone ask for one?
     by_data = alone.deviance - DOUBT[:, None]
     ratio = by_data[0].min() - by_data.min()
@@ -258,7 +258,8 @@ class _Scale:
         determinant grows by `log(1 + a^2 w^2)`, and each `(U^T y)^2` counts `1 / (1 + a^2 w^2)`.
         """
         root = np.sqrt(1.0 + SCATTERS[:, None] ** 2 * self.spread)
-        X, y = (self.turn @ columns) / root[:, :, None], self.y / root
+        X = (self.turn @ columns) / root[:, :, None]
+        y = self.y / root
         U, w, Vt = np.linalg.svd(X, full_matrices=False)  # one for each scatter
         along = np.einsum("sdm,sd->sm", U, y)
         g = AMOUNTS[:, None] ** 2 * w[:, None] ** 2
@@ -267,7 +268,8 @@ class _Scale:
         # -2 log L without the body: log determinant, and squares.
         unexplained = DOUBT[:, None] + (2.0 * np.log(root) + y**2).sum(axis=1, keepdims=True)
         # A body that is there for sure has the largest amount: a wide prior.
-        largest, left = AMOUNTS[-1] ** 2, kept[:, -1]
+        largest = AMOUNTS[-1] ** 2
+        left = kept[:, -1]
         means = np.einsum("sm,smn->sn", largest * left * w * along, Vt)
         inner = np.eye(columns.shape[1]) + np.einsum("smk,sm,smn->skn", Vt, left - 1.0, Vt)
         return _Fit(unexplained + np.log1p(g).sum(axis=2) - explained, means, largest * inner)

@@ -140,7 +140,8 @@ def check_tolerance(
     differences, None if 1 does or none up to `WIDEST`, and the parameters that exceed theirs.
     """
     chosen = np.flatnonzero(np.asarray(tested))
-    d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
+    d = np.asarray(difference, dtype=np.float64)[chosen]
+    own = np.ix_(chosen, chosen)
     freedom = np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
     # Variances as estimated, before the widening for few blocks.
     wide = widening(freedom)
@@ -150,7 +151,8 @@ def check_tolerance(
         return np.asarray(sampled + tolerance.scaled(factor).covariance(model, base)[own])
 
     def degrees_of(whole: Array) -> Array:
-        own, known = np.diag(sampled), np.diag(whole) - np.diag(sampled)
+        own = np.diag(sampled)
+        known = np.diag(whole) - np.diag(sampled)
         # Tolerances are known, so that they have no end of freedom.
         return sum_degrees((own, freedom), (known, np.full(len(d), np.inf)))
 
@@ -158,7 +160,8 @@ def check_tolerance(
         whole = claimed(factor)
         return chi_square(d, whole, mean_degrees(degrees_of(whole)))
 
-    held, of_each = together(1.0), degrees_of(claimed(1.0))
+    held = together(1.0)
+    of_each = degrees_of(claimed(1.0))
     error = np.sqrt(np.diag(claimed(1.0)))
     exceeded = (
         benjamini_hochberg(student_probability(d / (error * widening(of_each)), of_each)) <= level

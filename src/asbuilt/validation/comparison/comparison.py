@@ -125,7 +125,8 @@ class Comparison:
         if not self.torque:
             return text
         cad, built = self.torque[0]
-        error, source = format_share(built.relative_error), recording_name(built.source)
+        error = format_share(built.relative_error)
+        source = recording_name(built.source)
         if cad is None or not self.n_compared:
             return f"{text} Torque error as built {error} on {source}."
         return (
@@ -261,10 +262,12 @@ def compare(
     determined = np.array(
         [p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters]
     )
-    tested, freedom = determined & np.isfinite(values), result.degrees_of_freedom
+    tested = determined & np.isfinite(values)
+    freedom = result.degrees_of_freedom
     difference = np.where(tested, result.estimates - values, np.nan)
     tests = compare_each(difference, result.std_errors, freedom, tested)
-    cause_data, texts = result.cause_data, describe_parameters(result.base)
+    cause_data = result.cause_data
+    texts = describe_parameters(result.base)
     if cause_data is not None:
         cost = evaluate_torque_cost(cause_data, result.base, result.estimates - values)
         left = cause_data.error_of(result.base.names, result.estimates)

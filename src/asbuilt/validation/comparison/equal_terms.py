@@ -230,7 +230,8 @@ class Between:
         self, first: Array, second: Array, wide: Array | float = 1.0, other: Array | float = 1.0
     ) -> Array:
         """Return the sum of matrices of both sets of values, each without its widening."""
-        one, two = first[np.ix_(self.one, self.one)], second[np.ix_(self.two, self.two)]
+        one = first[np.ix_(self.one, self.one)]
+        two = second[np.ix_(self.two, self.two)]
         return np.asarray(one / wide + two / other)
 
 

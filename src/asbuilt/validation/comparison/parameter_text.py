@@ -73,7 +73,8 @@ def _list_nonlinear(term: DriveTerm, names: Iterable[str]) -> str:
 
 def _describe_link_parameter(base: BaseParameters, row: int, column: int, inertial: int) -> str:
     per_link = len(PARAMETER_NAMES)
-    link, name = column // per_link, PARAMETER_NAMES[column % per_link]
+    link = column // per_link
+    name = PARAMETER_NAMES[column % per_link]
     entries = np.flatnonzero(base.regrouping[row])
     names_here = {
         PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial

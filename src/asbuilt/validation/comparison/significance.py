@@ -111,13 +111,15 @@ def chi_square(
     >>> test.statistic, test.degrees, round(test.probability, 3)
     (4.0, 2, 0.135)
     """
-    d, C = np.asarray(difference, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    d = np.asarray(difference, dtype=np.float64)
+    C = np.asarray(covariance, dtype=np.float64)
     # Parameters without variance are not tested.
     known = np.diag(C) > 0
     if not known.any():
         return ChiSquare(0.0, 0, 1.0)
     known_part = Scaled(C[np.ix_(known, known)])
-    statistic, rank = known_part.square(d[known]), known_part.rank
+    statistic = known_part.square(d[known])
+    rank = known_part.rank
     return ChiSquare(
         statistic,
         rank,
@@ -153,9 +155,12 @@ def joint_test(
         return ChiSquare(0.0, 0, 1.0)
     errors = Scaled(C[np.ix_(known, known)])
     # Whitened by the textbook covariance: F does not depend on units.
-    u, g = errors.whiten(d[known]), errors.whiten(M[:, known].T).T
+    u = errors.whiten(d[known])
+    g = errors.whiten(M[:, known].T).T
     block_squares = np.sum(g**2, axis=1)
-    trace, f, rank = float(block_squares.sum()), effective_rank(g), len(u)
+    trace = float(block_squares.sum())
+    f = effective_rank(g)
+    rank = len(u)
     # Blocks of unequal size determine fewer variances than blocks are.
     unequal = trace**2 * (1.0 + 2.0 / f) / float((block_squares**2).sum())
     nu = min(float(np.mean(np.asarray(degrees_alone)[known])), unequal)
@@ -179,8 +184,10 @@ def size_probability(
     >>> round(size_probability([2.571], [[1.0]], 5.0), 3)
     0.05
     """
-    v, C = np.asarray(vector, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
-    mean, square = float(np.trace(C)), float(np.sum(C**2))
+    v = np.asarray(vector, dtype=np.float64)
+    C = np.asarray(covariance, dtype=np.float64)
+    mean = float(np.trace(C))
+    square = float(np.sum(C**2))
     if mean <= 0.0:
         # Without any error a difference is certain.
         return 0.0 if v.any() else 1.0

@@ -213,7 +213,8 @@ def evaluate_torque_cost(
     cause_data: CauseData, base: BaseParameters, difference: Array
 ) -> TorqueCost:
     """Return the torque of differences (p,) of base parameters; NaN counts as none."""
-    places, n = cause_data.places(base.names), cause_data.n_judged
+    places = cause_data.places(base.names)
+    n = cause_data.n_judged
     d = np.nan_to_num(difference, nan=0.0)
     rows = [factor[:, places] for factor in cause_data.whole(cause_data.judged)]
     torque = np.array([np.linalg.norm(W, axis=0) for W in rows]).T * np.abs(d)[:, None] / np.sqrt(n)
@@ -241,7 +242,8 @@ def _find_partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ..
     """
     found: list[tuple[int, ...]] = [()] * p
     for j, place in enumerate(present):
-        chosen, left = list[int](), 1.0
+        chosen = list[int]()
+        left = 1.0
         weights: Array = np.zeros(0)
         for _ in range(MOST_PARTNERS):
             correlation = np.abs(gram[:, j] - gram[:, chosen] @ weights)
@@ -254,6 +256,7 @@ def _find_partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ..
             # One more that replaces little is no partner to name.
             if left - remaining < ABLE * left:
                 break
-            chosen, left = together, remaining
+            chosen = together
+            left = remaining
         found[place] = tuple(int(present[k]) for k in chosen)
     return tuple(found)

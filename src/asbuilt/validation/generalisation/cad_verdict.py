@@ -122,11 +122,14 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     squared errors: of few blocks one of fast motion would otherwise be all of the mean, and of its
     standard error. An order that the RMS errors do not have is undecided.
     """
-    cad, built = validation.measured - validation.predicted_cad, validation.error
+    cad = validation.measured - validation.predicted_cad
+    built = validation.error
     # A joint that CAD predicts exactly must not divide by zero.
-    block, tiny = _number_blocks(validation.t), np.finfo(np.float64).tiny
+    block = _number_blocks(validation.t)
+    tiny = np.finfo(np.float64).tiny
     scale = np.maximum(np.mean(cad**2, axis=0), tiny)
-    by_cad, as_built = _average_blocks(cad**2, block), _average_blocks(built**2, block)
+    by_cad = _average_blocks(cad**2, block)
+    as_built = _average_blocks(built**2, block)
     gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
     # Joints without a torque channel have no error to compare.
     seen = np.isfinite(built).all(axis=0)
@@ -208,7 +211,8 @@ def _test_gains(gains: Array) -> tuple[Array, Array]:
     n = len(gains)
     if n < 3:
         return np.full(gains.shape[1], np.nan), np.ones(gains.shape[1])
-    mean, error = gains.mean(axis=0), gains.std(axis=0, ddof=1) / np.sqrt(n)
+    mean = gains.mean(axis=0)
+    error = gains.std(axis=0, ddof=1) / np.sqrt(n)
     sigmas = np.divide(mean, error, out=np.zeros_like(mean), where=error > 0)
     return sigmas, np.asarray(2.0 * stdtr(n - 1, -np.abs(sigmas)))
 

@@ -114,7 +114,8 @@ def _merge_findings(findings: Sequence[Finding]) -> list[Finding]:
 
 def _merge_group(group: Sequence[Finding]) -> Finding:
     """Return the first finding of a group with the joints and recordings of the others."""
-    first, others = group[0], group[1:]
+    first = group[0]
+    others = group[1:]
     source_of_first = _name_source(first)
     elsewhere = list(
         dict.fromkeys(s for s in map(_name_source, others) if s not in ("", source_of_first))

@@ -139,7 +139,8 @@ def measure_repeated_share(fitted: Sequence[Samples], held_out: Samples) -> floa
     # Too few joints move: other motions pass near by chance.
     if not moving[:joints].sum() >= NEAR.fewest_joints:
         return 0.0
-    before, after = _thin_states(q, qd), _thin_states(*_stack_states([held_out]))
+    before = _thin_states(q, qd)
+    after = _thin_states(*_stack_states([held_out]))
     tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
     distance, _ = tree.query(
         (after / np.where(moving, size, 1.0))[:, moving],

@@ -77,7 +77,8 @@ def divide_resting_errors(validation: Validation) -> RestingErrors:
     At rest a joint is held by static friction, which may take any value up to break-away. A joint
     is at rest if its filtered velocity is exactly zero, which the signal chain makes it.
     """
-    still, error = validation.velocity == 0.0, validation.error
+    still = validation.velocity == 0.0
+    error = validation.error
     # Joints that never rest, or never move, have no such errors.
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = error**2
@@ -159,8 +160,10 @@ def _report_rest(validation: Validation) -> Iterator[Finding]:
 def _report_generalisation(
     train: TorqueMetrics, validation: Validation, refitted: bool
 ) -> Iterator[Finding]:
-    built, cad = validation.metrics_as_built, validation.metrics_cad
-    source, rest = recording_name(built.source), divide_resting_errors(validation)
+    built = validation.metrics_as_built
+    cad = validation.metrics_cad
+    source = recording_name(built.source)
+    rest = divide_resting_errors(validation)
     # Static friction at rest is another finding, and no overfitting.
     error = np.where(rest.dominant, rest.moving, built.rms)
 

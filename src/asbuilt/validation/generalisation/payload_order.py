@@ -74,7 +74,8 @@ def _build_body_torques(
     result: IdentificationResult, samples: Samples, link: int, placement: Array
 ) -> Array:
     """Return an orthonormal basis (N n, r) of the weighted torques that a body there can make."""
-    shift, model = shift_matrix(placement), result.model
+    shift = shift_matrix(placement)
+    model = result.model
     columns = np.empty((samples.n_filtered, model.n_joints, 10))
     for i in range(10):
         # The body in the link's axes, parameter by parameter.

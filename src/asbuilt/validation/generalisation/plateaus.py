@@ -120,7 +120,8 @@ def report_plateaus(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Fin
                 [plateau.implied for plateau in plateaus],
             )
         )
-        name, unit = model.joint_names[joint], torque_units(model)[joint]
+        name = model.joint_names[joint]
+        unit = torque_units(model)[joint]
         yield Finding(
             "torque_saturates",
             "warning",
@@ -194,7 +195,8 @@ def _find_plateau(
     )
     # Only where the model asks for more than the level.
     beyond = implied > level
-    x, y = np.concatenate(torque)[beyond], implied[beyond]
+    x = np.concatenate(torque)[beyond]
+    y = implied[beyond]
     if x.size < RULES.fewest or y.max() < (1.0 + RULES.exceeds) * level:
         return None
     error = np.concatenate(

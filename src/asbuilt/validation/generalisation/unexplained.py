@@ -17,7 +17,9 @@ UNEXPLAINED = 0.5
 """RMS error over the standard deviation of a joint's torque beyond which it is not explained."""
 MATTERS = 0.05
 """RMS error over the largest RMS torque of any joint below which a joint is not named."""
-PARTS, LONGEST, MOST = 20, 10, 0.8
+PARTS = 20
+LONGEST = 10
+MOST = 0.8
 """Parts of the time; how many in a row, at most, have this share of the squared error if it comes
 and goes."""
 ONE_SIDED = 0.5
@@ -165,7 +167,8 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
     have the same error after each.
     """
     order = np.arange(RETURNING.order + 1)
-    whole, span = 2.0 * np.pi, float(np.ptp(q))
+    whole = 2.0 * np.pi
+    span = float(np.ptp(q))
     # Beyond a turn the same tooth passes again.
     way = (q - q.min()) % whole if span > whole else q - q.min()
     turn = np.pi * way / max(min(span, whole), np.finfo(np.float64).tiny)

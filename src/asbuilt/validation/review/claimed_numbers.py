@@ -128,7 +128,10 @@ def list_claimed_numbers(
 
 def _list_link_numbers(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
     """Return mass, centre and inertia of a link with their changes of its parameters (10,)."""
-    m, c, about, one = inertia.mass, inertia.com, inertia.inertia_about_com, np.eye(3)
+    m = inertia.mass
+    c = inertia.com
+    about = inertia.inertia_about_com
+    one = np.eye(3)
     # A point mass has no moment to compare with.
     moment = max(float(np.trace(about)), 1e-12)
     gyration = float(np.sqrt(moment / (2.0 * m)))
@@ -138,13 +141,16 @@ def _list_link_numbers(inertia: LinkInertia, tolerance: CadTolerance) -> list[_N
     for k, e in enumerate(one):
         # Parallel axes: m (2 c_k 1 - e c^T - c e^T) per shift of the centre.
         turned = m * (2.0 * c[k] * one - np.outer(e, c) - np.outer(c, e))
-        change, spread = _pack_change(turned, m * e, 0.0), tolerance.centre * gyration
+        change = _pack_change(turned, m * e, 0.0)
+        spread = tolerance.centre * gyration
         found.append((f"centre {AXES[k]}", "m", float(c[k]), gyration, spread, change))
     for a, b in UPPER:
         entry = np.zeros((3, 3))
         entry[a, b] = entry[b, a] = 1.0
-        change, spread = _pack_change(entry, np.zeros(3), 0.0), tolerance.inertia * moment / 3.0
-        what, claimed = f"inertia {AXES[a]}{AXES[b]}", float(about[a, b])
+        change = _pack_change(entry, np.zeros(3), 0.0)
+        spread = tolerance.inertia * moment / 3.0
+        what = f"inertia {AXES[a]}{AXES[b]}"
+        claimed = float(about[a, b])
         found.append((what, "kg m^2", claimed, moment / 3.0, spread, change))
     return found
 
@@ -154,7 +160,8 @@ def _pack_change(inertia: Array, first_moment: Array, mass: float) -> Array:
 
 
 def _list_drive_numbers(model: RobotModel, drive: DriveSet, count: int) -> list[ClaimedNumber]:
-    values, units = parameter_values(model, drive), parameter_units(model, drive)
+    values = parameter_values(model, drive)
+    units = parameter_units(model, drive)
     words = [
         DRIVE_WORDS.get(term.key, f"{term.key} {symbol}")
         for term in drive.terms
@@ -162,7 +169,8 @@ def _list_drive_numbers(model: RobotModel, drive: DriveSet, count: int) -> list[
     ]
     found = []
     for j, (joint, what) in enumerate(product(model.joints, words), start=10 * model.n_links):
-        claimed, column = float(values[j]), np.eye(1, count, j)[0]
+        claimed = float(values[j])
+        column = np.eye(1, count, j)[0]
         # A claim of zero has no size of its own: one unit stands for it.
         size = abs(claimed) if np.isfinite(claimed) and claimed else 1.0
         found.append(ClaimedNumber(what, joint.name, units[j], claimed, size, np.inf, column))

@@ -161,9 +161,11 @@ def review_result(
     Review
         A verdict on every number.
     """
-    model, base = described or result.model, result.base
+    model = described or result.model
+    base = result.base
     numbers = list_claimed_numbers(model, base.drive, tolerance)
-    scale, added = derive_scale_errors(result), derive_servo_damping(result, model)
+    scale = derive_scale_errors(result)
+    added = derive_servo_damping(result, model)
     values = ComparedValues.free(result)
     # Damping of the servo that the fit has in its viscous friction belongs to the claim.
     claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0) + added
@@ -219,7 +221,9 @@ def _make_claim(
     `whole` is the claim with a servo's claim which acts alike, `reach` the length of the robot,
     beyond which no link has its centre [m].
     """
-    number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
+    number = numbers[j]
+    change = float(profile.change[j])
+    error = float(profile.std_error[j])
     # Without an error nothing is known, however good the estimate looks.
     known = bool(np.isfinite(change) and np.isfinite(error))
     what = number.what if whole == number.claimed else TOGETHER
@@ -257,10 +261,12 @@ def _make_claim(
 
 def _measure_torque_change(result: IdentificationResult, change: Array) -> float | None:
     """Return the RMS torque over all joints of a change of the standard parameters."""
-    data, base = result.cause_data, result.base
+    data = result.cause_data
+    base = result.base
     if data is None:
         return None
-    places, beta = data.places(base.names), base.regrouping @ change
+    places = data.places(base.names)
+    beta = base.regrouping @ change
     # On the data that were fitted, as the verdicts are by their estimates.
     rows = [factor[:, places] @ beta for factor in (*data.whole(data.fitted),)]
     return float(np.sqrt(sum(float(row @ row) for row in rows) / data.n_fitted))

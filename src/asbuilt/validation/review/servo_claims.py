@@ -34,7 +34,8 @@ SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 
 def derive_scale_errors(result: IdentificationResult) -> Array:
     """Return the relative error of the torque of each joint from its stiffness, shape (n,)."""
-    errors, servo = result.servo_errors, result.servo
+    errors = result.servo_errors
+    servo = result.servo
     if errors is None or servo is None or not errors.kp:
         return np.zeros(result.model.n_joints)
     # A relative error of the stiffness is one of every torque of the joint.
@@ -97,12 +98,14 @@ def list_servo_aliases(result: IdentificationResult, what: str, joint: str) -> t
 
 def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
     claim = Claim("kp", joint, "N m/rad", claimed)
-    errors, servo = result.servo_errors, result.servo
+    errors = result.servo_errors
+    servo = result.servo
     if errors is None or servo is None:
         return replace(claim, note=OF_NO_SERVO)
     if errors.scale[k] == "given":
         return replace(claim, note=f"given as {servo.kp[k]:.6g}, not tested")
-    estimate, error = servo.kp[k], errors.kp[k]
+    estimate = servo.kp[k]
+    error = errors.kp[k]
     all_torques = f"scale of all torques of {joint}"
     # An undetermined stiffness leaves ratios alone.
     if not error < UNDETERMINED * estimate:
@@ -122,7 +125,8 @@ def _claim_stiffness(result: IdentificationResult, k: int, joint: str, claimed: 
 
 
 def _claim_damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
-    claim, errors = Claim("kv", joint, "N m s/rad", claimed), result.servo_errors
+    claim = Claim("kv", joint, "N m s/rad", claimed)
+    errors = result.servo_errors
     if errors is not None and errors.kd_unknown[k]:
         return replace(claim, alias_of=(f"damping of {joint}",))
     return replace(claim, note=OF_NO_SERVO if errors is None else "given, not tested")
@@ -149,7 +153,9 @@ def _test_torque_limit(claim: Claim, k: int, peak: float, motions: Sequence[Vali
     # Along the torque asked for, so that both signs count alike.
     moves = float(np.mean((moved * np.sign(asked))[beyond]))
     wanted = float(np.mean(np.abs(asked[beyond])))
-    more, clear, little = moves - claim.claimed, 2.0 * error, BEYOND * claim.claimed
+    more = moves - claim.claimed
+    clear = 2.0 * error
+    little = BEYOND * claim.claimed
     # The motion has the torque asked for: there is no limit at the claim.
     follows = abs(wanted - moves) < FOLLOWED * (wanted - claim.claimed)
     # It has the torque of the limit, and much more was asked for.

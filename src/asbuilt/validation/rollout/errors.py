@@ -272,7 +272,8 @@ def find_outlying_windows(
     every = np.concatenate(size)
     # Few windows have no usual error.
     limit = OUTLYING * float(np.nanmedian(every)) if len(every) >= FEWEST else np.inf
-    found, regular = list[OutlyingWindow](), list[Indices]()
+    found = list[OutlyingWindow]()
+    regular = list[Indices]()
     for cut, error, window_errors in zip(windows, errors, size, strict=True):
         # NaN of a window that diverged is not usual, unless there are too few to say what is.
         usual = (window_errors <= limit) | (not np.isfinite(limit))

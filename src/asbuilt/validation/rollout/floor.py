@@ -46,7 +46,8 @@ def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list
     lengths = [window.n_samples for window in windows]
     usual = max(lengths, key=lengths.count)
     windows = [window for window in windows if window.n_samples == usual]
-    commands, q = _stack_commands(windows), np.concatenate([window.q for window in windows])
+    commands = _stack_commands(windows)
+    q = np.concatenate([window.q for window in windows])
     size = np.ptp(commands, axis=(0, 1))
     if len(q) < 2 or not np.any(size > 0.0):
         return None
@@ -63,7 +64,8 @@ def pair_repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list
     pairs = tree.query_pairs(SAME.tolerance, p=np.inf, output_type="ndarray")
     if not len(pairs):
         return None
-    first, second = places[pairs[:, 0]], places[pairs[:, 1]]
+    first = places[pairs[:, 0]]
+    second = places[pairs[:, 1]]
     return [q[first]], [q[second]]
 
 

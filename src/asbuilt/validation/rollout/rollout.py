@@ -194,10 +194,8 @@ def _measure_errors(
 
     None where a motion is not there, or no window of these recordings is usual.
     """
-    times, measured = (
-        [motion.windows.times for motion in motions],
-        [motion.windows.q for motion in motions],
-    )
+    times = [motion.windows.times for motion in motions]
+    measured = [motion.windows.q for motion in motions]
     both = [motion.cad for motion in motions], [motion.as_built for motion in motions]
     ends = [
         find_divergence(t, path)
@@ -294,7 +292,8 @@ def _report_worse_than_command(rollout: Rollout, length: str) -> Iterator[Findin
 
     If that is so in some recordings only, they are named.
     """
-    built, plain = rollout.as_built, rollout.no_physics
+    built = rollout.as_built
+    plain = rollout.no_physics
     if built is None or plain is None:
         return
     message = (
@@ -358,7 +357,8 @@ def _name_model(name: str) -> str:
 def tabulate_joint_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
     unit = "mrad or mm" if model.n_floating else position_unit(model)
-    cad, built = rollout.cad, rollout.as_built
+    cad = rollout.cad
+    built = rollout.as_built
     errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
     ends = {"end, as built": built, "end, CAD": cad}
     values = {

@@ -98,7 +98,8 @@ def is_untested(
 
 def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reason]:
     """Yield that CAD is better, or that little of the torque is explained."""
-    found, cad = error.decisive, error.cad
+    found = error.decisive
+    cad = error.cad
     if found is None:
         return
     if cad is not None and found > cad:
@@ -247,7 +248,8 @@ def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
 
 def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     """Yield masses that imitate something that is not in the model: of all links, or of one."""
-    found, links = export_parameters(result), result.model.links
+    found = export_parameters(result)
+    links = result.model.links
     if found is None:
         return
     masses = found[9 : 10 * len(links) : 10].tolist()
@@ -287,7 +289,8 @@ def _list_simulation_reasons(
         if result.validation:
             yield Reason("nothing_simulated", "its motion was not simulated")
         return
-    built, plain = simulated.as_built, simulated.no_physics
+    built = simulated.as_built
+    plain = simulated.no_physics
     if built is not None and built.diverged:
         yield Reason("rollout_diverged", "simulations diverge")
     if built is not None and plain is not None and built.rms_all > plain.rms_all:

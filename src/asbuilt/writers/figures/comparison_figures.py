@@ -46,16 +46,21 @@ have no bound."""
 def draw_attribution(attribution: Attribution) -> Figure:
     """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
     n = len(attribution.joint_names)
-    place, shares = np.arange(n), np.array([each.share for each in attribution.shares])
-    ups, downs = np.maximum(shares, 0.0), np.minimum(shares, 0.0)
-    top, bottom = ups.sum(axis=0) + attribution.unexplained, downs.sum(axis=0)
-    low, high = max(-CUT, float(bottom.min(initial=0.0))), min(CUT, float(top.max()))
+    place = np.arange(n)
+    shares = np.array([each.share for each in attribution.shares])
+    ups = np.maximum(shares, 0.0)
+    downs = np.minimum(shares, 0.0)
+    top = ups.sum(axis=0) + attribution.unexplained
+    bottom = downs.sum(axis=0)
+    low = max(-CUT, float(bottom.min(initial=0.0)))
+    high = min(CUT, float(top.max()))
     gap = 0.015 * (high - low)
     bar: dict[str, Any] = {"width": 0.68, "edgecolor": "white", "linewidth": 0.6}
     small: dict[str, Any] = {"ha": "center", "fontsize": 7.5}
     title = f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
     with open_figure(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
-        above, below = np.zeros(n), np.zeros(n)
+        above = np.zeros(n)
+        below = np.zeros(n)
         for number, (each, up, down) in enumerate(zip(attribution.shares, ups, downs, strict=True)):
             colour = CAUSE_COLOURS.get(each.effect, FURTHER[number % len(FURTHER)])
             name = name_group(each.effect)
@@ -70,7 +75,8 @@ def draw_attribution(attribution: Attribution) -> Figure:
                     axis.text(
                         k, 50 * ends.sum(), f"{100 * part:.0f}", va="center", color=ink, **small
                     )
-            above, below = above + up, below + down
+            above = above + up
+            below = below + down
         axis.bar(
             place,
             100 * attribution.unexplained,
@@ -165,7 +171,8 @@ def draw_differences(comparison: Comparison) -> Figure:
 def draw_drift(drift: Drift) -> Figure:
     """Draw the RMS torque of all changes at each joint, and what standard errors explain below."""
     change = "difference" if drift.of_models else "change"
-    joints, place = drift.joints, np.arange(len(drift.joints))
+    joints = drift.joints
+    place = np.arange(len(drift.joints))
     sure = np.array([each.holm <= drift.level for each in joints])
     torque = np.array([each.torque for each in joints])
     by_chance = np.array([each.by_chance for each in joints])
@@ -218,7 +225,8 @@ def review_figure(review: Review) -> Figure:
     joints = list(review.result.joint_names)
     columns = max(1, min(3, len(kinds)))
     rows = max(1, -(-len(kinds) // columns))
-    width, height = 2.9 * columns + 0.6, rows * (0.24 * len(joints) + 0.9) + 0.5
+    width = 2.9 * columns + 0.6
+    height = rows * (0.24 * len(joints) + 0.9) + 0.5
     title = f"{review.robot}: numbers of its drives against the log"
     with open_figure(width, height, title, rows=rows, columns=columns, sharey=True) as (
         figure,

@@ -29,7 +29,9 @@ BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
     "#22262B",
     "#5F656D",
 )
-MEASURED, AS_BUILT, CAD = BLUE, VERMILION, GREY
+MEASURED = BLUE
+AS_BUILT = VERMILION
+CAD = GREY
 
 DATED = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
 """Field of each kind of file that would make equal figures differ."""

@@ -60,7 +60,8 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
 
     Kinetic, potential and total energy, with the work of the drives and the loss to friction.
     """
-    model, t = motion.model, motion.t
+    model = motion.model
+    t = motion.t
     turning = [joint.is_revolute for joint in model.joints]
     unit = "rad" if all(turning) else "m" if not any(turning) else "rad, m"
     legend_place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}

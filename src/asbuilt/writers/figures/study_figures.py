@@ -69,7 +69,8 @@ def torque_figure(
     legend_place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
     narrow = {"handlelength": 1.2, "columnspacing": 1.2, "borderaxespad": 0.1, "fontsize": 7.5}
     with open_figure(10.5, 1.25 * n + 0.95, title, **shape) as (figure, axes):
-        lefts, rights = axes[::2], axes[1::2]
+        lefts = axes[::2]
+        rights = axes[1::2]
         for k, (left, right) in enumerate(zip(lefts, rights, strict=True)):
             by_cad = None if cad is None else cad[:, k]
             draw_torque(left, t, measured[:, k], predicted[:, k], label, cad=by_cad)

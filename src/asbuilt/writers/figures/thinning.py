@@ -14,7 +14,8 @@ def thin_curves(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     Every bucket of time keeps the samples where any curve is smallest and largest, and each
     contiguous segment its ends; NaN between segments keeps lines from bridging gaps.
     """
-    share, kept = points / max(len(t), 1), list[list[Array]]()
+    share = points / max(len(t), 1)
+    kept = list[list[Array]]()
     for start, stop in find_contiguous_segments(t):
         index = start + _find_extremes(
             [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))

@@ -117,9 +117,12 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     turned = np.any(model.motor_shares, axis=1)
     joints = []
     for k, joint in enumerate(robot.joints):
-        left, plain, terms = values[k].tolist(), dict[str, float](), dict[str, dict[str, float]]()
+        left = values[k].tolist()
+        plain = dict[str, float]()
+        terms = dict[str, dict[str, float]]()
         for term in drive.at(k).terms:
-            term_values, left = left[: len(term.symbols)], left[len(term.symbols) :]
+            term_values = left[: len(term.symbols)]
+            left = left[len(term.symbols) :]
             if term.key in PLAIN_TERMS and term.is_at(k):
                 plain[term.key] = term_values[0]
             elif term.is_at(k) and (turned[k] or not term.of_motor):
@@ -140,7 +143,9 @@ def keep_described_drives(
     If a richer term was identified in place of a plain one (`power` for `viscous`), the
     plain one is zero, since it would count the same friction twice.
     """
-    joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()
+    joints = []
+    as_described = set()
+    replaced = dict[tuple[str, str], list[str]]()
     for joint, before in zip(robot.joints, described.joints, strict=True):
         richer = {
             stood_for: key
@@ -182,7 +187,8 @@ def note_load_friction(result: IdentificationResult, built: AsBuilt) -> tuple[st
         return ()
     # Random states at which torques are compared.
     q, qd, qdd = draw_sample_states(built.model, 100)
-    rigid, shares = len(built.model.parameters), built.model.motor_shares
+    rigid = len(built.model.parameters)
+    shares = built.model.motor_shares
     together = np.zeros(result.n_standard)
     # Grouped parameters on the links: the load that the result has.
     together[result.base.columns] = built.parameters.beta

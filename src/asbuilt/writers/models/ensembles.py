@@ -49,10 +49,8 @@ def encode_parquet(ensemble: Ensemble) -> bytes:
 
 def summarise_ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
     """Return name, unit, owner, value, spread and quantiles of every column."""
-    spread, keys = (
-        ensemble.table.std(axis=0),
-        [f"q{round(100 * quantile):02d}" for quantile in QUANTILES],
-    )
+    spread = ensemble.table.std(axis=0)
+    keys = [f"q{round(100 * quantile):02d}" for quantile in QUANTILES]
     return [
         {
             "name": name,
@@ -77,7 +75,8 @@ def summarise_ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
 def summarise_correlation(ensemble: Ensemble) -> dict[str, Any]:
     """Return the correlation matrix of the columns that vary, with their names."""
     table = ensemble.table
-    spread, size = table.std(axis=0), np.abs(table).mean(axis=0)
+    spread = table.std(axis=0)
+    size = np.abs(table).mean(axis=0)
     # Spread relative to the value below which a column is constant (rounding of the fits).
     varies = np.flatnonzero((spread > 1e-9 * size) & (spread > np.finfo(np.float64).tiny))
     names = [ensemble.names[k] for k in varies]
@@ -90,7 +89,8 @@ def summarise_correlation(ensemble: Ensemble) -> dict[str, Any]:
 
 def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
     """Return the link or joint that each column belongs to."""
-    model, drive = ensemble.result.model, ensemble.result.base.drive
+    model = ensemble.result.model
+    drive = ensemble.result.base.drive
     links = [{"link": name} for name in model.link_names for _ in PARAMETER_NAMES]
     joints = [{"joint": name} for name in model.joint_names for _ in range(drive.columns_per_joint)]
     servo = [{"joint": name} for name in model.joint_names] * 2 + [{"joint": "all"}]
@@ -99,7 +99,8 @@ def _list_owners(ensemble: Ensemble) -> list[dict[str, str]]:
 
 def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
     """Return one robot of an ensemble, counted from 0, with its drive terms and servo."""
-    result, servo = ensemble.result, ensemble.servo(draw)
+    result = ensemble.result
+    servo = ensemble.servo(draw)
     robot = with_standard_parameters(
         result.model, result.base.drive, ensemble.parameters[draw].copy()
     )
@@ -183,7 +184,8 @@ def write_ensemble(
             f"there is no model format {models!r}", cure=Cure(f"take one of {', '.join(SUFFIXES)}")
         )
     # At least three digits, and as many as the last number has.
-    place, digits = Path(folder), max(3, len(str(len(ensemble) - 1)))
+    place = Path(folder)
+    digits = max(3, len(str(len(ensemble) - 1)))
     names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(len(ensemble))]
     notes = (*ensemble.notes, *_format_notes(ensemble, models))
     document = _build_document(ensemble, seed, names, notes)

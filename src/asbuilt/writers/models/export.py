@@ -205,7 +205,8 @@ def export_result(
     if all(place is None for place in models) and not formats:
         return Export(result.robot, "the identified parameters", files, notes)
     built = as_built(result, nearest=nearest)
-    found, model = built.parameters, built.model
+    found = built.parameters
+    model = built.model
     # Nothing is written of an inconsistent robot.
     refuse_inconsistent(model, result)
     refuse_wrong_units(result.model)

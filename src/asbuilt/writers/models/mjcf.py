@@ -114,7 +114,9 @@ def _release_base(root: Element, model: RobotModel) -> None:
 
 def _make_servo(actuator: Element, element: Element, joint: Joint) -> None:
     """Make a position actuator of a motor: `clip(kp (u - q) - kd qd, -limit, limit) - Fo`."""
-    kp, kd, offset = joint.drive.kp or 0.0, joint.drive.kd or 0.0, joint.drive.offset or 0.0
+    kp = joint.drive.kp or 0.0
+    kd = joint.drive.kd or 0.0
+    offset = joint.drive.offset or 0.0
     # The limit is the servo's, which acts before the joint's.
     limit = joint.limits.torque
     actuator.attrib.pop("ctrlrange", None)
@@ -258,7 +260,8 @@ def add_elastic_joints(text: str, pairs: Sequence[EncoderPair]) -> str:
                     cure=Cure("identify it: drive terms with armature, torque of the motor"),
                 )
             twist = Element("joint", {key: joint.get(key, "") for key in ("type", "axis", "pos")})
-            stiffness, damping = pair.stiffness or (0.0, 0.0), pair.damping or (0.0, 0.0)
+            stiffness = pair.stiffness or (0.0, 0.0)
+            damping = pair.damping or (0.0, 0.0)
             twist.attrib.update(
                 name=f"{pair.joint} link", stiffness=repr(stiffness[0]), damping=repr(damping[0])
             )

@@ -63,11 +63,13 @@ def convert_to_plain_friction(model: RobotModel) -> RobotModel:
     """
     joints = []
     for joint in model.joints:
-        drive, terms = joint.drive, dict(joint.drive.terms)
+        drive = joint.drive
+        terms = dict(joint.drive.terms)
         asymmetric = terms.pop("asymmetric_coulomb", None)
         smooth = terms.pop("smooth_coulomb", None)
         if asymmetric is not None:
-            forwards, backwards = asymmetric["Fcp"], asymmetric["Fcn"]
+            forwards = asymmetric["Fcp"]
+            backwards = asymmetric["Fcn"]
             # Fcp forwards and -Fcn backwards are a mean with the sign of motion, and half the
             # difference.
             drive = replace(
@@ -145,7 +147,8 @@ def _name_reasons(result: IdentificationResult, reasons: str) -> str:
     """
     # The proof asks for bodies near CAD, and so starts from the masses of CAD.
     prior = build_cad_prior(result.model, result.base.drive)
-    dropped, covariance = np.flatnonzero(result.dropped), np.array(result.covariance)
+    dropped = np.flatnonzero(result.dropped)
+    covariance = np.array(result.covariance)
     # Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown.
     covariance[dropped, dropped] = (
         100.0 * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
@@ -168,10 +171,8 @@ def refuse_poor_nearest_model(
     """
     if cost is not None:
         # Worse than CAD is worse than no identification.
-        poor, why = (
-            bool(cost.bad) or cost.worse_than_cad,
-            f"on {cost.judged_by}, {cost.objection()}",
-        )
+        poor = bool(cost.bad) or cost.worse_than_cad
+        why = f"on {cost.judged_by}, {cost.objection()}"
     else:
         grown = _measure_error_growth(result, beta)
         poor = grown > POOR.error
@@ -195,7 +196,8 @@ def _measure_error_growth(result: IdentificationResult, beta: Array) -> float:
     """
     # Squares of the residuals at the estimate and of the step add: least squares has them
     # orthogonal.
-    d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
+    d = beta - result.estimates
+    rows = result.n_samples * len(result.joint_names) - result.n_base
     return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
 
 

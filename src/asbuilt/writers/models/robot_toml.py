@@ -87,7 +87,8 @@ def _order_links(model: RobotModel) -> Sequence[int]:
     So that both are numbered in the same way when the file is read. Where no such order is, the
     one of the tree is returned.
     """
-    ways, order = [[*range(model.n_joints)], [*range(model.n_joints, model.n_links)]], list[int]()
+    ways = [[*range(model.n_joints)], [*range(model.n_joints, model.n_links)]]
+    order = list[int]()
     while any(ways):
         ready = [way for way in reversed(ways) if way and model.parents[way[0]] in (ROOT, *order)]
         if not ready:
@@ -134,7 +135,8 @@ def _write_coupling_block(joint: Joint) -> str:
 
 def _write_motor_blocks(model: RobotModel) -> list[str]:
     """Return a block for each motor that turns another joint than its own, or several."""
-    n, names = model.n_joints, model.joint_names
+    n = model.n_joints
+    names = model.joint_names
     # A motor that turns its own joint by one is the usual case, and needs no block.
     shares = np.eye(n) if model.motor_coupling is None else model.motor_coupling
     return [
@@ -200,7 +202,8 @@ def _list_inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
 def _list_placement_fields(
     placement: Array, symbols: Symbols | None, model: RobotModel
 ) -> dict[str, Any]:
-    p, R = placement[:3, 3], placement[:3, :3]
+    p = placement[:3, 3]
+    R = placement[:3, :3]
     xyz: Any = p if np.any(p != 0.0) else None
     # Largest difference [m] of a length from its symbols, which are written in its place.
     if (

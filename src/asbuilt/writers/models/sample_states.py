@@ -11,7 +11,8 @@ from asbuilt.description.model import RobotModel
 def draw_sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
     """Return `count` random q, qd, qdd within the limits, each (count, n); the same every time."""
     # A fixed seed: the same file gives the same note.
-    rng, n = np.random.default_rng(0), model.n_joints
+    rng = np.random.default_rng(0)
+    n = model.n_joints
     # A turn, or half a metre, stands for limits that a joint does not have.
     reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]
     lower = np.array(

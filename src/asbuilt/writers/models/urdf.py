@@ -127,7 +127,8 @@ def _replace_loops(model: RobotModel) -> RobotModel:
     q = draw_postures(model, np.random.default_rng(0), 20)
     moved = model.link_motion(q)
     # At the first posture, which all others agree with.
-    n, G = model.n_joints, moved.shares[0]
+    n = model.n_joints
+    G = moved.shares[0]
     joints = list(model.followers)
     for k, joint in enumerate(joints):
         if not joint.is_passive:
@@ -185,7 +186,8 @@ def _add_link(root: Element, link: Link, shift: Array) -> None:
     # A link without mass has no <inertial>: parsers refuse a mass of zero.
     if not inertia.parameters.any():
         return
-    inertial, tensor = SubElement(element, "inertial"), inertia.inertia_about_com
+    inertial = SubElement(element, "inertial")
+    tensor = inertia.inertia_about_com
     SubElement(inertial, "origin", xyz=_write_numbers(inertia.com), rpy="0 0 0")
     SubElement(inertial, "mass", value=_write_numbers([inertia.mass]))
     SubElement(
@@ -198,7 +200,8 @@ def _add_link(root: Element, link: Link, shift: Array) -> None:
 def _add_joint(
     root: Element, joint: Joint, origin: Array, shift: Array, parent: str, child: str
 ) -> None:
-    limits, drive = joint.limits, joint.drive
+    limits = joint.limits
+    drive = joint.drive
     limited = (
         # A URDF has both limits of position or none.
         joint.kind != "continuous" and math.isfinite(limits.lower) and math.isfinite(limits.upper)

@@ -204,7 +204,8 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
 
 def _list_inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
     # One place each, since the tensor is symmetric.
-    tensor, com = inertia.inertia_about_com, " ".join(map(_write_number, inertia.com))
+    tensor = inertia.inertia_about_com
+    com = " ".join(map(_write_number, inertia.com))
     moments = {name: _write_number(tensor[place]) for name, place in TENSOR.items()}
     inertial = link.first("inertial")
     # A link without inertial in the file has been identified nonetheless.
@@ -258,7 +259,8 @@ def measure_torque_difference(model: RobotModel, read: RobotModel) -> Array:
 
     Links of negligible mass have the parameters of the file in both.
     """
-    states, chi = draw_sample_states(model, 200), model.parameters
+    states = draw_sample_states(model, 200)
+    chi = model.parameters
     # What the file holds there is no error of the writer.
     for k in (k for k, link in enumerate(model.links) if link.negligible):
         chi[10 * k : 10 * k + 10] = read.links[k].inertia.parameters

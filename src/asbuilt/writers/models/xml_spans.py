@@ -107,7 +107,8 @@ class XmlFile:
 
     def edited(self, edits: Iterable[Edit]) -> bytes:
         """Return the file with the edits made, which must not overlap."""
-        pieces, at = [], 0
+        pieces = []
+        at = 0
         # Insertions before replacements at the same place.
         for edit in sorted(edits, key=lambda edit: (edit.start, edit.stop)):
             if edit.start < at:
@@ -152,7 +153,8 @@ def list_attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]
 
     Absent ones are added behind the last, a value already there is left.
     """
-    edits, added = [], ""
+    edits = []
+    added = ""
     for name, value in values.items():
         # Behind the last attribute, in the order given.
         if name not in element.values:
@@ -177,7 +179,8 @@ class _Spotter:
         start = self.parser.CurrentByteIndex
         name = _NAME.match(self.text, start)
         assert name is not None
-        at, values = name.end(), {}
+        at = name.end()
+        values = {}
         while attribute := _ATTRIBUTE.match(self.text, at):
             # Without the quotes, whichever they are.
             values[attribute[1].decode()] = (attribute.start(2) + 1, attribute.end(2) - 1)

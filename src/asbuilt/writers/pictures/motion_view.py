@@ -61,7 +61,8 @@ class MotionView:
             [np.zeros((1, 3)), *(end for solid in solids for end in place_ends(solid, along))]
         )
         thickest = max(solid.radius for solid in solids)
-        low, high = ends.min(axis=0) - thickest, ends.max(axis=0) + thickest
+        low = ends.min(axis=0) - thickest
+        high = ends.max(axis=0) + thickest
         floor = min(0.0, float(np.min(ends @ up)) - thickest)
         last, place = _find_tip(model)
         traced = along[:, last]
@@ -128,7 +129,8 @@ def motion_of_recording(recording: Recording | RecordingStream) -> SplineMotion:
     """
     head = head_of(recording)
     valid = np.all(np.isfinite(head.q), axis=1) & np.isfinite(head.t)
-    t, q = head.t[valid], head.q[valid]
+    t = head.t[valid]
+    q = head.q[valid]
     if len(t) < FEWEST_POSES:
         raise MotionError(f"{head.source} has {len(t)} valid positions; at least 6 can be played")
     # 25 poses per second, the eye sees no more; motions beyond two minutes have larger steps.

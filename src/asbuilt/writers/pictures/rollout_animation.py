@@ -24,8 +24,13 @@ FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 """Factors by which errors are enlarged."""
 COLOURS = {"CAD": (217, 115, 26), "as built": (33, 102, 172)}
 TITLES = {"CAD": "before, by CAD", "as built": "after, as built"}
-DARK, QUIET, PALE = (40, 44, 52), (120, 126, 136), (226, 229, 234)
-WIDTH, STRIP, TITLE, MARGIN = 780, 118, 46, 12
+DARK = (40, 44, 52)
+QUIET = (120, 126, 136)
+PALE = (226, 229, 234)
+WIDTH = 780
+STRIP = 118
+TITLE = 46
+MARGIN = 12
 """Width of the picture, heights of the curves and the titles, and free border [pixels]."""
 
 
@@ -89,7 +94,8 @@ def _select_frames(motion: SimulatedMotion) -> _Shown:
     drawn = np.isfinite(np.column_stack([measured, *errors.values()])).all(axis=1)
     if not drawn.any():
         raise UsageError(f"no simulated pose of {cut.source} is finite, so there is no animation")
-    t, measured = t[drawn], measured[drawn]
+    t = t[drawn]
+    measured = measured[drawn]
     errors = {name: error[drawn] for name, error in errors.items()}
     worst = max(float(np.sqrt(np.mean(error**2))) for error in errors.values())
     # Error of the worse simulation as it is drawn [rad or m], root mean square over joints.
@@ -154,7 +160,8 @@ def _write_titles(
 ) -> dict[str, int]:
     """Write the titles of the panels; return the left edge of each."""
     draw = ImageDraw.Draw(canvas)
-    large, small = ImageFont.load_default(15), ImageFont.load_default(11)
+    large = ImageFont.load_default(15)
+    small = ImageFont.load_default(11)
     legend = "measured: grey, simulated: lines"
     if shown.factor != 1.0:
         legend += f", errors drawn {shown.factor:g} times"
@@ -171,8 +178,11 @@ def _draw_axes(
     canvas: Pillow.Image, shown: _Shown, top: int, unit: str
 ) -> dict[str, list[tuple[float, float]]]:
     """Draw the axes of the errors; return their points in the picture."""
-    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(11)
-    left, right, bottom = MARGIN + 34, WIDTH - MARGIN, top + STRIP - 22
+    draw = ImageDraw.Draw(canvas)
+    font = ImageFont.load_default(11)
+    left = MARGIN + 34
+    right = WIDTH - MARGIN
+    bottom = top + STRIP - 22
     # Root mean square over the joints at each time.
     sizes = {name: 1e3 * np.sqrt(np.mean(x**2, axis=1)) for name, x in shown.errors.items()}
     most = _round_up(max(float(np.nanmax(each)) for each in sizes.values()))

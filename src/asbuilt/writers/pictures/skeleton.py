@@ -23,7 +23,8 @@ def build_round_mesh(
 
     `rings` are the rings of a rod's round end, `segments` the parts of its length.
     """
-    length, radius = solid.length, solid.radius
+    length = solid.length
+    radius = solid.radius
     if solid.kind == "rod":
         angles = np.linspace(0.0, np.pi / 2, rings)
         along = np.linspace(0.0, length, segments + 1)[1:-1]
@@ -41,29 +42,30 @@ def build_round_mesh(
     circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(slices)], axis=1)
     vertices = np.concatenate([r * circle + [0.0, 0.0, z] for r, z in profile])
     k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(slices), indexing="ij")
-    a, b = (k * slices + j).ravel(), (k * slices + (j + 1) % slices).ravel()
+    a = (k * slices + j).ravel()
+    b = (k * slices + (j + 1) % slices).ravel()
     faces = np.concatenate(
         [np.stack([a, b, b + slices], axis=1), np.stack([a, b + slices, a + slices], axis=1)]
     )
     return vertices @ rotation_onto((solid.stop - solid.start) / length).T + solid.start, faces
 
 
-ROD, HOUSING, STAND, SHADOW, GRID, PATH = (
-    (196, 201, 208),
-    (236, 128, 36),
-    (112, 118, 126),
-    (216, 220, 225),
-    (228, 231, 235),
-    (0, 114, 178),
-)
-AZIMUTH, ELEVATION = np.deg2rad(-45.0), np.deg2rad(18.0)
+ROD = (196, 201, 208)
+HOUSING = (236, 128, 36)
+STAND = (112, 118, 126)
+SHADOW = (216, 220, 225)
+GRID = (228, 231, 235)
+PATH = (0, 114, 178)
+AZIMUTH = np.deg2rad(-45.0)
+ELEVATION = np.deg2rad(18.0)
 
 
 OVERSAMPLING = 2
 """Pixels drawn for each one that is shown, for smooth edges."""
 DISTANCE = 5.0
 """Distance of the camera in radii of the scene."""
-AMBIENT, DIFFUSE = 0.55, 0.5
+AMBIENT = 0.55
+DIFFUSE = 0.5
 """Light from everywhere, and from the lamp above the left shoulder of the camera."""
 
 
@@ -90,7 +92,8 @@ class Camera:
         points, radii = _list_balls(view)
         flat, depth = camera.project(points)
         grown = (radii / depth)[:, None] * 1.05
-        low, high = (flat - grown).min(axis=0), (flat + grown).max(axis=0)
+        low = (flat - grown).min(axis=0)
+        high = (flat + grown).max(axis=0)
         size = np.array([width, height])
         # 0.06: share of the picture that stays free at each side.
         scale = float(np.min((1 - 2 * 0.06) * size / (high - low)))
@@ -147,7 +150,8 @@ def _draw_bodies(
     middles = corners.mean(axis=1)
     seen = (np.einsum("ij,ij->i", normals, middles - camera.eye) < 0) & (size > 0)
     seen &= middles @ view.up > view.floor
-    normals, corners = normals[seen] / size[seen, None], corners[seen]
+    normals = normals[seen] / size[seen, None]
+    corners = corners[seen]
     right, up, forward = camera.axes
     lamp = -0.6 * forward - 0.45 * right + 0.75 * up
     light = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
@@ -181,7 +185,8 @@ def _draw_floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> 
     """Draw the floor as a grid around the robot."""
     along = camera.axes[0]
     other = np.cross(view.up, along)
-    one, two = (along + other) / np.sqrt(2), (along - other) / np.sqrt(2)
+    one = (along + other) / np.sqrt(2)
+    two = (along - other) / np.sqrt(2)
     middle = view.centre + (view.floor - view.centre @ view.up) * view.up
     reach = 1.6 * view.radius
     for offset in np.linspace(-reach, reach, 13):

@@ -19,7 +19,8 @@ from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import draw_skeleton_frames
 from asbuilt.writers.pictures.viewer import Viewer
 
-STILLS, ANIMATIONS = (".png",), (".gif", ".webp")
+STILLS = (".png",)
+ANIMATIONS = (".gif", ".webp")
 
 
 def view_robot(

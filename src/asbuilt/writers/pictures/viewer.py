@@ -23,14 +23,12 @@ from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import build_round_mesh
 
-ROD, HOUSING, STAND, PATH, COM, INERTIA = (
-    (205, 208, 213),
-    (226, 122, 32),
-    (96, 101, 108),
-    (0, 114, 178),
-    (20, 20, 24),
-    (0, 158, 115),
-)
+ROD = (205, 208, 213)
+HOUSING = (226, 122, 32)
+STAND = (96, 101, 108)
+PATH = (0, 114, 178)
+COM = (20, 20, 24)
+INERTIA = (0, 158, 115)
 
 
 BODY_OPACITY = 0.35
@@ -39,7 +37,8 @@ FRAME_RATE = 30.0
 """Poses sent per second [Hz]."""
 PORTS = 20
 """Ports from the wanted one on that are tried."""
-DISTANCE, BESIDE_PANEL = 2.7, 0.3
+DISTANCE = 2.7
+BESIDE_PANEL = 0.3
 """Distance of the camera and its sideways offset from the panel, in radii of the scene."""
 
 
@@ -123,7 +122,9 @@ class Viewer:
             self.server.stop()
 
     def _build_scene(self) -> None:
-        scene, view, model = self.server.scene, self.view, self.model
+        scene = self.server.scene
+        view = self.view
+        model = self.model
         scene.set_up_direction(tuple(view.up))
         scene.configure_default_lights(cast_shadow=True)
         scene.add_grid(
@@ -181,10 +182,12 @@ class Viewer:
         camera.position = tuple(centre + DISTANCE * view.radius * towards)
 
     def _add_inertia(self, name: str, k: int) -> None:
-        inertia, size = self.model.links[k].inertia, 0.016 * self.view.radius
+        inertia = self.model.links[k].inertia
+        size = 0.016 * self.view.radius
         if not inertia.mass > 0.0:
             return
-        scene, centre = self.server.scene, tuple(inertia.com)
+        scene = self.server.scene
+        centre = tuple(inertia.com)
         self._layers["centres of mass"].append(
             scene.add_icosphere(
                 f"{name}/centre of mass", radius=size, color=COM, position=centre, visible=False
@@ -235,7 +238,9 @@ class _Controls:
         self.viewer = viewer
         # Time in the motion, and time of the pose that is shown [s].
         self.now, self.shown = 0.0, -1.0
-        gui, model, motion = viewer.server.gui, viewer.model, viewer.motion
+        gui = viewer.server.gui
+        model = viewer.model
+        motion = viewer.motion
         gui.configure_theme(show_logo=False, show_share_button=False)
         mass = sum(link.inertia.mass for link in model.links)
         gui.add_markdown(f"**{model.name}** - {model.n_joints} joints, {mass:.2f} kg moving")

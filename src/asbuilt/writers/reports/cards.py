@@ -46,7 +46,8 @@ def make_error_card(found: Verdict, unit: str) -> Card:
 def make_torque_card(comparison: Comparison) -> Card:
     """Return how well torque is predicted as built, compared with CAD if that is known."""
     cad, built = comparison.torque[0]
-    label, error = "torque error as built", format_share(built.relative_error)
+    label = "torque error as built"
+    error = format_share(built.relative_error)
     if cad is None:
         return Card("neutral", error, label)
     mood: Mood = "good" if built.relative_error < cad.relative_error else "bad"
@@ -66,7 +67,8 @@ def make_consistency_card(result: IdentificationResult) -> Card:
 def make_determination_card(found: Determination) -> Card:
     """Return how many parameters the recordings determine to half their value."""
     classes = (found.well, found.fairly, found.hardly, found.not_at_all, found.dropped)
-    good, total = len(found.well) + len(found.fairly), sum(map(len, classes))
+    good = len(found.well) + len(found.fairly)
+    total = sum(map(len, classes))
     mood: Mood = "bad" if found.not_at_all else "good" if good == total else "neutral"
     return Card(mood, f"{good} of {total}", "parameters determined to 50 % or better")
 

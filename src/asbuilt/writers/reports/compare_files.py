@@ -62,7 +62,8 @@ class CadVerdict:
         full
             Show everything; else what fits one screen of 80 columns.
         """
-        comparison, found = self.comparison, self.attribution
+        comparison = self.comparison
+        found = self.attribution
         parts = [wrap_text(self.headline)]
         if full or comparison.tolerance is not None:
             parts.append(comparison.heading(full))
@@ -93,7 +94,8 @@ class CadVerdict:
         if not comparison.torque:
             return f"{counts[0].upper()}{counts[1:]}; the result has no torques to compare."
         cad, built = comparison.torque[0]
-        error, source = format_share(built.relative_error), recording_name(built.source)
+        error = format_share(built.relative_error)
+        source = recording_name(built.source)
         if cad is None:
             return f"As built the torque error is {error} on {source}; {counts}."
         causes = () if self.attribution is None else self.attribution.chosen[:2]
@@ -114,7 +116,8 @@ class CadVerdict:
 
     def as_html(self, result: IdentificationResult) -> str:
         """Return the page as text: differences, their torque, their causes."""
-        comparison, found = self.comparison, self.attribution
+        comparison = self.comparison
+        found = self.attribution
         sources = ", ".join(recording_name(source) for source in result.sources)
         cards = [
             *([make_torque_card(comparison)] if comparison.torque else []),
@@ -184,7 +187,8 @@ def write_comparison(
 
     Returns the paths by kind.
     """
-    comparison, found = verdict.comparison, verdict.attribution
+    comparison = verdict.comparison
+    found = verdict.attribution
     files = {
         "comparison": atomic_write(
             folder / "comparison.csv", comparison.parameter_table().as_csv()
@@ -223,7 +227,8 @@ def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[st
 def render_drift(compared: Drift | ControllerComparison) -> str:
     """Return the page of two results of one robot, or of a result and its controller's model."""
     drift = compared if isinstance(compared, Drift) else compared.difference
-    cards, sentences = _make_drift_cards(drift), [drift.verdict(), *drift.sentences]
+    cards = _make_drift_cards(drift)
+    sentences = [drift.verdict(), *drift.sentences]
     verdict: list[Markup] = []
     if isinstance(compared, ControllerComparison):
         cards.insert(0, _make_prediction_card(compared))
@@ -263,7 +268,8 @@ def render_drift(compared: Drift | ControllerComparison) -> str:
 
 
 def _make_prediction_card(controller: ControllerComparison) -> Card:
-    built, maker = controller.as_built.relative_error, controller.controller.relative_error
+    built = controller.as_built.relative_error
+    maker = controller.controller.relative_error
     label = f"torque error as built, controller's model {format_share(maker)}"
     return Card("good" if built < maker else "neutral", format_share(built), label)
 

@@ -11,7 +11,11 @@ from asbuilt.tables import round_significant, shorten_text
 
 ROOM = 2.5
 """Length of the axis in the largest known value; a bar that goes on ends in an arrow."""
-WIDTH, LEFT, RIGHT, ROW, FOOT = 640, 150, 12, 22, 46
+WIDTH = 640
+LEFT = 150
+RIGHT = 12
+ROW = 22
+FOOT = 46
 """Sizes of the drawing: whole, names, margin, height of a bar's row, and axis with legend."""
 NAME = 22
 """Characters of a name."""
@@ -36,7 +40,8 @@ def draw_intervals(
             y = ROW * row + ROW / 2
             name = shorten_text(each.quantity.partition(":")[2] or "all links", NAME)
             yield Markup('<text class="end" x="{}" y="{}">{}</text>').format(LEFT - 8, y + 4, name)
-            left, right = x(each.least), x(each.greatest)
+            left = x(each.least)
+            right = x(each.greatest)
             yield Markup('<rect x="{:.1f}" y="{}" width="{:.1f}" height="12"/>').format(
                 left, y - 6, max(right - left, 1.0)
             )

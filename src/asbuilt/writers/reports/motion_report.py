@@ -47,7 +47,8 @@ JOINTS = """\
 </div>
 <p class="quiet">Dashed: limits. The torque follows the description, drive values included.</p>
 """
-CURVE, LIMIT = "#0072b2", "#b3261e"
+CURVE = "#0072b2"
+LIMIT = "#b3261e"
 
 
 def write_motion_report(path: str | os.PathLike[str], design: Design | StaticDesign) -> Path:
@@ -97,7 +98,8 @@ def render_motion(design: Design | StaticDesign) -> str:
 
 def draw_joint_figures(design: Design | StaticDesign) -> list[Figure]:
     """Draw position, velocity, acceleration and torque of each joint against their limits."""
-    model, motion = design.model, design.motion
+    model = design.model
+    motion = design.motion
     bounds = MotionBounds.of(complete_limits(model)[0])
     t = np.linspace(0.0, motion.duration, POINTS)
     q, qd, qdd = motion.at(t)

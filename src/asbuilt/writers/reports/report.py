@@ -87,7 +87,8 @@ def report_html(
 
 def plot_data(report: Report) -> dict[str, Any]:
     """Return what the page's script draws, ready for JSON."""
-    result, predictions = report.study.result, [each for _, each in report.predictions]
+    result = report.study.result
+    predictions = [each for _, each in report.predictions]
     joints = max(1, len(predictions) * len(result.joint_names))
     # 90 000 points of all four curves of each joint together keep the page below 2 MB.
     points = int(np.clip(90_000 / joints / 4, 300, 2000))
@@ -100,7 +101,8 @@ def plot_data(report: Report) -> dict[str, Any]:
 
 
 def _collect_recording_data(validation: Validation, points: int) -> dict[str, Any]:
-    curves, analysis = validation.friction_curves(), validation.residuals()
+    curves = validation.friction_curves()
+    analysis = validation.residuals()
     return {
         "n_samples": len(validation.t),
         "joints": [

@@ -71,7 +71,8 @@ def render_rollouts(
 
 def _make_cards(rollout: Rollout) -> list[Card]:
     horizon = f"over {rollout.horizon:g} s"
-    cad, built = rollout.cad, rollout.as_built
+    cad = rollout.cad
+    built = rollout.as_built
     better = cad is not None and built is not None and built.rms_all_until < cad.rms_all_until
     rows: tuple[tuple[Mood, RolloutErrors | None, str], ...] = (
         ("neutral", cad, f"error of the simulation by CAD {horizon}"),

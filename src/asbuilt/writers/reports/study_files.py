@@ -61,10 +61,13 @@ def study_text(
     if not full:
         text = study.summary().as_text(cure_text=cure_text)
         return text if payload is None else f"{text}\n{tabulate_payload(payload).as_text()}"
-    summary, masses = study.summary(), exported_masses(study.result)
+    summary = study.summary()
+    masses = exported_masses(study.result)
     if masses is not None:
         summary = summary.with_mass(masses.total, masses.links)
-    result, cutoffs, refined = study.result, study.cutoffs, study.refined
+    result = study.result
+    cutoffs = study.cutoffs
+    refined = study.refined
     motors = motor_side_parameters(result) if gear_ratios(result.model) else None
     parts = [
         summary.as_text(full, cure_text),
@@ -88,7 +91,8 @@ def study_document(
     payload: Payload | None = None,
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `notes` come from `write_study`."""
-    cutoffs, refined = study.cutoffs, study.refined
+    cutoffs = study.cutoffs
+    refined = study.refined
     optional = {
         "cutoff_sweep": None if cutoffs is None else cutoffs.as_document(),
         "rollout": [each.as_dict() for each in study.rollouts] or None,
@@ -141,7 +145,8 @@ def write_study(
         Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
     folder = Path(folder)
-    result, shown = study.result, [*study.validations, *study.training]
+    result = study.result
+    shown = [*study.validations, *study.training]
     with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
         files = {
             "result": write_result(folder / "result.json", study),

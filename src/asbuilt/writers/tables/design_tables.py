@@ -64,7 +64,9 @@ def _build_own_document(design: Design | StaticDesign) -> dict[str, Any]:
             "d_efficiency": None,
             "n_turns": design.turns,
         }
-    bound, base, options = design.bound, design.base, design.options
+    bound = design.bound
+    base = design.base
+    options = design.options
     columns = {
         "id": base.ids,
         "name": base.names,
@@ -155,7 +157,8 @@ def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
         condition = f"{design.condition_number:.2f} (scaled {design.scaled_condition_number:.2f})"
         found = f"{design.log_det:.2f}, found in {design.solve_seconds:.1f} s"
         return [("log det", found), ("condition number", condition)]
-    family, options = design.family_efficiency, design.options
+    family = design.family_efficiency
+    options = design.options
     names = join_names([name.strip() for name in options.focus])
     criterion = options.criterion + (f", for {names}" if names else "")
     facts = [
@@ -183,7 +186,9 @@ def design_table(design: Design | StaticDesign) -> Table:
     """
     if isinstance(design, StaticDesign):
         return _build_pose_table(design)
-    base, errors, effects = design.base, design.std_errors, design.torque_effects
+    base = design.base
+    errors = design.std_errors
+    effects = design.torque_effects
     cad = base.values(parameter_values(design.model, base.drive))
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
     asked = [locate_base_parameter(base, name) for name in design.options.focus]

@@ -12,7 +12,8 @@ from asbuilt.findings import join_names
 from asbuilt.identification import MotorSideParameter, TorqueGains, TwoChannelEstimate
 from asbuilt.tables import Column, Table, format_percent, format_plus_minus, stack_tables
 
-MOST_NOTES, MOST_ROWS = 3, 14
+MOST_NOTES = 3
+MOST_ROWS = 14
 """Notes and rows of a short text."""
 USE = (
     "Terms are listed as viscous,coulomb,offset; armature is a default for torques from motors and"
@@ -102,7 +103,9 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
 
 def gains_text(found: TorqueGains, full: bool = False) -> str:
     """Return gains as a table, and the option and the line of a recording sheet that use them."""
-    factors, errors, shares = found.factors, found.factor_std_errors, found.payload_share
+    factors = found.factors
+    errors = found.factor_std_errors
+    shares = found.payload_share
     gain = "kp [N m/rad]" if found.of_command else "torque per logged unit"
     columns = (
         Column("joint", of=lambda k: found.joint_names[k]),
@@ -199,9 +202,12 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
 
 def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     """Return an estimate from sensors and motors together as tables."""
-    values, spread = found.values, found.std_errors
-    scales, doubts = found.scales, found.scale_errors
-    lost, n = join_names(found.estimate.undetermined), len(found.names)
+    values = found.values
+    spread = found.std_errors
+    scales = found.scales
+    doubts = found.scale_errors
+    lost = join_names(found.estimate.undetermined)
+    n = len(found.names)
     size = [
         abs(value) / error if error > 0 else 0.0
         for value, error in zip(values, spread, strict=True)

@@ -42,7 +42,8 @@ def payload_text(payload: Payload, full: bool = False) -> str:
 
 def describe_payload_outcome(payload: Payload) -> str:
     """Return the verdict: whether to use the payload, and what it is, in a sentence with errors."""
-    values, errors = payload.values.tolist(), payload.std_errors.tolist()
+    values = payload.values.tolist()
+    errors = payload.std_errors.tolist()
     mass = format_plus_minus(values[0], errors[0])
     if "mass" not in payload.determined:
         return (

@@ -220,7 +220,8 @@ def describe_robot_readiness(model: RobotModel) -> str:
 
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
     """List the base parameters: id, expression with symbolic lengths, value by design."""
-    values, n = base.values(parameter_values(model, base.drive)), base.n_base
+    values = base.values(parameter_values(model, base.drive))
+    n = base.n_base
     return Table.of(
         range(n),
         (

@@ -98,7 +98,8 @@ def tabulate_rollouts(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
 
 def tabulate_recording_errors(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every recording for one horizon."""
-    unit, runs = position_unit(model), rollout.by_recording
+    unit = position_unit(model)
+    runs = rollout.by_recording
     columns = (
         Column("recording", width=24),
         Column("windows", align="right"),

@@ -78,7 +78,8 @@ def identify_document(
     study: Study, *, files: Mapping[str, str | os.PathLike[str]] | None = None
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
-    result, masses = study.result, exported_masses(study.result)
+    result = study.result
+    masses = exported_masses(study.result)
     return result.as_dict() | {
         "verdict": make_plain(study.verdict),
         "drive": str(result.base.drive),

@@ -63,7 +63,8 @@ class NullDistribution:
         tail = (second - 2.0) / second if np.isfinite(second) else 1.0
         if histories < FEWEST_HISTORIES:
             return cls(1.0 / tail, float(r), second)
-        mean, variation = float(values.mean()), float(values.var() / values.mean() ** 2)
+        mean = float(values.mean())
+        variation = float(values.var() / values.mean() ** 2)
         if np.isfinite(second):
             spare = (second - 4.0) * variation - 2.0
             first = 2.0 * (second - 2.0) / spare if spare > 0.0 else MOST_DEGREES * r
@@ -146,8 +147,10 @@ def scan(
     A = np.eye(r) + information @ variation
     P = np.linalg.solve(A, information)
     b = np.linalg.solve(A, score[..., None])[..., 0]
-    N1, b1 = np.cumsum(P, axis=0)[candidates - 1], np.cumsum(b, axis=0)[candidates - 1]
-    N, total = P.sum(axis=0), b.sum(axis=0)
+    N1 = np.cumsum(P, axis=0)[candidates - 1]
+    b1 = np.cumsum(b, axis=0)[candidates - 1]
+    N = P.sum(axis=0)
+    total = b.sum(axis=0)
     inverse = Scaled(N).pseudo_inverse
     u = b1 - N1 @ (inverse @ total)
     C = N1 - N1 @ inverse @ N1

@@ -116,7 +116,8 @@ class FleetColumns:
     @classmethod
     def of(cls, settings: TypeSettings) -> FleetColumns:
         """Return the columns of a type of a ledger."""
-        model, support = settings.model, tuple(settings.plan.support)
+        model = settings.model
+        support = tuple(settings.plan.support)
         return cls(settings.base, support, model.joint_names, torque_units(model), model.tool_link)
 
     @property
@@ -136,7 +137,8 @@ class FleetColumns:
         3 with tilts.
         """
         places = self.support[joint]
-        m, p = len(places), self.base.n_base
+        m = len(places)
+        p = self.base.n_base
         L = np.zeros((rows, self.size + 1))
         L[np.arange(m), places] = 1.0
         L[:m, p + joint] = beta[places]
@@ -175,9 +177,11 @@ class FleetColumns:
     def fit(self, grams: Sequence[Array], weights: Array, toward: Array) -> Array:
         """Return the base parameters by weighted least squares, undetermined ones `toward`."""
         p = self.base.n_base
-        A, b = np.zeros((p, p)), np.zeros(p)
+        A = np.zeros((p, p))
+        b = np.zeros(p)
         for k, gram in enumerate(grams):
-            places, w = self.support[k], weights[k] ** 2
+            places = self.support[k]
+            w = weights[k] ** 2
             m = len(places)
             A[np.ix_(places, places)] += w * gram[:m, :m]
             b[places] += w * gram[:m, m]

@@ -12,7 +12,8 @@ from asbuilt.arrays import Array
 from asbuilt.identification import LINKS, TILT, locate_drive_parameters
 from asbuilt.scaled import Scaled
 
-GAIN, PAYLOAD = "gain", "payload"
+GAIN = "gain"
+PAYLOAD = "payload"
 """Keys of effects of a robot, as in `EFFECTS`."""
 
 
@@ -35,7 +36,9 @@ class Source:
 
 def list_sources(columns: FleetColumns) -> tuple[Source, ...]:
     """Return the effects that can change in a robot type; without those that its columns lack."""
-    n, base, unit = columns.n_joints, columns.base, np.eye(columns.size)
+    n = columns.n_joints
+    base = columns.base
+    unit = np.eye(columns.size)
     found = [
         Source(effect, k, unit[:, places])
         for k in range(n)
@@ -164,7 +167,8 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     """
     totals = [sum_days(days) for days in robots]
     samples = np.array([sum(day.n_samples for day in days) for days in robots], dtype=float)
-    zero, own = np.zeros(columns.base.n_base), list[Array]()
+    zero = np.zeros(columns.base.n_base)
+    own = list[Array]()
     energies = np.array([columns.residual_energy(grams, zero) for grams in totals])
     rms = np.median(np.sqrt(energies / samples[:, None]), axis=0)
     weights = 1.0 / np.maximum(rms, 1e-300)

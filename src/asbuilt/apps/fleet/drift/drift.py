@@ -170,7 +170,8 @@ def fleet_drift(
             groups.setdefault(names[-1][1], []).append(robot_id)
     if not groups:
         raise UsageError(f"the ledger {opened.root} has no logs", value=opened.root)
-    done, total = count(1), sum(map(len, groups.values()))
+    done = count(1)
+    total = sum(map(len, groups.values()))
     report = progress or (lambda what, fraction: None)
     found: list[RobotDrift] = []
     kinds: list[TypeVariation] = []
@@ -273,7 +274,8 @@ def conclude_drift(
     """Decide which robots changed, at the false discovery rate over all of them."""
     tested = {each.id: each.p_value for each in robots if each.p_value is not None}
     rates = benjamini_hochberg(list(tested.values())).tolist()
-    rate_of, level = dict(zip(tested, rates, strict=True)), options.false_discovery_rate
+    rate_of = dict(zip(tested, rates, strict=True))
+    level = options.false_discovery_rate
     decided = [_decide_change(each, rate_of.get(each.id), level) for each in robots]
     decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
     few = [each.id for each in robots if each.p_value is None]
@@ -373,7 +375,8 @@ def _measure_distances(
 ) -> tuple[float, ...]:
     """Return the distance of each day from the median of those before the change."""
     y = history.estimates
-    e, r = y - np.median(y[: max(place or 0, SCAN.before)], axis=0), y.shape[1]
+    e = y - np.median(y[: max(place or 0, SCAN.before)], axis=0)
+    r = y.shape[1]
     S = variation.covariance + np.linalg.inv(history.information + WEAK * np.eye(r))
     squares = np.einsum("dr,dr->d", e, np.linalg.solve(S, e[..., None])[..., 0])
     return tuple(np.round(np.sqrt(np.maximum(squares, 0.0) / r), 3).tolist())

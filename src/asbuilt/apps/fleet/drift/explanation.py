@@ -44,7 +44,8 @@ class _Stepping:
 
     def fit(self, design: Array) -> tuple[float, Array, Array, int]:
         """Return the statistic of a step along a design, its parameters, covariance and rank."""
-        N, u = design.T @ self.information @ design, design.T @ self.score
+        N = design.T @ self.information @ design
+        u = design.T @ self.score
         own = Scaled(N)
         found = own.solve(u)
         return float(u @ found), found, own.pseudo_inverse, own.rank
@@ -69,8 +70,10 @@ def explain_change(
     taken = _select_effects(step, list_sources(columns), inflation)
     _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
     after = sum_days(days[place:])
-    all_days, n = sum_days(days), sum(day.n_samples for day in days)
-    effects, edges = [], np.cumsum([0, *(each.design.shape[1] for each in taken)])
+    all_days = sum_days(days)
+    n = sum(day.n_samples for day in days)
+    effects = []
+    edges = np.cumsum([0, *(each.design.shape[1] for each in taken)])
     x = np.zeros(columns.size)
     for source, part in zip(taken, map(slice, edges, edges[1:]), strict=True):
         own = source.design @ found[part]
@@ -87,7 +90,8 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
     """Return the effects that are taken, in order; residuals of the best scale the statistics."""
     whole, _, _, _ = step.fit(np.eye(len(step.score)))
     taken: list[Source] = []
-    reached, rank = 0.0, 0
+    reached = 0.0
+    rank = 0
     while len(taken) < CHANGE.most:
         left = [each for each in sources if not any(_has_overlap(each, own) for own in taken)]
         fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
@@ -103,7 +107,8 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
         if taken and (chance > CHANGE.level or gains[best] < CHANGE.named * whole):
             break
         taken.append(left[best])
-        reached, rank = fits[best][0], fits[best][3]
+        reached = fits[best][0]
+        rank = fits[best][3]
     return taken
 
 
@@ -116,18 +121,26 @@ def _has_overlap(source: Source, other: Source) -> bool:
 def _accumulate_stepping(
     directions: Directions, V: Array, days: Sequence[Day], place: int, beta: Array
 ) -> _Stepping:
-    columns, Q, w = directions.columns, directions.basis, directions.weights
-    size, r = columns.size, directions.count
-    A, b = np.zeros((size, size)), np.zeros(size)
-    C, D, d = np.zeros((r, size)), np.zeros((r, r)), np.zeros(r)
+    columns = directions.columns
+    Q = directions.basis
+    w = directions.weights
+    size = columns.size
+    r = directions.count
+    A = np.zeros((size, size))
+    b = np.zeros(size)
+    C = np.zeros((r, size))
+    D = np.zeros((r, r))
+    d = np.zeros(r)
     ridge = 1e-9 * max(float(np.trace(V)) / r, 1.0) * np.eye(r)
     inverse = np.linalg.inv(V + ridge)
     for t, day in enumerate(days):
         gram = columns.information(day.grams, beta, w)
-        J, s = gram[:-1, :-1], gram[:-1, -1]
+        J = gram[:-1, :-1]
+        s = gram[:-1, -1]
         JQ = J @ Q
         reduced = np.linalg.solve(inverse + Q.T @ JQ, np.column_stack([JQ.T, Q.T @ s]))
-        P, score = J - JQ @ reduced[:, :-1], s - JQ @ reduced[:, -1]
+        P = J - JQ @ reduced[:, :-1]
+        score = s - JQ @ reduced[:, -1]
         D += Q.T @ P @ Q
         d += Q.T @ score
         if t >= place:
@@ -208,7 +221,8 @@ def _measure_torque_share(
     grams: Sequence[Array],
 ) -> tuple[float, float, str]:
     """Return the change of the torque of a drive, in percent of that before, and its error."""
-    places, k = np.flatnonzero(source.design.any(axis=1)), source.joint or 0
+    places = np.flatnonzero(source.design.any(axis=1))
+    k = source.joint or 0
     if len(places) == 1:
         return float(values[0]), float(np.sqrt(covariance[0, 0])), columns.base.units[places[0]]
     local = np.array([np.flatnonzero(columns.support[k] == j)[0] for j in places])

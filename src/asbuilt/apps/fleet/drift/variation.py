@@ -117,7 +117,9 @@ def estimate_variation(histories: Sequence[History]) -> Variation:
     found = [each.without(coefficients) for each in histories]
     r = found[0].score.shape[1]
     V = _estimate_first(found)
-    inflations, degrees, rho = np.ones(len(found)), 0.0, 0.0
+    inflations = np.ones(len(found))
+    degrees = 0.0
+    rho = 0.0
     for _ in range(ITERATIONS):
         parts = [
             _split_history(each, scan(each.information, each.score, V, inflation=s))
@@ -151,7 +153,8 @@ def _simulate_null_distribution(
     estimate of V does to the statistic (Good, Permutation, Parametric and Bootstrap Tests of
     Hypotheses, 2005).
     """
-    rng, shuffled = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    shuffled = []
     for history, spread in quiet[:: max(1, -(-len(quiet) // MOST_SHUFFLED))]:
         for _ in range(SHUFFLES):
             order = rng.permutation(history.n_days)
@@ -187,7 +190,8 @@ def _estimate_first(histories: Sequence[History]) -> Array:
 
 def _split_history(history: History, change: Scan | None) -> list[tuple[Array, Array]]:
     """Return information and score of the days before and after a clear change."""
-    J, s = history.information, history.score
+    J = history.information
+    s = history.score
     if change is None or change.p_value >= CLEAR:
         return [(J, s)]
     spans = (slice(0, max(change.place - WIDE, 0)), slice(change.place + WIDE, None))
@@ -197,7 +201,8 @@ def _split_history(history: History, change: Scan | None) -> list[tuple[Array, A
 def _weigh_about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     """Return the weights P_t of the days and `P_t (y_t - mu)`."""
     A = np.eye(len(V)) + J @ V
-    P, b = np.linalg.solve(A, J), np.linalg.solve(A, s[..., None])[..., 0]
+    P = np.linalg.solve(A, J)
+    b = np.linalg.solve(A, s[..., None])[..., 0]
     mean = Scaled(P.sum(axis=0)).solve(b.sum(axis=0))
     return np.asarray(P), np.asarray(b - P @ mean)
 
@@ -208,9 +213,12 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
     U is the mean of `u u^T` of the weighted residuals `u = P (y - mu)`, A its expectation. What is
     negative in units of the total covariance is zero.
     """
-    r, weak = len(V), 1e-9 * np.eye(len(V))
+    r = len(V)
+    weak = 1e-9 * np.eye(len(V))
     limit = float(chdtri(r, OUTLYING))
-    U, A, n = np.zeros((r, r)), weak, 0
+    U = np.zeros((r, r))
+    A = weak
+    n = 0
     for J, s in segments:
         P, u = _weigh_about_mean(J, s, V)
         # u^T P^+ u of each day: the squared distance from the mean.
@@ -218,7 +226,9 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
         u = u * np.sqrt(np.minimum(1.0, limit / np.maximum(far, 1e-300)))[:, None]
         total = P.sum(axis=0)
         spent = np.einsum("tij,jk,tkl->il", P, Scaled(total).pseudo_inverse, P, optimize=True)
-        U, A, n = U + u.T @ u, A + total - spent, n + len(s)
+        U = U + u.T @ u
+        A = A + total - spent
+        n = n + len(s)
     values, axes = np.linalg.eigh((A + A.T) / 2.0)
     root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     change = n * (root @ (root.T @ U @ root - np.eye(r)) @ root.T)
@@ -252,14 +262,17 @@ def _estimate_autocorrelation(residuals: Sequence[Array]) -> float:
 
 def _fit_temperature(histories: Sequence[History]) -> Array:
     """Return the change by a unit of temperature (c, r), pooled over robots; empty without any."""
-    c, r = histories[0].covariates.shape[1], histories[0].score.shape[1]
-    rows, targets = [np.zeros((0, c))], [np.zeros((0, r))]
+    c = histories[0].covariates.shape[1]
+    r = histories[0].score.shape[1]
+    rows = [np.zeros((0, c))]
+    targets = [np.zeros((0, r))]
     for each in histories:
         known = np.isfinite(each.covariates).all(axis=1)
         if known.sum() >= 3:
             rows.append(np.diff(each.covariates[known], axis=0))
             targets.append(np.diff(each.estimates[known], axis=0))
-    X, Y = np.concatenate(rows), np.concatenate(targets)
+    X = np.concatenate(rows)
+    Y = np.concatenate(targets)
     if len(X) < 10 * c or not np.any(X):
         return np.zeros((0, r))
     scale = np.maximum(1.4826 * np.median(np.abs(Y), axis=0), 1e-12)

@@ -227,7 +227,8 @@ def _build_frame(entry: Entry) -> pl.DataFrame:
     for information, first in ((entry.whole, WHOLE), (entry.information, 0)):
         for b, block in enumerate(information.blocks):
             for k, joint in enumerate(information.joint_names):
-                factor, tilted = information.factors[k][b], first == WHOLE and entry.tilt
+                factor = information.factors[k][b]
+                tilted = first == WHOLE and entry.tilt
                 own = {
                     "block": first + b,
                     "start": block.start,
@@ -305,7 +306,8 @@ def _rebuild_entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings)
         raise ValueError(f"it is the entry {stored.path}")
     if row["settings"] != settings.digest:
         raise ValueError(f"it belongs to the settings {row['settings']}")
-    source, n = f"{row['log']} ({row['source_sha256'][:DIGITS]})", settings.model.n_joints
+    source = f"{row['log']} ({row['source_sha256'][:DIGITS]})"
+    n = settings.model.n_joints
     if frame["block"].to_list() != [WHOLE + k // n for k in range(len(frame))]:
         raise ValueError("its rows are not in order")
     information = _rebuild_information(frame[n:], settings, source)
@@ -331,7 +333,8 @@ def _rebuild_information(
     frame: pl.DataFrame, settings: TypeSettings, source: str
 ) -> SquareRootInformation:
     """Rebuild the information of rows that go block by block, and joint by joint in each."""
-    joints, support = settings.model.joint_names, settings.plan.support
+    joints = settings.model.joint_names
+    support = settings.plan.support
     n_blocks = len(frame) // len(joints)
     if frame["joint"].to_list() != [*joints] * n_blocks:
         raise ValueError("its joints differ from its type's")

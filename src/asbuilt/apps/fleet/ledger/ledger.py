@@ -82,7 +82,8 @@ class Ledger:
 
     def names(self, robot_id: str) -> list[EntryName]:
         """Return the names of a robot's entries of any settings, by date."""
-        folder, found = name_entry_folder(robot_id), []
+        folder = name_entry_folder(robot_id)
+        found = []
         for name in self.store.names(folder):
             parsed = EntryName.parse(robot_id, name)
             if parsed is None:
@@ -105,7 +106,8 @@ class Ledger:
     ) -> list[tuple[EntryName, TypeSettings]]:
         """Return the names of entries of the latest settings; a log may have several."""
         latest = self.types() if types is None else types
-        by_digest, names = {each.digest: each for each in latest.values()}, self.names(robot_id)
+        by_digest = {each.digest: each for each in latest.values()}
+        names = self.names(robot_id)
         current = [(n, by_digest[n.settings]) for n in names if n.settings in by_digest]
         left_out = len({name.source for name in names} - {name.source for name, _ in current})
         if left_out:
@@ -223,7 +225,8 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
 def _check_mark(root: str, store: Store) -> None:
     try:
         mark = parse_json(store.read(MARK))
-        written, version = mark["format"], mark.get("format_version")
+        written = mark["format"]
+        version = mark.get("format_version")
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
         raise ResultError(
             f"{root} is not a ledger: {MARK} is damaged ({type(problem).__name__})",

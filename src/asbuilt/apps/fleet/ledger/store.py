@@ -76,7 +76,8 @@ def find_identity(pattern: str, path: str) -> str | None:
     before, _, after = pattern.partition("{id}")
     parts = [*before, "first", "rest", *after]
     starts = [0, *(k + 1 for k, letter in enumerate(path) if letter == "/")]
-    waiting, tried = [(0, k, 0, 0) for k in reversed(starts)], set()
+    waiting = [(0, k, 0, 0) for k in reversed(starts)]
+    tried = set()
     while waiting:
         place, at, first, last = waiting.pop()
         if (place, at) in tried:
@@ -86,7 +87,8 @@ def find_identity(pattern: str, path: str) -> str | None:
             if at == len(path):
                 return path[first:last]
             continue
-        part, letter = parts[place], path[at : at + 1]
+        part = parts[place]
+        letter = path[at : at + 1]
         inside = letter not in ("", "/")
         if part == "first":
             waiting += [(place + 1, at + 1, at, at)] * inside
@@ -235,7 +237,8 @@ def unpack_table(path: Path) -> LogTable:
 
     `read_isolated` calls this, since decompression takes what memory it likes.
     """
-    frame, stream = pl.read_parquet(path), io.BytesIO()
+    frame = pl.read_parquet(path)
+    stream = io.BytesIO()
     if frame.estimated_size() > LARGEST:
         raise ResultError(f"it unpacks to more than {LARGEST / 1e6:.0f} MB")
     frame.write_ipc_stream(stream)

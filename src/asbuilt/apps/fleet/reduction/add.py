@@ -111,7 +111,8 @@ def add_logs(
         If the place is no ledger, no log is given, or no log can fix the settings.
     """
     began = time.monotonic()
-    options, fleet = options or StudyOptions(), fleet or FleetOptions()
+    options = options or StudyOptions()
+    fleet = fleet or FleetOptions()
     ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
     described = robot if isinstance(robot, RobotModel) else load_robot(robot)
     if reading.gravity is not None:
@@ -202,12 +203,14 @@ def run_tasks(
     workers: Workers, tasks: Iterable[LogTask], count: int, progress: Progress | None
 ) -> Iterator[LogReport]:
     """Yield the report of each task, with rate and remaining time to `progress`."""
-    report, began = progress or (lambda what, fraction: None), time.monotonic()
+    report = progress or (lambda what, fraction: None)
+    began = time.monotonic()
     page = workers.dashboard
     by = f", dashboard at {page}" if page else f" by {workers.count} workers"
     report(f"reduce: {count} logs{by}", 0.0)
     for done, outcome in enumerate(workers.run(reduce_log, tasks), start=1):
-        task, problem = outcome.task, outcome.problem or "it failed"
+        task = outcome.task
+        problem = outcome.problem or "it failed"
         yield outcome.result or LogReport(str(task.paths[0]), task.robot_id, problem=problem)
         rate = done / max(time.monotonic() - began, 1e-9)
         left = _format_duration((count - done) / rate)
@@ -260,7 +263,9 @@ def make_reachable(
 
     Those run in other folders than this process.
     """
-    root, paths, sheet = str(ledger), [Path(each) for each in logs], reading.sheet
+    root = str(ledger)
+    paths = [Path(each) for each in logs]
+    sheet = reading.sheet
     if fleet.scheduler is None:
         return root, paths, reading
     if isinstance(sheet, str | os.PathLike):

@@ -26,7 +26,8 @@ from asbuilt.experiment import (
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification import settle_drive
 
-EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
+EARLIEST = datetime(2000, 1, 1, tzinfo=UTC)
+LATEST = datetime(2100, 1, 1, tzinfo=UTC)
 """Dates that a clock can be trusted for; a counter since power-on is none."""
 _IN_NAME = re.compile(
     r"(?<!\d)(20\d\d)([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])"

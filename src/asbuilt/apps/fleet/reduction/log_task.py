@@ -110,8 +110,10 @@ def reduce_log(task: LogTask) -> LogReport:
     """Reduce a recording and append its entry, unless it is in the ledger already."""
     log = str(task.paths[0])
     try:
-        ledger, settings = _open_root(task.ledger), _read_settings(task.ledger, task.settings_path)
-        digest, known = hash_sources(task.paths), ledger.names(task.robot_id)
+        ledger = _open_root(task.ledger)
+        settings = _read_settings(task.ledger, task.settings_path)
+        digest = hash_sources(task.paths)
+        known = ledger.names(task.robot_id)
         own = (digest[:DIGITS], settings.digest)
         for name in known:
             if (name.source, name.settings) == own and ledger.is_sound(name):
@@ -214,7 +216,8 @@ def average_covariates(head: Recording, information: SquareRootInformation) -> d
 
     A recording sheet names them; one column for all joints is repeated for each.
     """
-    n, found = information.n_joints, {}
+    n = information.n_joints
+    found = {}
     for name, values in head.extra.items():
         columns = values.reshape(len(head.t), -1)
         if columns.shape[1] != n or not any(word in name.lower() for word in COVARIATES):

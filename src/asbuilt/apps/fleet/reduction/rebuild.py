@@ -74,9 +74,11 @@ def rebuild_ledger(
         If the logs from which settings are chosen cannot be used.
     """
     began = time.monotonic()
-    options, fleet = options or StudyOptions(), fleet or FleetOptions()
+    options = options or StudyOptions()
+    fleet = fleet or FleetOptions()
     ledger, logs, reading = make_reachable(ledger, logs, reading or ReadingOptions(), fleet)
-    opened, renewed = open_ledger(ledger), []
+    opened = open_ledger(ledger)
+    renewed = []
     types = opened.types()
     with open_workers(fleet.workers, fleet.scheduler) as workers:
         by_type, reports = _group_by_type(opened, types, workers, group_recording_files(logs))
@@ -125,7 +127,8 @@ def _group_by_type(
     found: dict[str, list[tuple[tuple[Path, ...], EntryName]]] = {}
     failed = []
     for outcome in workers.run(hash_sources, recordings):
-        files, digest = outcome.task, outcome.result
+        files = outcome.task
+        digest = outcome.result
         name = entry_of.get((digest or "")[:DIGITS])
         if name is not None and type_of[name.settings] in types:
             found.setdefault(type_of[name.settings], []).append((files, name))

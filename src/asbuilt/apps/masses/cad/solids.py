@@ -106,7 +106,9 @@ def _read_solid(
     source: str,
 ) -> LinkSolid | None:
     """Return the sum of all bodies of a kind, or None if there are none."""
-    bodies, missing, doubts = list[MeshSolid](), list[str](), list[str]()
+    bodies = list[MeshSolid]()
+    missing = list[str]()
+    doubts = list[str]()
     for body in element.findall(kind):
         geometry = body.find("geometry")
         if geometry is None or not len(geometry):

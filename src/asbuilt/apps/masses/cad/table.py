@@ -181,7 +181,9 @@ def parse_unit_factor(text: str, *, mass: int, length: int) -> float:
     >>> parse_unit_factor("g mm^2", mass=1, length=2)
     1e-09
     """
-    value, found_mass, found_length = 1.0, 0, 0
+    value = 1.0
+    found_mass = 0
+    found_length = 0
     if _FACTOR.sub("", text).strip(" *·.()") or not text.strip():
         raise DescriptionError(f"the unit {text!r} is not understood; write it like 'g mm^2'")
     for symbol, power, superscript in _FACTOR.findall(text):

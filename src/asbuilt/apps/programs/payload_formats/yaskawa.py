@@ -31,7 +31,8 @@ class Yaskawa(PayloadFormat):
 
     def document(self, body: CarriedBody, path: Path) -> str:
         """Return a line a field, or the preset."""
-        centre, moments = MILLIMETRES * body.centre, np.diagonal(body.inertia)
+        centre = MILLIMETRES * body.centre
+        moments = np.diagonal(body.inertia)
         if _is_preset(path):
             return _write_preset(body.mass, centre, moments)
         rows = {

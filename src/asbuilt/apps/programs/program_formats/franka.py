@@ -46,7 +46,8 @@ class FrankaFormat(ProgramFormat):
         """
         _check_smoothness(request)
         stem = request.stem
-        source_name, table = f"{stem}_franka.cpp", f"{stem}_franka.csv"
+        source_name = f"{stem}_franka.cpp"
+        table = f"{stem}_franka.csv"
         use = (
             (
                 f"Build: g++ -std=c++17 -O2 {source_name} -lfranka -o {stem}_franka. Keep {table}"

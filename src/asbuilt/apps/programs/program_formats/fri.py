@@ -36,7 +36,8 @@ class FriFormat(ProgramFormat):
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return client, table, Java application and the sheet of the client's log."""
-        stem, java = request.stem, make_class_name(request.name, suffix="FriHold")
+        stem = request.stem
+        java = make_class_name(request.name, suffix="FriHold")
         client = f"{stem}_fri.cpp"
         table = f"{stem}_fri.csv"
         use = (

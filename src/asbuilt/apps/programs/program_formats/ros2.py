@@ -32,7 +32,8 @@ class Ros2Format(ProgramFormat):
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return both trajectories, the script and the sheet of the bag."""
         stem = request.stem
-        full, dry_run = f"{stem}.yaml", f"{stem}_dry_run.yaml"
+        full = f"{stem}.yaml"
+        dry_run = f"{stem}_dry_run.yaml"
         use = (
             (
                 "Start the robot's driver with a joint_trajectory_controller (position or effort),"

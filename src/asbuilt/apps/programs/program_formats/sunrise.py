@@ -166,7 +166,8 @@ class SunriseFormat(ProgramFormat):
 
 def _list_spline_segments(request: ProgramRequest) -> tuple[Segment, ...]:
     """Return a segment from point to point of a spline, with the top speeds in between."""
-    motion, segments = request.motion, []
+    motion = request.motion
+    segments = []
     # How far the spline may leave the designed path [rad].
     for begin, end in pairwise(choose_spline_times(motion, 0.01)):
         speed = np.abs(motion.derivative(np.linspace(begin, end, 21), 1)).max(axis=0)

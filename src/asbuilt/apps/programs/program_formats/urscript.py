@@ -86,7 +86,8 @@ class UrScriptFormat(ProgramFormat):
         )
         # How far the cubics between the points may leave the motion [rad].
         knots = choose_hermite_knots(request.motion, 1e-4)
-        q, v = request.motion.derivative(knots[1:]), request.motion.derivative(knots[1:], 1)
+        q = request.motion.derivative(knots[1:])
+        v = request.motion.derivative(knots[1:], 1)
         values = {
             "preamble": comment_lines(compose_preamble(request, self.title, use), "#"),
             "approach_speed": f"{request.approach_speed.min():.4f}",

@@ -68,7 +68,8 @@ class Bam(SimulatorFormat):
 
 def choose_bam_parameters(joint: Joint) -> dict[str, Any]:
     """Return the BAM parameters of one joint: the smallest model that has its drive terms."""
-    drive, terms = joint.drive, joint.drive.terms
+    drive = joint.drive
+    terms = joint.drive.terms
     fading, loaded, directional = (
         [terms[key] for key in keys if key in terms]
         for keys in (FADING, LOADED, (*DIRECTIONAL, QUADRATIC))

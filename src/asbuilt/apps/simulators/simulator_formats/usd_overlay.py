@@ -26,7 +26,8 @@ class UsdOverlay(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the layer and its notes."""
-        model, root = drives.plain, make_prim_name(drives.plain.name)
+        model = drives.plain
+        root = make_prim_name(drives.plain.name)
         lines = [
             "#usda 1.0",
             "(",
@@ -60,8 +61,10 @@ class UsdOverlay(SimulatorFormat):
 def _write_drive(joint: Joint, axis: str) -> Iterator[str]:
     """Yield the attributes of a joint, coefficients of angular ones per degree."""
     per = np.pi / 180.0 if axis == "angular" else 1.0
-    drive, limit = joint.drive, joint.limits.torque
-    coulomb, armature = drive.coulomb or 0.0, drive.armature or 0.0
+    drive = joint.drive
+    limit = joint.limits.torque
+    coulomb = drive.coulomb or 0.0
+    armature = drive.armature or 0.0
     yield f"float drive:{axis}:physics:stiffness = {(drive.kp or 0.0) * per!r}"
     yield f"float drive:{axis}:physics:damping = {(drive.kd or 0.0) * per!r}"
     if np.isfinite(limit):

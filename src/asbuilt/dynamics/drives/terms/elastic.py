@@ -128,7 +128,8 @@ class Cable(DriveTerm):
 
         Nothing else has the powers of the far side of a drive.
         """
-        own, order = self.key if self.of_motor else "", self.value("order")
+        own = self.key if self.of_motor else ""
+        order = self.value("order")
         return tuple(
             {(own, "q", k) if own or k > 1 else "q": math.pi**-k} if k <= order else {}
             for k in range(1, HIGHEST + 1)

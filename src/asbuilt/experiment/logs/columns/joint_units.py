@@ -41,7 +41,8 @@ def with_joint_units(
             value=unknown,
             available=list(layout.joint_names),
         )
-    scales, offsets = dict(layout.scales), dict(layout.offsets)
+    scales = dict(layout.scales)
+    offsets = dict(layout.offsets)
     for k, joint in enumerate(layout.joint_names):
         column = layout.quantities["position"][k]
         if joint in units:
@@ -83,7 +84,8 @@ def _refuse_open(table: LogTable, column: str, joint: str, sheet: RecordingSheet
     if sheet.units.position is not None and not gripper:
         return
     values = table.columns[column]
-    first, last = float(np.nanmin(values)), float(np.nanmax(values))
+    first = float(np.nanmin(values))
+    last = float(np.nanmax(values))
     mostly = "such logs have degrees, or -100 to 100 of the calibrated range"
     cure = (
         'write [units] position = "deg" in a recording sheet; or, for -100 to 100, the positions'

@@ -105,7 +105,8 @@ def find_layout(
         If positions are missing, or both torques and commands, columns are missing or claim the
         same place, or they do not fit the robot's joints.
     """
-    source, names = table.source, tuple(table.columns)
+    source = table.source
+    names = tuple(table.columns)
     of_base = {
         find_column(table, what, column): ("", "") for what, column in sheet.columns.by_base.items()
     }
@@ -116,7 +117,8 @@ def find_layout(
     groups = {key: group for key, group in groups.items() if group}
     chosen_channels = _choose_channels(groups, table, model, sheet)
     measured = next((key for key in _TORQUES if key in groups), None)
-    position, command = groups.get(("position", "")), groups.get(("command", ""))
+    position = groups.get(("position", ""))
+    command = groups.get(("command", ""))
     torque = None if measured is None else groups[measured]
     if position is None or (torque is None and command is None):
         absent = " and ".join(
@@ -171,7 +173,8 @@ def find_layout(
             if joint.name in labels and quantity in ordered
         }
         ordered = {name: tuple(columns[k] for k in places) for name, columns in ordered.items()}
-        joint_names, ordered = model.joint_names, ordered | followed
+        joint_names = model.joint_names
+        ordered = ordered | followed
     time = _find_time_column(table, groups, sheet)
     timed = {} if time is None else {"time": [time]}
     scales = _choose_scales(chosen | timed, sheet, notes)
@@ -308,7 +311,8 @@ def _group_columns(
         )
     )
     _use_two_encoders(groups)
-    by_unit, goals = group(recognise_by_unit), group(partial(match_commanded_role, alone=GOALS))
+    by_unit = group(recognise_by_unit)
+    goals = group(partial(match_commanded_role, alone=GOALS))
     named = {quantity for quantity, _ in groups} | (
         {"time"} if len(by_unit.get(("time", ""), ())) > 1 else set()
     )
@@ -355,7 +359,8 @@ def _locate_joints(group: _Group) -> list[tuple[str, int]]:
 
 def find_column(table: LogTable, what: str, column: ColumnName) -> str:
     """Return the column that a sheet gives by its name, or by its number in the file."""
-    source, names = table.source, tuple(table.columns)
+    source = table.source
+    names = tuple(table.columns)
     counted = table.order or names
     numbered = isinstance(column, int)
     inside = isinstance(column, int) and 1 <= column <= len(counted)
@@ -391,7 +396,8 @@ def _group_listed_columns(
     table: LogTable, what: str, columns: Sequence[ColumnName], sheet: RecordingSheet
 ) -> _Group:
     """Return the columns that a sheet lists for a quantity."""
-    found, source = [find_column(table, what, column) for column in columns], table.source
+    found = [find_column(table, what, column) for column in columns]
+    source = table.source
     repeated = next((name for name in found if found.count(name) > 1), None)
     labels = (sheet.joints if isinstance(sheet.joints, list) else []) or ["" for _ in found]
     if repeated is not None:
@@ -439,7 +445,8 @@ def _sort_labels(source: str, quantity: str, group: _Group, sheet: RecordingShee
             role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
             for role in group
         ]
-    labels, named = [role.joint for role in group], all(role.joint for role in group)
+    labels = [role.joint for role in group]
+    named = all(role.joint for role in group)
     differ = sorted(map(split_words, labels)) != sorted(map(split_words, listed or ()))
     if not named:
         group.sort(key=lambda role: (role.index is not None, role.index or 0))
@@ -567,7 +574,8 @@ def _find_gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | Non
     The arm is a chain of joints in order. The others hang on its last link, and are no continuation
     of it: several hang on one link, or all slide.
     """
-    parents, rest = model.parents, model.joints[count:]
+    parents = model.parents
+    rest = model.joints[count:]
     chain = 0 < count < model.n_joints and parents[:count] == (ROOT, *range(count - 1))
     on = [joint.parent for joint in (*rest, *model.followers)]
     behind = all(parent >= count - 1 for parent in on)

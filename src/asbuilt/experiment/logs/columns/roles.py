@@ -407,7 +407,8 @@ def _split_unit(name: str) -> tuple[str, int | None, str, int]:
         suffix = suffix if rest in (None, "time") else None
     if suffix and not unit:
         bare = bare[: suffix.start()] + bare[suffix.end() :]
-        unit, per = suffix.group(1), suffix.group(2) or ""
+        unit = suffix.group(1)
+        per = suffix.group(2) or ""
     else:
         per = unit.partition("/")[2].strip()
     return bare, index, unit, 0 if not per else 2 if per[-1] in "2²" else 1

@@ -22,7 +22,8 @@ from asbuilt.experiment.gravity_load import (
 from asbuilt.experiment.logs.columns.roles import parse_unit_scale
 from asbuilt.experiment.logs.formats.log_format import LogTable
 
-RADIANS_ARE_LESS, DEGREES_ARE_MORE = DEGREE**0.5, DEGREE**-0.5
+RADIANS_ARE_LESS = DEGREE**0.5
+DEGREES_ARE_MORE = DEGREE**-0.5
 """Ratios of velocities to the slope of positions in degrees, and in radians, above which they are
 degrees."""
 STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
@@ -352,7 +353,8 @@ def _correlate_derivative(t: Array, q: Array, qd: Array) -> float:
 def _count_joints_by_derivative(values: list[Array], t: Array) -> int | None:
     """Return the number of joints that makes the second group the derivative of the first."""
     for n in range(2, len(values) // 2 + 1 if t.size > 1 else 0):
-        first, second = np.column_stack(values[:n]), np.column_stack(values[n : 2 * n])
+        first = np.column_stack(values[:n])
+        second = np.column_stack(values[n : 2 * n])
         if len(values) % n == 0 and _correlate_derivative(t, first, second) > FOLLOWS:
             return n
     return None

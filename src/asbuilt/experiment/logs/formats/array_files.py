@@ -40,7 +40,8 @@ def read_npz(path: Path) -> LogTable:
         raise RecordingError(
             f"{path} holds one array of shape {archive.shape} without names", cure=Cure(NPZ.cure)
         )
-    variables, pickled = {}, []
+    variables = {}
+    pickled = []
     for name in archive.files:
         try:
             variables[name] = archive[name]

@@ -101,7 +101,8 @@ def find_dialect(
     names, *rest = (_split_fields(lines[k], separator) for k in body[:3])
     decimal_comma = separator == ";" and any("," in cell for row in rest for cell in row)
     is_number = partial(_is_number, decimal_comma=decimal_comma)
-    skip, data = body[0], names
+    skip = body[0]
+    data = names
     named = _is_header(names, rest, is_number) if header is None else header
     if named and not rest:
         raise RecordingError(
@@ -109,12 +110,14 @@ def find_dialect(
             file=str(path),
         )
     if named:
-        skip, data = body[1], rest[0]
+        skip = body[1]
+        data = rest[0]
         words = [not any(map(is_number, row)) for row in rest]
         if words == [True, False] and len(data) == len(names):
             pairs = zip(names, data, strict=True)
             names = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
-            skip, data = body[2], rest[1]
+            skip = body[2]
+            data = rest[1]
     else:
         commented = _split_fields(lines[skip - 1].lstrip(" #%"), separator) if skip > 0 else []
         named = (
@@ -428,7 +431,8 @@ def _read_chunks(
 ) -> Iterator[tuple[int, dict[str, Array]]]:
     # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
     parts = [None] if _holds(path, b'"') else _read_parts(path, dialect)
-    done, held = 0, pl.DataFrame()
+    done = 0
+    held = pl.DataFrame()
     try:
         for part in parts:
             rows = without_blank_lines(scan_delimited(path, dialect, part).select(columns))
@@ -436,7 +440,8 @@ def _read_chunks(
                 held = pl.concat([held, batch]) if held.height else batch
                 while held.height > chunk_samples:
                     yield done, list_columns(_convert_times(path, held[:chunk_samples], dialect))
-                    done, held = done + chunk_samples, held[chunk_samples:]
+                    done = done + chunk_samples
+                    held = held[chunk_samples:]
     except pl.exceptions.PolarsError as error:
         raise locate_bad_cell(path, dialect, error) from error
     if held.height:

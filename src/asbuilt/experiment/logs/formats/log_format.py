@@ -182,7 +182,8 @@ def tabulate_joints(
 
     A group has a label, by which its columns are `joint/label`, a quantity, joints and values.
     """
-    columns, known = {"time": t}, dict[str, tuple[str, str]]()
+    columns = {"time": t}
+    known = dict[str, tuple[str, str]]()
     for label, quantity, joints, values in groups:
         for joint, column in zip(joints, values.T, strict=True):
             columns[f"{joint}/{label}"] = np.ascontiguousarray(column)

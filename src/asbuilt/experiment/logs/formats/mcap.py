@@ -44,7 +44,8 @@ from asbuilt.findings import Cure
 MOST = 1 << 30
 """Bytes of a single record, compressed or not; chunks are a few MB."""
 NAMES = ("name", "names", "joint_names")
-SECONDS, NANOSECONDS = ("sec", "secs"), ("nanosec", "nsec", "nsecs")
+SECONDS = ("sec", "secs")
+NANOSECONDS = ("nanosec", "nsec", "nsecs")
 NUMBERS = {int, float, type(None)}
 """Types of JSON that are numbers: null is a missing one, and true is none."""
 SHAPES = MappingProxyType(
@@ -80,8 +81,11 @@ def read_mcap(path: Path, sheet: RecordingSheet) -> LogTable:
     from mcap.exceptions import EndOfFile  # noqa: PLC0415
     from mcap.records import Channel, Message, Schema  # noqa: PLC0415
 
-    schemas, channels = dict[int, str](), dict[int, Channel]()
-    found, of_ros, complete = dict[str, list[tuple[int, Any]]](), set[str](), True
+    schemas = dict[int, str]()
+    channels = dict[int, Channel]()
+    found = dict[str, list[tuple[int, Any]]]()
+    of_ros = set[str]()
+    complete = True
     with path.open("rb") as file:
         try:
             for record in _list_records(file):
@@ -128,7 +132,8 @@ def _list_records(file: BinaryIO) -> Iterator[Any]:
         if isinstance(record, DataEnd):
             return
         if isinstance(record, Chunk):
-            size, packed = record.uncompressed_size, record.compression
+            size = record.uncompressed_size
+            packed = record.compression
             if size > MOST:
                 raise ValueError(f"a chunk unpacks to {size} bytes")
             if packed not in ("", "lz4", "zstd"):

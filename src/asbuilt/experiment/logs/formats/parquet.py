@@ -143,7 +143,8 @@ def read_parquet_header(path: Path) -> LogTable:
         If the file declares more than its size can hold.
     """
     frame, header = scan_parquet(path)
-    rows, count = int(frame.select(pl.len()).collect().item()), len(header.columns)
+    rows = int(frame.select(pl.len()).collect().item())
+    count = len(header.columns)
     if rows * count * 8 > 1e9 + 1000 * path.stat().st_size:
         raise RecordingError(
             f"{path} declares {rows:.3g} rows of {count} columns, too many for a file of its size",

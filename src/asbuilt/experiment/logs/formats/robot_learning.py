@@ -33,7 +33,8 @@ else:
     pl = lazy_loader.load("polars")
 
 INFO = Path("meta") / "info.json"
-STATE, ACTION = "observation.state", "action"
+STATE = "observation.state"
+ACTION = "action"
 OTHERS = (".vel", ".acc", ".effort", ".torque", ".current", ".load", ".temp")
 """Ends of features that are no positions; their units are not known either."""
 
@@ -57,7 +58,8 @@ def read_lerobot(path: Path) -> LogTable:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
         )
-    groups, left_out = list[tuple[str, str, Sequence[str], Array]](), list[str]()
+    groups = list[tuple[str, str, Sequence[str], Array]]()
+    left_out = list[str]()
     for field, quantity in ((STATE, "position"), (ACTION, "command")):
         if field not in frame:
             continue
@@ -196,7 +198,9 @@ FORMATS.register(
 )
 
 
-COMMANDS, STATES, NAMES = "control.csv", "state_motor.csv", "joint_list.txt"
+COMMANDS = "control.csv"
+STATES = "state_motor.csv"
+NAMES = "joint_list.txt"
 QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "torque"}
 
 

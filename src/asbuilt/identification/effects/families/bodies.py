@@ -26,7 +26,8 @@ class _Body(Effect):
     the bodies have beyond CAD.
     """
 
-    in_model, units = True, ("kg", "kg")
+    in_model = True
+    units = ("kg", "kg")
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return its mass."""
@@ -47,7 +48,8 @@ class _Body(Effect):
 class Payload(_Body):
     """Carry a body at the flange, in the frame of the tool link."""
 
-    key, title = "payload", "payload"
+    key = "payload"
+    title = "payload"
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return its mass and its centre of mass."""
@@ -61,7 +63,8 @@ class Payload(_Body):
 class LinkMass(_Body):
     """Make the link behind a joint heavier or lighter, its centre staying."""
 
-    key, title = "link_mass", "mass of a link"
+    key = "link_mass"
+    title = "mass of a link"
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return its mass beyond CAD's."""

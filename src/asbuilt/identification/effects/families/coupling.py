@@ -19,7 +19,9 @@ class Coupling(Effect):
     the model's own terms.
     """
 
-    key, title, units = "coupling", "coupled motor", ("kg m^2", "kg")
+    key = "coupling"
+    title = "coupled motor"
+    units = ("kg m^2", "kg")
     imitators = ("friction",)
     """Coulomb friction changes its sign with the motor's speed, which is no joint's."""
 

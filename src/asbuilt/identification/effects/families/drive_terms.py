@@ -81,7 +81,8 @@ class DriveEffect(Effect):
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the term's columns at every joint's own state."""
-        term, n = variant.term, motion.q.shape[1]
+        term = variant.term
+        n = motion.q.shape[1]
         load = motion.torques[0] if self.term.needs_load else None
         drive = DriveSet((self.term if term is None else term,))
         # Every joint's column is evaluated, as the joints share a slot; a candidate takes its own.
@@ -113,7 +114,8 @@ def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) 
     for effect in dict.fromkeys(candidate.effect for candidate in candidates):
         assert isinstance(effect, DriveEffect)
         forms = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}
-        added, term = set(forms), effect.term
+        added = set(forms)
+        term = effect.term
         had = next((other for other in drive.terms if other.key == term.key), None)
         joints = added | {k for k in range(n_joints) if had is not None and had.is_at(k)}
         drive = drive.with_term(

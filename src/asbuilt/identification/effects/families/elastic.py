@@ -95,7 +95,10 @@ OFF = 0.1
 class Elastic(Effect):
     """Let the link of a joint lag by the torque over the joint's stiffness; its size is 1 / K."""
 
-    key, title, positive, by_span = "elastic", "elastic joint, compliance", True, True
+    key = "elastic"
+    title = "elastic joint, compliance"
+    positive = True
+    by_span = True
     units = "rad/(N m)", "m/N"
 
     def variants(self, robot: Described) -> Iterator[Variant]:
@@ -121,7 +124,8 @@ class Elastic(Effect):
         """Return the stiffness, and from which frequency on the rigid model fails."""
         if found.joint is None or not found.estimate > 0.0:
             return None
-        k, stiffness = model.joint_names.index(found.joint), 1.0 / found.estimate
+        k = model.joint_names.index(found.joint)
+        stiffness = 1.0 / found.estimate
         limit = rigid_limit(model, k, stiffness)
         fails = (
             f", so the rigid model is {100 * OFF:.0f} % off from"

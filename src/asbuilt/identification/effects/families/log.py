@@ -22,7 +22,9 @@ from asbuilt.identification.effects.effect import (
 )
 from asbuilt.tables import format_plus_minus
 
-ANGLE, LENGTH, SPEED = 1e-4, 1e-5, 1e-3
+ANGLE = 1e-4
+LENGTH = 1e-5
+SPEED = 1e-3
 """Steps of central differences: angle [rad], length [m], share of the speed."""
 DEAD = 0.15
 """Part of the model's torque below which a torque channel does not follow the motion."""
@@ -46,11 +48,16 @@ class _OfTorque(Effect):
 class Clock(Effect):
     """Run the motion faster than logged by a share."""
 
-    key, title, of_log = "clock", "wrong clock", True
+    key = "clock"
+    title = "wrong clock"
+    of_log = True
     least = 0.01
-    removable, of_shares, shown = True, True, 0.05
+    removable = True
+    of_shares = True
+    shown = 0.05
     starts = tuple(factor - 1.0 for factor in RATES)
-    near, about = 0.3, 0.06
+    near = 0.3
+    about = 0.06
     """Largest share by which a clock drifts or is set wrong; distance from a ratio of rates."""
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
@@ -102,7 +109,8 @@ class Clock(Effect):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return what a wrong clock does, and by which factor it is corrected."""
-        pace, rate = "faster" if found.estimate > 0.0 else "slower", 1.0 + found.estimate
+        pace = "faster" if found.estimate > 0.0 else "slower"
+        rate = 1.0 + found.estimate
         return Finding(
             "clock_wrong",
             "warning",
@@ -120,7 +128,9 @@ class Clock(Effect):
 class Zero(Effect):
     """Log the positions of a joint too large [rad or m]."""
 
-    key, title, of_log = "zero", "wrong zero position", True
+    key = "zero"
+    title = "wrong zero position"
+    of_log = True
     units = "rad", "m"
     least = 0.005
     """A third of a degree, or 5 mm."""
@@ -141,7 +151,8 @@ class Zero(Effect):
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return minus the derivative of the torque by the position of the joint."""
-        k, step = variant.joint or 0, np.zeros(motion.q.shape[1])
+        k = variant.joint or 0
+        step = np.zeros(motion.q.shape[1])
         step[k] = ANGLE if motion.robot.model.joints[k].is_revolute else LENGTH
         up, down = (
             motion.torque_of(x, motion.qd, motion.qdd)[1]
@@ -191,12 +202,15 @@ class Zero(Effect):
 class Gain(_OfTorque):
     """Log the torques of a joint too large by a share."""
 
-    key, title = "gain", "wrong torque gain"
+    key = "gain"
+    title = "wrong torque gain"
     least = 0.03
     """Accuracy of the gains that makers state."""
     farthest = 1.15
     """Gain error of a dead channel: beyond it, the column is another quantity."""
-    removable, of_shares, shown = True, True, 0.1
+    removable = True
+    of_shares = True
+    shown = 0.1
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the model."""
@@ -257,8 +271,10 @@ class Gain(_OfTorque):
 class Saturation(_OfTorque):
     """Log large torques of a joint too small: by this share at its largest torque."""
 
-    key, title = "saturation", "saturating torque"
-    least, farthest = 0.05, 0.8
+    key = "saturation"
+    title = "saturating torque"
+    least = 0.05
+    farthest = 0.8
     of_shares = True
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
@@ -288,7 +304,9 @@ class Saturation(_OfTorque):
 class Drift(_OfTorque):
     """Let the torque offset drift over the recording [N m or N]."""
 
-    key, title, units = "drift", "drift of the torque offset", ("N m", "N")
+    key = "drift"
+    title = "drift of the torque offset"
+    units = ("N m", "N")
     felt = 0.02
     """Drift in the joint's largest torque below which it is of no account."""
 
@@ -321,7 +339,9 @@ class Warming(_OfTorque):
     (Bittencourt and Gunnarsson, J. Dyn. Sys. Meas. Control 134, 2012).
     """
 
-    key, title, least = "warming", "drift of friction", 0.05
+    key = "warming"
+    title = "drift of friction"
+    least = 0.05
     of_log = False
     of_shares = True
 

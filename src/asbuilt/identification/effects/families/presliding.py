@@ -39,7 +39,8 @@ def presliding_column(q: ArrayLike, stiffness_length: float) -> Array:
     [0.0, 0.632, 1.0, 1.0, -0.264]
     """
     x = np.asarray(q, dtype=np.float64)
-    z, side = np.zeros(x.shape), np.sign(np.diff(x))
+    z = np.zeros(x.shape)
+    side = np.sign(np.diff(x))
     # A zero product is a pause, which ends a stretch as a reversal does.
     turns = np.flatnonzero(side[1:] * side[:-1] <= 0.0) + 1
     # Within a stretch the path is monotonic, and the exponential has a closed form.
@@ -62,8 +63,12 @@ class Presliding(Effect):
     The column is what bent bristles carry less than `sign(qd)`; its value is Coulomb friction.
     """
 
-    key, title, positive, kind = "presliding", "presliding friction", True, "friction"
-    units, by_span = ("N m", "N"), True
+    key = "presliding"
+    title = "presliding friction"
+    positive = True
+    kind = "friction"
+    units = ("N m", "N")
+    by_span = True
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield trial displacements at every joint with Coulomb friction."""

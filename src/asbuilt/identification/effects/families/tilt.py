@@ -23,7 +23,9 @@ class Tilt(Effect):
     order, so that the columns are the gravity torques of the links under `g x axis`.
     """
 
-    key, title, units = "tilt", "base tilt", ("deg", "deg")
+    key = "tilt"
+    title = "base tilt"
+    units = ("deg", "deg")
     in_model = True
     least = float(np.deg2rad(0.25))
     """Accuracy of a floor that is called level."""
@@ -58,7 +60,8 @@ class Tilt(Effect):
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the gravity torques under `g x axis`."""
-        model, still = motion.robot.model, np.zeros_like(motion.q)
+        model = motion.robot.model
+        still = np.zeros_like(motion.q)
         links = motion.robot.chi[: 10 * model.n_links]
         # Torques at rest are linear in gravity: `g x axis` in its place gives the derivative
         # itself.

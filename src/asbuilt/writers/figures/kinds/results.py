@@ -96,7 +96,8 @@ def draw_joints(
             f"a figure of {kind} shows a recording, and none is given",
             cure=Cure("give a recording or its prediction, or draw the figure of the study"),
         )
-    joints, residuals = result.model.joints, kind == "residuals"
+    joints = result.model.joints
+    residuals = kind == "residuals"
     with apply_style():
         # 1.25: height of a joint's axis [inch].
         own = _make_axes(axes, len(joints), 8.0, 1.25 * len(joints) + 0.7)

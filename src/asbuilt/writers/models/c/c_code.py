@@ -84,7 +84,9 @@ def generate_c_code(
     beta = base.values(np.concatenate([model.parameters, values]))
     name = prefix or _make_identifier(model.name)
     n = model.n_joints
-    forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
+    forward = Mechanism(model)
+    still = Mechanism(model, at_rest=True)
+    linear = Mechanism(model)
     # Standard parameters that have no torque of their own are zero, and cost no operation.
     chi = _derive_fewest_parameters(model)
     torques = add_drives(forward, forward.torques(chi), terms, values, chi)
@@ -162,14 +164,16 @@ def _write_controller_functions(
     n = model.n_joints
     # The armature belongs to the mass matrix, as controllers invert it.
     armature = TorqueModel(model, terms, values).armature()
-    still, moving = Mechanism(model, at_rest=True), Mechanism(model, steady=True)
+    still = Mechanism(model, at_rest=True)
+    moving = Mechanism(model, steady=True)
     rubbing = Mechanism(model, steady=True)
     # Without gravity and acceleration, what is left of the torque is Coriolis'.
     weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)
     friction = add_drives(rubbing, [ZERO] * n, terms, values, chi)
     p, gradient = moving.momentum(chi, armature)
     masses = still.mass_matrix(chi, armature)
-    q, qd = f"const double q[{n}]", f"const double qd[{n}]"
+    q = f"const double q[{n}]"
+    qd = f"const double qd[{n}]"
     return [
         _write_function(
             f"void {name}_mass_matrix({q}, double M[{n * n}])",
@@ -254,7 +258,9 @@ def _write_header(
     stem: str,
     watching: str,
 ) -> str:
-    n, p, capital = model.n_joints, base.n_base, name.upper()
+    n = model.n_joints
+    p = base.n_base
+    capital = name.upper()
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     about = "\n".join(
         [
@@ -346,7 +352,8 @@ void {name}_momentum(const double q[{n}], const double qd[{n}], double p[{n}],
 
 
 def _write_tables(base: BaseParameters, beta: Array, name: str) -> str:
-    p, words = base.n_base, zip(base.names, base.expressions, base.units, strict=True)
+    p = base.n_base
+    words = zip(base.names, base.expressions, base.units, strict=True)
     # A table of C literals, so that nothing is initialised at run time.
     rows = ",\n".join(
         f"    {{{number}, {', '.join(map(_write_string, words_of))}}}"
@@ -366,7 +373,9 @@ def _write_self_test(
     rigid = inverse_dynamics(model, q, qd, qdd)
     tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
     arrays = {"q": q, "qd": qd, "qdd": qdd, "tau": tau, "gravity": gravity_torque(model, q)}
-    n, p, S = model.n_joints, base.n_base, CHECKED_STATES
+    n = model.n_joints
+    p = base.n_base
+    S = CHECKED_STATES
     # Torques of large robots have rounding of their size.
     rounding = max(1e-9, 1e-12 * float(np.abs(tau).max()))
     known = "\n".join(

@@ -103,7 +103,8 @@ class Mechanism:
         `p = S . H` and `C^T qd = dT/dq = -H . (S x V)`.
         """
         twists, carried = self._derive_momenta(parameters, self.qd)
-        total, gradient = self.code.total, []
+        total = self.code.total
+        gradient = []
         for joint, v, h in zip(self.tree.joints, twists, carried, strict=True):
             # -H . (S x V), which for a turning axis are two cross products' z.
             turning = [(h.angular, v.angular), (h.linear, v.linear)]
@@ -142,7 +143,9 @@ class Mechanism:
         for j, (joint, rate) in enumerate(zip(self.tree.joints, self.of_links(rates), strict=True)):
             above = Spatial(NOTHING, NOTHING) if joint.parent == ROOT else of_link[joint.parent]
             twist = self._carry_over(j, self._shift_motion(joint.before, above))
-            z, m, joint_rate = twist.angular, twist.linear, (ZERO, ZERO, rate)
+            z = twist.angular
+            m = twist.linear
+            joint_rate = (ZERO, ZERO, rate)
             at_joint.append(
                 Spatial(self._add(z, joint_rate), m)
                 if joint.is_revolute
@@ -159,7 +162,8 @@ class Mechanism:
         found = [Spatial(NOTHING, NOTHING)] * n
         # Leaves first: what a joint carries is whole before it is passed on.
         for j in reversed(range(n)):
-            joint, parts = self.tree.joints[j], [own(j), *above[j]]
+            joint = self.tree.joints[j]
+            parts = [own(j), *above[j]]
             force = self._add(*(part.linear for part in parts))
             moment = self._add(*(part.angular for part in parts))
             found[j] = self._leave_frame(joint.after, Spatial(moment, force))
@@ -178,7 +182,8 @@ class Mechanism:
 
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
-        screws, place = self._derive_screws(), np.argsort(self.coupling.order)
+        screws = self._derive_screws()
+        place = np.argsort(self.coupling.order)
         entries = {}
         for position, column in enumerate(columns):
             link, parameter = divmod(column, 10)
@@ -204,9 +209,12 @@ class Mechanism:
             if joint.parent == ROOT
             else self.motions[joint.parent]
         )
-        total, plus = self.code.total, self.code.sum
+        total = self.code.total
+        plus = self.code.sum
         at = self._enter_frame(joint.before, above)
-        q, v, dv = self.link_q[j], self.link_qd[j], self.link_qdd[j]
+        q = self.link_q[j]
+        v = self.link_qd[j]
+        dv = self.link_qdd[j]
         if joint.is_revolute:
             w, dw, a = (self._turn(j, vector) for vector in (at.w, at.dw, at.a))
             turned = Motion(
@@ -240,7 +248,8 @@ class Mechanism:
 
     def _enter_frame(self, placement: Array, motion: Motion) -> Motion:
         """Return the motion of a frame at `placement` in a moving frame."""
-        R, p = placement[:3, :3], _make_vector(placement[:3, 3])
+        R = placement[:3, :3]
+        p = _make_vector(placement[:3, 3])
         a = motion.a
         # A frame at the origin needs no swing.
         if any(not part.is_zero for part in p):
@@ -251,7 +260,8 @@ class Mechanism:
 
     def _leave_frame(self, placement: Array, wrench: Spatial) -> Spatial:
         """Return a wrench on a frame at `placement` as one on the frame that carries it."""
-        R, p = _make_matrix(placement[:3, :3]), _make_vector(placement[:3, 3])
+        R = _make_matrix(placement[:3, :3])
+        p = _make_vector(placement[:3, 3])
         force = self._multiply(R, wrench.linear)
         # n' = R n + p x f'
         return Spatial(self._add(self._multiply(R, wrench.angular), self._cross(p, force)), force)
@@ -262,7 +272,8 @@ class Mechanism:
             force = self._turn(j, wrench.linear, back=True)
             return Spatial(self._turn(j, wrench.angular, back=True), force)
         (fx, fy, _), (nx, ny, nz) = wrench.linear, wrench.angular
-        q, total = self.link_q[j], self.code.total
+        q = self.link_q[j]
+        total = self.code.total
         # n' = n + q z x f
         return Spatial((total((nx,), (-q, fy)), total((ny,), (q, fx)), nz), wrench.linear)
 
@@ -284,9 +295,12 @@ class Mechanism:
     def _derive_momentum(self, twist: Spatial, parameters: Array) -> Spatial:
         """Return force `m v + w x h` and moment `I w + h x v` of a link."""
         inertia, h, m = _read_parameters(parameters)
-        w, v, total = twist.angular, twist.linear, self.code.total
+        w = twist.angular
+        v = twist.linear
+        total = self.code.total
         # Force m v + w x h, moment I w + h x v.
-        turned, swung = self._cross(w, h), self._cross(h, v)
+        turned = self._cross(w, h)
+        swung = self._cross(h, v)
         force = tuple(total((m, a), (b,)) for a, b in zip(v, turned, strict=True))
         moment = tuple(
             total(*zip(row, w, strict=True), (b,)) for row, b in zip(inertia, swung, strict=True)
@@ -309,8 +323,10 @@ class Mechanism:
 
     def _shift_motion(self, placement: Array, screw: Spatial) -> Spatial:
         """Return a motion of a frame as one of the frame at `placement` in it."""
-        R, p = _make_matrix(placement[:3, :3].T), _make_vector(placement[:3, 3])
-        z, m = screw.angular, screw.linear
+        R = _make_matrix(placement[:3, :3].T)
+        p = _make_vector(placement[:3, 3])
+        z = screw.angular
+        m = screw.linear
         # R^T z, R^T (m + z x p)
         return Spatial(self._multiply(R, z), self._multiply(R, self._add(m, self._cross(z, p))))
 
@@ -319,13 +335,15 @@ class Mechanism:
         if self.tree.joints[j].is_revolute:
             return Spatial(self._turn(j, screw.angular), self._turn(j, screw.linear))
         (zx, zy, _), (mx, my, mz) = screw.angular, screw.linear
-        q, total = self.link_q[j], self.code.total
+        q = self.link_q[j]
+        total = self.code.total
         # m + z x q e_z
         return Spatial(screw.angular, (total((mx,), (zy, q)), total((my,), (-zx, q)), mz))
 
     def _turn(self, j: int, v: Vector, *, back: bool = False) -> Vector:
         """Return `Rz^T v` with the angle of joint j, or `Rz v`."""
-        c, s = self.cosine[j], -self.sine[j] if back else self.sine[j]
+        c = self.cosine[j]
+        s = -self.sine[j] if back else self.sine[j]
         return self.code.total((c, v[0]), (s, v[1])), self.code.total((c, v[1]), (-s, v[0])), v[2]
 
     def _multiply(self, matrix: Matrix, v: Sequence[Term]) -> Vector:
@@ -396,7 +414,8 @@ def list_drive_entries(
     Motors that several joints turn act on all of these. `parameters` (10 n,) of the links give the
     load of terms that depend on it.
     """
-    code, shares = mechanism.code, mechanism.model.motor_shares
+    code = mechanism.code
+    shares = mechanism.model.motor_shares
     loads = mechanism.torques(parameters) if drive.needs_load else [ZERO] * mechanism.model.n_joints
     entries: list[dict[int, Term]] = []
     for k, load in enumerate(loads):

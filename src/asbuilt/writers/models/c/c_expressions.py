@@ -27,7 +27,8 @@ class Term:
         return _write_product(self.factor, self.name)
 
 
-ZERO, ONE = Term(0.0), Term(1.0)
+ZERO = Term(0.0)
+ONE = Term(1.0)
 Vector = tuple[Term, ...]
 
 

@@ -197,7 +197,8 @@ def _collect_effects(report: Report) -> dict[str, Any] | None:
 
 
 def _build_row(each: FoundEffect, largest: float) -> dict[str, Any]:
-    before, after = each.error_before, each.error_after
+    before = each.error_before
+    after = each.error_after
     return {
         "text": format_effect(each),
         "in_model": each.in_model,

@@ -61,7 +61,8 @@ title="{{ row.sigma_text }}">{{ row.outcome }}</td>
  and Hochberg). {{ errors }}</p>
 """
 
-WIDTH, MARGIN = 170.0, 12.0
+WIDTH = 170.0
+MARGIN = 12.0
 """Size of a drawing, and space left of its smallest and right of its largest value."""
 
 
@@ -78,7 +79,9 @@ def _collect_parameters(report: Report) -> dict[str, Any]:
 
 def _build_row(parameter: ComparedParameter) -> dict[str, Any]:
     """Return texts, sort keys and the drawing of one parameter."""
-    cad, value, error = parameter.cad, parameter.estimate, parameter.std_error
+    cad = parameter.cad
+    value = parameter.estimate
+    error = parameter.std_error
     shown, uncertainty = round_with_error(value, error)
     outcome = {"differs": "DIFFERS", "agrees": format_deviation(parameter.sigmas, math.inf)}
     return {
@@ -105,7 +108,8 @@ def _build_row(parameter: ComparedParameter) -> dict[str, Any]:
 def place_interval(value: float, half: float, cad: float | None) -> dict[str, Any]:
     """Return where an interval, its CAD value and two to four ticks are drawn."""
     ends = [value - half, value + half, *([] if cad is None else [cad])]
-    low, high = min(ends), max(ends)
+    low = min(ends)
+    high = max(ends)
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         low, high = (min(0.0, low), max(0.0, high)) if high or low else (-1.0, 1.0)
 
@@ -114,7 +118,8 @@ def place_interval(value: float, half: float, cad: float | None) -> dict[str, An
 
     power = 10.0 ** math.floor(math.log10((high - low) / 2))
     step = next(f * power for f in (5.0, 2.0, 1.0) if f * power <= (high - low) / 2 or f == 1.0)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
     ticks = [k * step for k in range(first, last + 1)]
     return {
         "x": place(value),

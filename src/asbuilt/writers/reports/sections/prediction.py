@@ -56,7 +56,8 @@ def _collect_errors(report: Report) -> dict[str, Any] | None:
 
 
 def _build_residual_table(label: str, validation: Validation) -> Table:
-    built, cad = validation.metrics_as_built, validation.metrics_cad
+    built = validation.metrics_as_built
+    cad = validation.metrics_cad
     analysis = validation.residuals()
     return Table.of(
         range(len(validation.joint_names)),
@@ -149,7 +150,8 @@ def _count_windows(rollout: Rollout) -> int:
 
 def _draw_joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str]:
     """Return name, lines, range and largest errors of a joint in the first recording."""
-    motion, count = rollout.motions[0], _count_windows(rollout)
+    motion = rollout.motions[0]
+    count = _count_windows(rollout)
     paths = {"measured": motion.windows.q, "CAD": motion.cad, "as built": motion.as_built}
     there = {what: path[:count, :, k] for what, path in paths.items() if path is not None}
     measured = there["measured"]
@@ -157,7 +159,8 @@ def _draw_joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, li
     largest = {what: float(np.nanmax(np.abs(x), initial=0.0)) for what, x in errors.items()}
     bound = min(CUT * largest.get("as built", np.inf), max(largest.values(), default=0.0)) or 1e-9
     reach = max(0.1 * float(np.ptp(measured)), 1.2 * largest.get("as built", 0.0), 1e-3)
-    lower, upper = float(measured.min()) - reach, float(measured.max()) + reach
+    lower = float(measured.min()) - reach
+    upper = float(measured.max()) + reach
     lines = [
         (
             COLOURS[what],

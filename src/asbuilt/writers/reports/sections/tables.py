@@ -35,7 +35,8 @@ def _collect_comparison(report: Report) -> dict[str, Any]:
 
 
 def _collect_masses(report: Report) -> dict[str, Any] | None:
-    result, recovery = report.study.result, report.recovery
+    result = report.study.result
+    recovery = report.recovery
     masses = exported_masses(result)
     if masses is None:
         return None

@@ -47,7 +47,9 @@ def add_base_states(
     states
         The joint states.
     """
-    columns, unread, notes = dict(table.columns), dict(topics.unread), list(table.notes)
+    columns = dict(table.columns)
+    unread = dict(topics.unread)
+    notes = list(table.notes)
     frames: dict[str, str] = {}
     for topic, found in messages.items():
         both = is_stamped(states) and is_stamped(found)
@@ -110,7 +112,8 @@ def resample(
         k for k, name in enumerate(names) if name.rpartition("_")[2] in ("qx", "qy", "qz", "qw")
     ]
     known = np.isfinite(values).all(axis=1)
-    times, values = times[known], values[known]
+    times = times[known]
+    values = values[known]
     if turn and len(values):
         flips = np.sum(values[1:, turn] * values[:-1, turn], axis=1) < 0.0
         values[1:, turn] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
@@ -123,7 +126,8 @@ def resample(
     exact = times[np.clip(after, 0, times.size - 1)] == rows
     inside = (rows >= times[0]) & (rows <= times[-1]) & ((gap <= SPARSE * period) | exact)
     start = times[0]
-    t, at = (times - start) * 1e-9, (rows[inside] - start) * 1e-9
+    t = (times - start) * 1e-9
+    at = (rows[inside] - start) * 1e-9
     out[inside] = CubicSpline(t, values)(at)
     if turn:
         length = np.interp(at, t, np.linalg.norm(values[:, turn], axis=1))

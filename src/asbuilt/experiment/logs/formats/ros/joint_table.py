@@ -149,7 +149,8 @@ def _select_commands(
     Numbers alone get the names of `sheet.command_joints`. Raises `RecordingError` if these do not
     fit, or the states have none of the joints.
     """
-    listed, path = sheet.command_joints, topics.path
+    listed = sheet.command_joints
+    path = topics.path
     sizes = {each.position.size for each in commands if not each.names}
     count = ", ".join(map(str, sorted(sizes)))
     distinct = set(listed or ())
@@ -326,7 +327,8 @@ def order_commands(
                 file=str(topics.path),
                 value=len(commands) - int(kept.size),
             )
-        sent, commands = sent[kept], [commands[k] for k in kept]
+        sent = sent[kept]
+        commands = [commands[k] for k in kept]
     order = np.argsort(sent, kind="stable")
     return sent[order], [commands[k] for k in order]
 
@@ -374,12 +376,14 @@ def _parse_line(line: str) -> JointMessage | None:
         return None
     numeric = [k for k in range(3, len(fields)) if not fields[k] or _NUMBER.fullmatch(fields[k])]
     first = numeric[0] if numeric else len(fields)
-    names, rest = tuple(fields[3:first]), fields[first:]
+    names = tuple(fields[3:first])
+    rest = fields[first:]
     values = []
     for _ in range(3):
         count = len(names) if rest and rest[0] else 1
         values.append(rest[:count] if rest and rest[0] else [])
-        full, rest = len(rest) >= count, rest[count:]
+        full = len(rest) >= count
+        rest = rest[count:]
         if not full or not all(map(_NUMBER.fullmatch, values[-1])):
             return None
     if rest or not names or len(set(names)) < len(names):

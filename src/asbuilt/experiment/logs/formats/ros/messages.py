@@ -104,7 +104,8 @@ def _read_controller_state(logged: int, message: Any, fields: Sequence[str]) -> 
 
 
 def _read_points(logged: int, message: Any) -> list[JointMessage]:
-    names, stamp = tuple(message.joint_names), _read_stamp(message)
+    names = tuple(message.joint_names)
+    stamp = _read_stamp(message)
     return [
         JointMessage(
             logged,
@@ -121,7 +122,8 @@ def _read_points(logged: int, message: Any) -> list[JointMessage]:
 def _read_base(
     logged: int, message: Any, read: Callable[[Any], dict[str, float]]
 ) -> list[JointMessage]:
-    values, stamp = read(message), _read_stamp(message)
+    values = read(message)
+    stamp = _read_stamp(message)
     position = np.array([*values.values()])
     return [JointMessage(logged, stamp, tuple(values), position, frames=read_frames(message))]
 
@@ -346,7 +348,8 @@ def read_times(messages: Sequence[JointMessage], stamped: bool) -> NDArray[np.in
 def is_stamped(messages: Sequence[JointMessage]) -> bool:
     """Return whether the headers of messages have times, which differ as logging times do."""
     stamps = read_times(messages, stamped=True)
-    distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
+    distinct = len(np.unique(stamps))
+    logged = len({each.logged for each in messages})
     unset = int(np.count_nonzero(stamps == 0))
     return unset <= min(1, distinct - 1) and 2 * distinct >= logged
 
