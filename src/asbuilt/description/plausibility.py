@@ -302,13 +302,10 @@ def _report_link(build: _Build, slips: Sequence[_Misreading]) -> Finding:
     message = f"{_describe_build(build)}: {bound}"
     if slips:
         message += f"; its {' or its '.join(slip.claim for slip in slips)}"
-    return make_link_finding(
-        "implausible_density" if dense else "inertia_too_large",
-        "error",
-        build.name,
-        message,
-        Cure("correct it in the description, or compute masses from shapes", call="link_masses"),
-    )
+    cure = Cure("correct it in the description, or compute masses from shapes", call="link_masses")
+    if dense:
+        return make_link_finding("implausible_density", "error", build.name, message, cure)
+    return make_link_finding("inertia_too_large", "error", build.name, message, cure)
 
 
 def _describe_build(build: _Build) -> str:
