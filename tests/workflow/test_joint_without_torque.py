@@ -158,7 +158,10 @@ def test_a_dead_channel_of_a_real_arm_leaves_the_others(shared: Path, channel: f
     whole, dead = of_lwr4(shared, channel)
     good = np.arange(7) != 4
     before, after = (each.validations[0].metrics_as_built.rms for each in (whole, dead))
-    assert np.all(after[good] < 1.15 * before[good])
+    # All together: what the torque of one joint told of links is gone, and no effect stands at a
+    # joint without torque that could imitate it, so that single joints may get worse.
+    assert np.linalg.norm(after[good]) < 1.15 * np.linalg.norm(before[good])
+    assert not [effect for effect in dead.effects if effect.joint == dead.findings[0].joint]
     assert dead.findings[0].code == "joint_without_torque"
     assert np.isnan(after[4])
     friction = [each for each in dead.result.parameters if each.name in ("Fv5", "Fc5", "Fo5")]

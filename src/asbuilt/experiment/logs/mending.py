@@ -225,7 +225,7 @@ def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
     Rows are sorted only if the sorted clock is regular and the positions then go a shorter way, as
     they do not where a clock was set back between two motions.
     """
-    if layout.time is None:
+    if layout.time is None or table.columns[layout.time].size == 0:
         return table, []
     t = _read_clock(table, layout)
     steps = np.diff(t)

@@ -33,6 +33,9 @@ class ChangeRules:
 
 
 CHANGE = ChangeRules()
+OF_A_DIFFERENCE = 1e-8
+"""Eigenvalue of scaled information, relative to the largest, that counts here: what the directions
+of usual variation explain was subtracted, which leaves less digits than `Scaled` relies on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +49,12 @@ class _Stepping:
         """Return the statistic of a step along a design, its parameters, covariance and rank."""
         N = design.T @ self.information @ design
         u = design.T @ self.score
-        own = Scaled(N)
-        found = own.solve(u)
-        return float(u @ found), found, own.pseudo_inverse, own.rank
+        scaled = Scaled(N)
+        kept = scaled.values > OF_A_DIFFERENCE * scaled.values.max(initial=0.0)
+        root = scaled.axes[:, kept] / np.sqrt(scaled.values[kept]) / scaled.size[:, None]
+        covariance = root @ root.T
+        found = covariance @ u
+        return float(u @ found), found, covariance, int(np.count_nonzero(kept))
 
 
 def explain_change(
