@@ -14,7 +14,7 @@ class ProgramWriter(ABC):
     """Write controller programs; a subclass registers an instance in `PROGRAM_WRITERS`."""
 
     @abstractmethod
-    def check(self, form: str, model: RobotModel, parametrisation: str) -> None:
+    def check(self, form: str, model: RobotModel, parametrisation: str | None = None) -> None:
         """Raise an error if there is no such format, or it cannot move the robot so."""
 
     @abstractmethod

@@ -14,7 +14,7 @@ from asbuilt.writers import PROGRAM_WRITERS, ProgramWriter
 class ControllerPrograms(ProgramWriter):
     """Write programs of every registered format."""
 
-    def check(self, form: str, model: RobotModel, parametrisation: str) -> None:
+    def check(self, form: str, model: RobotModel, parametrisation: str | None = None) -> None:
         """Raise an error if there is no such format, or it cannot move the robot so."""
         program_format(form, model, parametrisation)
 

@@ -1,4 +1,4 @@
-"""Move a robot in rounds until its model is proven; with `programs`, motions are programs too."""
+"""Move a robot in rounds until its model is proven: design, record, predict, identify."""
 
 import lazy_loader
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import asbuilt
-from asbuilt import Recording
+from asbuilt import Recording, writers
 from asbuilt.apps.run.drivers import DRIVERS, DriverRequest
 from asbuilt.excitation import Motion
 from asbuilt.writing import check_writable
@@ -40,9 +40,7 @@ class FilesDriver:
             check_writable(folder)
             folder.mkdir(parents=True, exist_ok=True)
         for form in request.programs:
-            from asbuilt.apps.programs import program_format
-
-            program_format(form, request.model)
+            writers.PROGRAM_WRITERS.find("controller").check(form, request.model)
 
     def describe(self) -> str:
         """Return the two folders."""
@@ -76,10 +74,14 @@ class FilesDriver:
                 return name
         name = f"motion_{len(sent) + 1}"
         for form in self._request.programs:
-            from asbuilt.apps.programs import make_program, write_program
-
-            made = make_program(model, motion, form, name=name, collision=self._request.collision)
-            write_program(self.outbox / f"{name}_{form}", made)
+            writers.PROGRAM_WRITERS.find("controller").write(
+                self.outbox / f"{name}_{form}",
+                model,
+                motion,
+                form,
+                name=name,
+                collision=self._request.collision,
+            )
         # The motion comes last: where it is, its programs are.
         asbuilt.write_motion(self.outbox / f"{name}.csv", motion, model.joint_names)
         return name
