@@ -24,11 +24,12 @@ from asbuilt.workflow import StudyOptions, identify
 ROBOT = bundled_robot("scara")
 
 
-def recorded(seed: int, periods: int = 1) -> Recording:
+def recorded(seed: int, periods: int = 1, take: int = 0) -> Recording:
+    """Return one take of a motion: another take moves alike with other noise."""
     motion = random_fourier(ROBOT, seed, duration=10.0 * periods, n_harmonics=5, periods=periods)
     return (
         VirtualRobot.typical(ROBOT, rng=1)
-        .record(motion, rate=200.0, rng=seed + 10 * periods)
+        .record(motion, rate=200.0, rng=seed + 10 * periods + 100 * take)
         .recording
     )
 
@@ -63,7 +64,7 @@ def test_a_study_says_which_recording_is_no_other_motion() -> None:
     study = identify(
         ROBOT,
         [recorded(1)],
-        validation=[recorded(1, 1), recorded(2)],
+        validation=[recorded(1, take=1), recorded(2)],
         options=StudyOptions(method="wls"),
     )
     said = [warning.text for warning in study.findings if warning.code == "held_out_repeats"]
