@@ -46,7 +46,9 @@ class Facts:
     test: list[str]
     settings: dict[str, Any]
     coupling: dict[str, Any] | None = None
+    loops: dict[str, Any] | None = None
     armature: bool = False
+    edge: float = 1.0
     description: str = ""
     contacts: list[str] = field(default_factory=list)
     horizon: float = 0.0

@@ -95,7 +95,12 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
     else:
         pairs = [
             torque_errors(
-                _states(problem, k), hidden, answer["torques"][k], _rate(problem), task.cutoff
+                _states(problem, k),
+                hidden,
+                answer["torques"][k],
+                _rate(problem),
+                task.cutoff,
+                task.edge,
             )
             for problem, answer in zip(problems, answers, strict=True)
             for k, hidden in enumerate(problem.hidden)
@@ -117,7 +122,7 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
     if task.kind == "virtual":  # robots of different size: the mean of their errors
         found["error"] = float(np.mean([relative_error([each], task.norm)[0] for each in pairs]))
     elif pairs and task.kind != "halves":
-        found["error"], found["per_joint"] = relative_error(pairs, task.norm)
+        found["error"], found["per_joint"] = relative_error(pairs, task.norm, _limits(problems[0]))
     if task.kind == "halves":
         found |= coverage(agreement(answers[0]["parameters"], answers[1]["parameters"]))
     if task.kind == "virtual":
@@ -128,10 +133,11 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
         found |= coverage(np.concatenate(z))
     if all(each["links"] is not None for each in answers):
         masses = [
-            sum(row[9] for row in answer["links"]) / (problem.mass or np.nan)
+            sum(row[9] for row in answer["links"]) / problem.mass
             for problem, answer in zip(problems, answers, strict=True)
+            if problem.mass is not None
         ]
-        found["mass_ratio"] = float(np.mean(masses))
+        found["mass_ratio"] = float(np.mean(masses)) if masses else None
         found["consistent"] = all(consistent(np.array(each["links"])) for each in answers)
     if task.kind == "torque":
         found["details"] = answers[0].get("details", {})
@@ -141,6 +147,10 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
 def _states(problem: Problem, k: int) -> Motion:
     stored = np.load(problem.folder / f"test_{k}.npz")
     return Motion(*(stored[key] for key in ("t", "q", "qd", "qdd")))
+
+
+def _limits(problem: Problem) -> Any:
+    return np.array([joint.limits.torque for joint in problem.model.joints])
 
 
 def _rate(problem: Problem) -> float:

@@ -18,7 +18,8 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from regression import Regression
 
 PACKAGE = "drake"
-REQUIRES = ["drake", "scipy"]
+REQUIRES = ["drake>=1.58", "scipy"]
+PYTHON = "3.12"
 TITLE = "Drake"
 ADDRESS = "https://drake.mit.edu"
 REGULARISATION = 1e-3
