@@ -22,6 +22,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.drives.torque import choose_usual_drive
+from asbuilt.errors import InertiaError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.urdf import format_urdf
@@ -124,7 +125,10 @@ def write_problem(
     rate = task.rate or _rate(training[0])
     tree = model.tree
     bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in tree.joints)
-    plain = format_urdf(replace(tree, joints=bare, frames=()))
+    try:
+        plain = format_urdf(replace(tree, joints=bare, frames=()))
+    except InertiaError:  # bodies that cannot exist: the file as it is, with its faults
+        plain = Path(description).read_text()
     (folder / "robot.urdf").write_text(with_origins(plain))
     for k, log in enumerate(training):
         values = {"t": log.t, "q": log.q, "tau": log.tau}

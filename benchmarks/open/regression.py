@@ -195,8 +195,17 @@ class Regression:
         return Fit(
             lambda motion: self.torque(motion, standard),
             parameters,
-            note=f"{len(columns)} base parameters; no masses",
+            note=f"{len(columns)} base parameters; no masses{impossible(parameters)}",
         )
+
+
+def impossible(parameters: list[Estimate]) -> str:
+    """Say how many rotors and frictions are negative beyond two standard errors, if any."""
+    drives = [each for each in parameters if each.name[:2] in ("Ia", "Fv", "Fc")]
+    below = [each for each in drives if each.value < -2.0 * each.error]
+    if not below:
+        return ""
+    return f"; {len(below)} of {len(drives)} rotors and frictions negative beyond two errors"
 
 
 def base_columns(W: Array) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -199,6 +200,7 @@ def row(task: Task, tool: Tool, problems: list[Problem], scratch: Path) -> dict[
         **{key: found.get(key) for key in ("error", "coverage", "mass_ratio")},
         **found,
         "lines": tool.lines,
+        "date": datetime.now(tz=UTC).date().isoformat(),
     }
 
 

@@ -58,6 +58,7 @@ class Task:
     skips: dict[str, str] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     note: str = ""
+    robot_page: bool = True
 
     def missing(self, data: Path) -> list[str]:
         """Return the files that a folder lacks."""
