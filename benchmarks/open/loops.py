@@ -13,6 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from adapter import Facts
+from pinocchio_regressor import tree_regressor
+from plain import Motion
+from regression import Regression
 
 Array = Any
 CLOSED = 1e-10
@@ -131,6 +134,22 @@ class ClosedChains:
             tau = pin.rnea(self.model, self.data, self.configuration(x), rate, change)
             found[i] = states.shares[i].T @ tau[self.rows]
         return found
+
+
+class Closed(Regression):
+    """Regressor of a robot with closed chains, `G^T Y(x)`."""
+
+    def bodies(self, motion: Motion) -> Array:
+        """Return the columns of the links (N, n, 10 n_links)."""
+        states = ClosedChains(self.facts).motion(motion.q, motion.qd, motion.qdd)
+        columns = self.tree(states.x, states.xd, states.xdd)
+        return np.einsum("tij,tip->tjp", states.shares, columns)
+
+
+def regression_of(facts: Facts) -> Regression:
+    """Return the regression of an arm by Pinocchio."""
+    kind = Regression if facts.loops is None else Closed
+    return kind(facts, tree_regressor(facts))
 
 
 def _least(J: Array, b: Array) -> Array:

@@ -157,7 +157,10 @@ def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Ro
         return ""
     sentence = f"asbuilt leads {led} of {led + len(level) + len(behind)}"
     if level:
-        sentence += f"; on {', '.join(level)} the best two are less than a tenth, or what is weighed less than its standard error, apart: level"
+        sentence += (
+            f"; on {', '.join(level)} the best two are level: less than a tenth apart, or what is"
+            " weighed less than its standard error"
+        )
     return sentence + (f"; it is behind on {', '.join(behind)}." if behind else ".")
 
 
@@ -234,7 +237,8 @@ def split_text(task: Task) -> str:
         return f"Training: the first {part:.0f} % of {_files(task.training)}; test: the rest."
     if "blocks" in task.settings:
         seconds, every = task.settings["blocks"]
-        return f"Test: one of {every} blocks of {seconds:g} s of {_files(task.training)}; training: the others."
+        whole = f"{every} blocks of {seconds:g} s of {_files(task.training)}"
+        return f"Test: one of {whole}; training: the others."
     return ""
 
 

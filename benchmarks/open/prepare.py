@@ -28,6 +28,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.urdf import format_urdf
 
 Array = Any
+SCORED = 2.2
+"""Edges that a part of a log must outlast to be predicted: both its own, and some more."""
 HIDDEN = ("mass", "ratio")
 """Settings that are the answer."""
 
@@ -66,13 +68,12 @@ def read_task_logs(
     return model, *logs
 
 
-def cut_logs(
-    task: Task, logs: Sequence[Recording]
-) -> tuple[list[Recording], list[Recording]]:
+def cut_logs(task: Task, logs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
     """Return what is trained on and what is predicted of logs that hold both.
 
     `trained`: the first part of each log, and the rest. `blocks = [seconds, every]`: each log in
-    blocks, of which the last of `every` is predicted; those before it are one log.
+    blocks, of which the last of `every` is predicted; those before it are one log. What is left of
+    a block at the end is predicted if it outlasts the ends that are not scored.
     """
     training, test = [], []
     for log in logs:
@@ -87,7 +88,8 @@ def cut_logs(
         for k in range(0, len(at) - 1, every):
             last = min(k + every - 1, len(at) - 2)
             if last == k + every - 1:
-                test.append(cut(log, slice(at[last], at[last + 1])))
+                held = cut(log, slice(at[last], at[last + 1]))
+                test += [held] if held.t[-1] - held.t[0] > SCORED * task.edge else []
             else:
                 last += 1
             training.append(cut(log, slice(at[k], at[last])))

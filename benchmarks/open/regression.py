@@ -1,7 +1,7 @@
 """Weighted least squares on the regressor of any library, as textbooks have it.
 
-`W = [C^T Y(C q + b) | drive columns]` with the coupling C of a mechanism, or `G^T Y(x)` with the
-joints x that close its loops (`loops`); one variance per joint,
+`W = [C^T Y(C q + b) | drive columns]` with the coupling C of a mechanism (closed chains: `loops`);
+one variance per joint,
 from a fit to its rows alone (Gautier, IEEE CDC, 1997); base parameters are the first independent
 columns of a column-scaled W; errors are those of independent residuals.
 """
@@ -63,12 +63,6 @@ class Regression:
     def bodies(self, motion: Motion) -> Array:
         """Return the columns of the links (N, n, 10 n_links)."""
         q, qd, qdd, coupling = motion.q, motion.qd, motion.qdd, self.facts.coupling
-        if self.facts.loops is not None:
-            from loops import ClosedChains  # Pinocchio, which not every environment has
-
-            states = ClosedChains(self.facts).motion(q, qd, qdd)
-            columns = self.tree(states.x, states.xd, states.xdd)
-            return np.einsum("tij,tip->tjp", states.shares, columns)
         if coupling is None:
             return self.tree(q, qd, qdd)
         C, b = np.array(coupling["matrix"]), np.array(coupling["offset"])

@@ -5,8 +5,8 @@
     python benchmarks/open/run.py --data DIR --download # fetch data, digests checked
     python benchmarks/open/run.py --task lwr4 --tool asbuilt --tool wls
 
-Prints one JSON line for each task and tool, adds it to the file of results at once, and writes the
-page from that file.
+Prints one JSON line for each task and tool, adds it to the file of results at once, with the numbers
+of each robot in `robots/` beside it, and writes the page from that file.
 """
 
 from __future__ import annotations
@@ -43,8 +43,6 @@ from task import DOWNLOADED, HERE, RESULTS, SHARED, Task, download, tasks
 from tool import Tool, tools
 from virtual import virtual_problems
 
-ROBOTS = HERE / "robots"
-"""Numbers of each robot as asbuilt finds it, of which its page is made."""
 SPECIAL = {"legs": legged_problem, "command": commanded_problem}
 """Kinds of task with a log that is no arm's with torques."""
 ABSENT = "not installed; run with --install"
@@ -260,8 +258,9 @@ def main() -> None:
             details = found.pop("details", None)
             print(json.dumps(_rounded(found)), flush=True)
             if details:
-                ROBOTS.mkdir(exist_ok=True)
-                (ROBOTS / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
+                robots = arguments.results.parent / "robots"
+                robots.mkdir(exist_ok=True)
+                (robots / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
             if found["note"] != ABSENT:
                 store(found, arguments.results)
     if not arguments.no_page:

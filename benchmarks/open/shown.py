@@ -64,23 +64,30 @@ def masked(line: str) -> str:
 def renewed_block(shown: list[str], printed: list[str]) -> tuple[list[str], list[str]]:
     """Return the lines of a block with the numbers of a print, and the lines that it lacks.
 
-    Lines are found in order by their words; an ellipsis stands for lines left out.
+    Lines are found in order by their words; an ellipsis stands for lines left out, or for the rest
+    of its line, which is kept as it is.
     """
     at, found, lacking = 0, [], []
     for line in shown:
         if not line.strip() or line.strip() == "...":
             found.append(line)
             continue
-        own = masked(line)
-        places = [k for k in range(at, len(printed)) if masked(printed[k]) == own]
+        own, cut = masked(line.removesuffix("...")), line.endswith("...")
+        places = [
+            k
+            for k in range(at, len(printed))
+            if (masked(printed[k]).startswith(own) if cut else masked(printed[k]) == own)
+        ]
         if not own:  # a rule: the next one
-            places = [k for k in range(at, len(printed)) if re.fullmatch(r"\s*-{3,}\s*", printed[k])]
+            places = [
+                k for k in range(at, len(printed)) if re.fullmatch(r"\s*-{3,}\s*", printed[k])
+            ]
         if not places:
             lacking.append(line)
             found.append(line)
             continue
         at = places[0] + 1
-        found.append(printed[places[0]])
+        found.append(line if cut else printed[places[0]])
     return found, lacking
 
 
@@ -131,9 +138,7 @@ def renewed_sentence(text: str, sentence: dict[str, Any]) -> tuple[str, bool]:
     if found is None:
         return text, False
     values = {name: value_of(sentence["from"][name]) for name in names}
-    whole = "".join(
-        values[parts[k]] if k % 2 else found[k + 1] for k in range(len(parts))
-    )
+    whole = "".join(values[parts[k]] if k % 2 else found[k + 1] for k in range(len(parts)))
     return text[: found.start()] + whole + text[found.end() :], True
 
 
@@ -212,7 +217,9 @@ def _printed_by(block: str, folder: Path) -> str:
 
 def page_commands(page: Path) -> list[str]:
     """Return the commands that the console blocks of a page show."""
-    blocks = re.findall(r"^```console\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    blocks = re.findall(
+        r"^```console\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE
+    )
     return [line[2:] for each in blocks for line in each.splitlines() if line.startswith("$ ")]
 
 
@@ -255,7 +262,7 @@ def true_masses(truth: Path, robot: Path) -> dict[str, float]:
 
 
 def quantities(text: str) -> list[str]:
-    """Return the numbers of percent and kilograms of a text as they are written, with their unit."""
+    """Return the numbers of percent and kilograms of a text as they are written."""
     found = [f"{number} {unit}" for number, unit in QUANTITY.findall(text)]
     for first in RANGE.finditer(text):
         unit = QUANTITY.search(text, first.end())
@@ -288,7 +295,7 @@ def known_numbers() -> tuple[set[str], list[float]]:
             values += [each[key] for each in masses["links"] for key in ("cad", "as_built")]
         for effect in document["effects"]:
             written |= {each.rstrip(".") for each in NUMBER.findall(effect["text"])}
-    return written, values
+    return written, [each for each in values if each is not None]
 
 
 def strays(text: str, constants: dict[str, str]) -> list[str]:
@@ -303,7 +310,7 @@ def _stands(number: str, written: set[str], values: list[float]) -> bool:
     if number in written:
         return True
     digits = len(number.partition(".")[2])
-    return any(f"{value:.{digits}f}" == number or f"{value:.4g}" == number for value in values)
+    return any(number in (f"{value:.{digits}f}", f"{value:.4g}") for value in values)
 
 
 def main() -> None:

@@ -72,7 +72,11 @@ def test_every_print_is_of_a_command_that_is_named() -> None:
     named = {f"{name}.txt" for name in QUOTES.commands}
     named |= {each["truth"] for each in QUOTES.commands.values() if "truth" in each}
     assert {path.name for path in PRINTS.iterdir()} == named
-    assert not [path.name for path in PRINTS.iterdir() if re.search(r"/(?:tmp|work|root)/", path.read_text())]
+    assert not [
+        path.name
+        for path in PRINTS.iterdir()
+        if re.search(r"/(?:tmp|work|root)/", path.read_text())
+    ]
 
 
 def test_numbers_of_a_block_are_renewed_and_other_words_are_named() -> None:

@@ -55,7 +55,9 @@ def fit(facts: Facts) -> Fit:
     if not (arm._physical_fit or {}).get("accepted"):
         note = f"its physical fit: {(arm._physical_fit or {}).get('reason', 'none')}"[:120]
     names = list(arm.standard_parameter)
-    return Fit(predict, estimates(arm, facts), links(record, names, facts), f"{note}; {verdict(arm)}")
+    return Fit(
+        predict, estimates(arm, facts), links(record, names, facts), f"{note}; {verdict(arm)}"
+    )
 
 
 def verdict(arm: Any) -> str:

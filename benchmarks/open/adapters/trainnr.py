@@ -1,8 +1,9 @@
 """trainnr's torque balance: armature, damping and friction loss of each joint, bodies as described.
 
-Its bounds are those of the joints of a quadruped, and its gate lets joints pass that turn at 1 rad/s
-or more; here both follow the logs: bounds from torque and motion as in the adapter of mujoco.sysid,
-a gate at a tenth of each log's speed. Its smoothing is left out: states are low-passed already.
+Its bounds are those of the joints of a quadruped, and its gate lets joints pass that turn at
+1 rad/s or more; here both follow the logs: bounds from torque and motion as in the adapter of
+mujoco.sysid, a gate at a tenth of the logs' speed. Its smoothing is left out: states are low-passed
+already.
 """
 
 from __future__ import annotations
