@@ -31,6 +31,11 @@ else:
 PARQUET = FileKind("Parquet")
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
+FIRST_READ = 8_000_000
+"""Memory [bytes] of what is read at first, when the beginning may be all that is asked for."""
+MOST_READ = 64_000_000
+"""Memory [bytes] that is read at once. A reading unpacks the pages of its row group before its
+first row too: a long recording in one row group costs the square of its length over this."""
 
 
 def list_columns(frame: pl.DataFrame) -> dict[str, Array]:
@@ -115,23 +120,24 @@ def _read_chunks(
     missing = [name for name in columns if name not in header.columns]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
-    # 8e6: memory [bytes] that is read at once: each reading unpacks the pages before its first row
-    # too.
-    chunks = max(1, int(8e6 / (8 * max(len(columns), 1) * chunk_samples)))
-    for begin in range(0, rows, chunks * chunk_samples):
+    row_bytes = 8 * max(len(columns), 1)
+    at_once = max(chunk_samples, FIRST_READ // (row_bytes * chunk_samples) * chunk_samples)
+    most = max(chunk_samples, MOST_READ // (row_bytes * chunk_samples) * chunk_samples)
+    begin = 0
+    while begin < rows:
         try:
-            frame = (
-                scan_parquet(path)[0].select(columns).slice(begin, chunks * chunk_samples).collect()
-            )
+            frame = scan_parquet(path)[0].select(columns).slice(begin, at_once).collect()
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
             raise RecordingError(
-                f"{path}: rows {begin + 1} to {min(begin + chunks * chunk_samples, rows)} cannot be"
+                f"{path}: rows {begin + 1} to {min(begin + at_once, rows)} cannot be"
                 f" read ({describe_problem(error)})",
                 cure=Cure("record or export it again"),
                 file=str(path),
             ) from None
         for first in range(0, frame.height, chunk_samples):
             yield begin + first, list_columns(frame.slice(first, chunk_samples))
+        begin += at_once
+        at_once = min(2 * at_once, most)
 
 
 def read_parquet_header(path: Path) -> LogTable:
