@@ -20,15 +20,10 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
-from asbuilt.identification.estimators.least_squares import (
-    ROUGH_WEIGHTS,
-    WEIGHT_CONVERGENCE,
-    fit_least_squares,
-)
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import KeptRows, Rows, divide_into_blocks
 from asbuilt.identification.information.square_root_information import (
-    SquareRootInformation,
     reduce_rows,
 )
 from asbuilt.identification.information.triangular import triangular_factor
@@ -107,7 +102,7 @@ def find_plateaus(
     base = find_base_parameters(model, drive)
     try:
         fits = _Fits(model, base, training, block_seconds, kept)
-        values = fits.fit()
+        values = fits.whole.beta
     except (AsbuiltError, np.linalg.LinAlgError):
         return ()
     logged = [predict_torque(model, base, values, samples) for samples in training]
@@ -219,10 +214,11 @@ def _find_plateau(
     """Return a plateau if the model that is fitted to the rest exceeds it, and it does not."""
     joint = crowded.joint
     implied = np.zeros(0)
-    # Few of the joints that stay long near their largest torque saturate: rough weights tell.
-    for settled in (ROUGH_WEIGHTS, WEIGHT_CONVERGENCE):
+    # Few of the joints that stay long near their largest torque saturate: a fit with the weights
+    # of the whole tells, one step of the thirty that weights of its own take.
+    for weights in (fits.whole.weights, None):
         try:
-            values = fits.fit_rest(*rest, settled)
+            values = fits.fit_rest(*rest, weights)
         except (AsbuiltError, np.linalg.LinAlgError):
             return None
         predicted = [predict_torque(model, base, values, samples) for samples in training]
@@ -268,9 +264,10 @@ class _Fits:
         self._whole = whole.together()
         self._design = design_values(model, base)
 
-    def fit(self) -> Array:
-        """Return base parameters (p,) of all samples."""
-        return self._estimate(self._whole).beta
+    @cached_property
+    def whole(self) -> Estimate:
+        """The fit of all samples."""
+        return fit_least_squares(self._whole, weights="joint", prior=self._design)
 
     @cached_property
     def _grams(self) -> tuple[Array, ...]:
@@ -310,20 +307,18 @@ class _Fits:
         """Return the recordings, in order."""
         return list({id(block.samples): block.samples for block in self._blocks}.values())
 
-    def fit_rest(self, grams: Sequence[Array], n_samples: int, settled: float) -> Array:
-        """Return base parameters (p,) by normal equations, with weights that have `settled`.
+    def fit_rest(
+        self, grams: Sequence[Array], n_samples: int, weights: Array | None = None
+    ) -> Array:
+        """Return base parameters (p,) by normal equations, with weights (n,) or those of its own.
 
         They are as exact as these, half the digits, enough for a comparison.
         """
         factors = tuple(_take_root(gram)[None] for gram in grams)
         time = replace(self._whole.blocks[0], n_samples=n_samples)
         rest = replace(self._whole, factors=factors, blocks=(time,))
-        return self._estimate(rest, settled).beta
-
-    def _estimate(
-        self, information: SquareRootInformation, settled: float = WEIGHT_CONVERGENCE
-    ) -> Estimate:
-        return fit_least_squares(information, weights="joint", prior=self._design, settled=settled)
+        chosen = "joint" if weights is None else weights
+        return fit_least_squares(rest, weights=chosen, prior=self._design).beta
 
 
 INDEPENDENT = 1e-4
