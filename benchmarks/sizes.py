@@ -5,8 +5,8 @@
 A case is a kind and a size, `tree:60` or `hours-one:10`; a kind alone is measured at its usual
 sizes. Kinds: `tree` and `chain` are joints of a robot with limbs and of a serial one, with 40 s at
 200 Hz; `hours` and `hours-one` are hours of a 7-joint arm at 1 kHz in Parquet, in row groups of a
-minute and in one; `loops` are closed chains, `mesh` the parts of a mesh's path, and `frames` the
-fixed links of a robot.
+minute and in one; `loops` are repetitions of a closed chain's loop, `mesh` the parts of a mesh's
+path, and `frames` the fixed links of a robot.
 Every command runs as a user runs it, in a process of its own. Numbers are seconds of CPU (user and
 system, of children too) and the greatest resident memory in MB.
 """
@@ -20,12 +20,11 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -175,45 +174,37 @@ def limbs(folder: Path, links: Sequence[Link]) -> tuple[Path, Path]:
 
 
 def hours(folder: Path, hours: float, *, one_group: bool) -> tuple[Path, Path]:
-    """Write an arm of seven joints and hours of it at 1 kHz, in row groups of a minute or in one."""
+    """Write an arm of seven joints and hours of it at 1 kHz, in row groups of a minute or in one.
+
+    In one row group memory grows with the hours, since it is written at once.
+    """
     robot = folder / "robot.urdf"
     log = folder / "log.parquet"
     robot.write_text(urdf(limb("link", "root", (0.0, 0.0, 0.3), 7, 0.3)))
-    parts = _minutes(robot, round(hours * 3600 * HOURS_RATE))
-    if not one_group:
-        first = next(parts)
-        with pq.ParquetWriter(log, first.schema, compression="zstd") as file:
-            file.write_table(first)
-            for part in parts:
-                file.write_table(part)
-        return robot, log
-    # A row group is written at once: single precision keeps ten hours of it within memory.
-    whole = pa.concat_tables(parts)
-    pq.write_table(whole, log, row_group_size=len(whole), compression="zstd")
-    return robot, log
-
-
-def _minutes(robot: Path, n_samples: int) -> Iterator[pa.Table]:
+    n_samples = round(hours * 3600 * HOURS_RATE)
     rng = np.random.default_rng(1)
+    parts = []
     for start in range(0, n_samples, CHUNK):
         t = np.arange(start, min(start + CHUNK, n_samples)) / HOURS_RATE
         q, tau = recorded(robot, t, rng)
+        # Single precision, so that ten hours fit the disk.
         columns = {"t": t}
         columns |= {f"q_{k}": q[:, k].astype(np.float32) for k in range(q.shape[1])}
         columns |= {f"tau_{k}": tau[:, k].astype(np.float32) for k in range(q.shape[1])}
-        yield pa.table(columns)
+        parts.append(folder / f"part_{start:010d}.parquet")
+        pl.DataFrame(columns).write_parquet(parts[-1])
+    pl.scan_parquet(parts).sink_parquet(log, row_group_size=n_samples if one_group else CHUNK)
+    for part in parts:
+        part.unlink()
+    return robot, log
 
 
 def loops(folder: Path, n: int) -> tuple[Path]:
-    """Write an arm whose last link is held at the root by `n` loops that say the same."""
-    robot = folder / "arm.urdf"
-    robot.write_text(urdf(limb("link", "root", (0.0, 0.0, 0.3), 7, 0.3)))
+    """Write the four-bar linkage with its loop said `n` times."""
+    text = (files("asbuilt") / "description/robots/four-bar.toml").read_text()
+    robot, _, loop = text.partition("[[loops]]")
     closed = folder / "robot.toml"
-    loop = (
-        '\n[[loops]]\nlink_a = "link_0"\npoint_a = [0.0, 0.0, 0.0]\nlink_b = "root"\n'
-        'point_b = [0.0, 0.0, 0.3]\nkind = "connect"\n'
-    )
-    closed.write_text('name = "closed"\nextends = "arm.urdf"\n' + n * loop)
+    closed.write_text(robot + n * f"[[loops]]{loop}\n")
     return (closed,)
 
 
@@ -244,11 +235,11 @@ KINDS: dict[str, tuple[Callable[[Path, float], tuple[Path, ...]], tuple[str, ...
 """By kind: what writes it, the commands that are measured, the usual sizes."""
 
 
-def run(command: str, files: Sequence[Path], log: Path | None = None) -> dict[str, float]:
+def run(command: str, given: Sequence[Path], log: Path | None = None) -> dict[str, float]:
     """Run a command and return its CPU time [s], greatest memory [MB] and exit status."""
     with open(log or os.devnull, "w") as out:
         process = subprocess.Popen(
-            [sys.executable, "-m", "asbuilt", command, *map(str, files)],
+            [sys.executable, "-m", "asbuilt", command, *map(str, given)],
             stdout=out,
             stderr=subprocess.STDOUT,
         )
@@ -280,9 +271,9 @@ def measured(
         write, commands, sizes = KINDS[kind]
         for n in (float(size),) if size else sizes:
             with tempfile.TemporaryDirectory() as folder:
-                files = write(Path(folder), n)
+                written = write(Path(folder), n)
                 for command in (only,) if only else commands:
-                    yield f"{kind}:{n:g}", command, run(command, files)
+                    yield f"{kind}:{n:g}", command, run(command, written)
 
 
 def main() -> None:
