@@ -25,8 +25,8 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.excitation import read_motion
 from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.experiment import read_recording, read_sheet
-from asbuilt.experiment.logs.formats.isolated import read_guarded
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
+from asbuilt.isolated_reading import read_guarded
 from asbuilt.workflow import identify, read_result
 from fleet_logs import MODEL, recording
 from robustness import corpus

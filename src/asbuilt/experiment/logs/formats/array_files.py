@@ -14,7 +14,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import LIMITS, FileKind, isolate
+from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -22,6 +22,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     tabulate_variables,
 )
 from asbuilt.findings import Cure
+from asbuilt.isolated_reading import LIMITS, FileKind
 
 
 def read_npz(path: Path) -> LogTable:
