@@ -5,6 +5,7 @@ Only regular files are replaced, and none that the command reads.
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import re
@@ -183,9 +184,10 @@ def check_writable(folder: Path) -> None:
 
 
 def _make_unwritable_error(place: str, problem: OSError | ValueError) -> UsageError:
+    too_long = getattr(problem, "errno", None) == errno.ENAMETOOLONG
     return UsageError(
         f"cannot write {place}: {getattr(problem, 'strerror', None) or problem}",
-        cure=Cure("choose a folder you may write to"),
+        cure=Cure("give a shorter name" if too_long else "choose a folder you may write to"),
     )
 
 

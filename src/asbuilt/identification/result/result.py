@@ -236,9 +236,9 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
-            ("trained values", p if self.trained is None else np.atleast_1d(self.trained).shape[-1]),
+            ("trained values", p if self.trained is None else np.shape([self.trained])[-1]),
             ("rows of bias", p if self.bias is None or self.bias.shape == (p, p) else 0),
-            ("block errors", p if self.scatter is None else np.atleast_2d(self.scatter.moves).shape[1]),
+            ("block errors", p if self.scatter is None else np.shape([self.scatter.moves])[-1]),
         ):
             if count != p:
                 raise ResultError(
