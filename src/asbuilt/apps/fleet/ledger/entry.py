@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from asbuilt.apps.fleet.ledger.settings import (
 )
 from asbuilt.apps.fleet.ledger.store import name_entry_folder, unpack_table
 from asbuilt.arrays import Array
+from asbuilt.children import open_scratch
 from asbuilt.errors import AsbuiltError, RecordingError, ResultError
 from asbuilt.experiment import read_isolated
 from asbuilt.findings import Cure
@@ -238,7 +238,7 @@ def _list_covariates(entry: Entry, first: int, block: int, joint: int) -> list[d
 
 def _unpack_frame(content: bytes) -> pl.DataFrame:
     """Return the table of an entry, unpacked by another process with limits."""
-    with TemporaryDirectory(prefix="asbuilt-") as folder:
+    with open_scratch() as folder:
         file = Path(folder, "entry.parquet")
         file.write_bytes(content)
         try:
