@@ -94,9 +94,11 @@ class LogMender:
             columns[time] = np.where(np.abs(columns[time]) <= LATEST, columns[time], np.nan)
             table = replace(table, columns=columns)
         for name in {name for names in self._layout.quantities.values() for name in names if name}:
-            values = columns.get(name)
-            absurd = None if values is None else np.isfinite(values) & ~(np.abs(values) <= MOST)
-            if absurd is not None and absurd.any():
+            if name not in columns:
+                continue
+            values = columns[name]
+            absurd = np.isfinite(values) & ~(np.abs(values) <= MOST)
+            if absurd.any():
                 first = int(np.argmax(absurd))
                 if absurd.mean() > SELDOM:
                     raise RecordingError(

@@ -81,7 +81,7 @@ def check_schema(frame: pl.DataFrame) -> None:
             _check_numbers(name, values.drop_nulls())
         elif values.dtype == pl.String:
             _check_texts(name, values)
-    if not frame["factor"].explode().abs().max() >= LEAST:
+    if not (frame["factor"].explode().abs() >= LEAST).any():
         raise ValueError("factor holds no information: all of its numbers are zero")
     _check_dates(frame["date"])
     if not frame["date_from"].is_in(get_args(DateSource)).all():
@@ -101,9 +101,9 @@ def _check_numbers(name: str, values: pl.Series) -> None:
 
 
 def _check_texts(name: str, texts: pl.Series) -> None:
-    longest = texts.str.len_chars().max()
-    if longest is not None and longest > LONGEST_TEXT:
-        raise ValueError(f"{name} has {longest} letters; it must have at most {LONGEST_TEXT}")
+    lengths = texts.drop_nulls().str.len_chars().to_list()
+    if lengths and max(lengths) > LONGEST_TEXT:
+        raise ValueError(f"{name} has {max(lengths)} letters; at most {LONGEST_TEXT} are read")
 
 
 def _check_dates(dates: pl.Series) -> None:
