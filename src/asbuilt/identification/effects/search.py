@@ -68,6 +68,8 @@ class SearchLimits:
 
 
 LIMITS = SearchLimits()
+LEAST_TORQUE = 1e-9
+"""Torque [N m] that no drive resolves, in place of the largest of a joint without any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -512,7 +514,7 @@ def _describe_robot(
         chi,
         samples[0].torque_source,
         tuple(each.qd for each in samples),
-        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), np.finfo(np.float64).tiny),
+        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), LEAST_TORQUE),
         min(each.clock_bound for each in samples),
     )
 
