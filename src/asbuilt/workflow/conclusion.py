@@ -120,6 +120,7 @@ def conclude_study(
     lacking = fits.effects.lacking
     # Bias by effects that are not in the model widens the errors of the result.
     omitted = None if lacking is None else lacking.bias(fits.final)
+    omitted = fits.final.omitted if omitted is None else omitted.with_further(fits.final.omitted)
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
         *(as_identified(effect, result) for effect in named),

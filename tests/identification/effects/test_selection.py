@@ -293,8 +293,9 @@ def hide_log(own, k):
 
 def test_what_does_not_act_or_is_hidden_is_told_apart() -> None:
     def columns(own, k):
-        own[:, :, 4] *= 1e-11
-        own[:, :, 6] = 0.0
+        own[:, :, 4] = 0.0
+        # Rounding of its own effect: effects have different units.
+        own[:, :, 6] *= 1e-11
         hide_log(own, k)
 
     rows = drawn({5: 1.0}, columns=columns)

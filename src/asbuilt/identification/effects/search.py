@@ -406,6 +406,9 @@ class _Search:
     def _describe_found(self, trial: Trial, selection: Selection) -> FoundEffect:
         own = trial.candidate
         names = self.model.joint_names
+        # A value whose column does not act on this robot has no name either.
+        acts = np.isin(selection.every_place(own), own.places)
+        parts = own.effect.name_parts(names, own.joint)
         return own.effect.found(
             None if own.joint is None else names[own.joint],
             trial.values,
@@ -418,6 +421,9 @@ class _Search:
                 each.effect.key + ("" if each.joint is None else f" at {names[each.joint]}")
                 for each in trial.alternatives
             ),
+            parts=[part for part, acting in zip(parts, acts, strict=True) if acting]
+            if parts
+            else (),
         )
 
 

@@ -53,7 +53,8 @@ class SelectionRules:
     separate: float = 1e-6
     """Squared part of a column outside all others below which it has no trial."""
     acting: float = 1e-18
-    """Squared length of a column, in the largest, below which it does not act on this robot."""
+    """Squared length of a column, in the largest of its effect, below which it does not act on this
+    robot: columns of other effects and of bodies have other units."""
     most: int = 20
     """Effects taken."""
     ridge: float = 1e-9
@@ -171,8 +172,8 @@ class Trials:
         # matrix.
         self._total = equations.stacked(weights)
         length = np.diag(self._total)
-        # Relative to the largest column, as units of effects differ.
-        self._size, self._acts = np.sqrt(length), length > RULES.acting * length.max(initial=0.0)
+        self._size = np.sqrt(length)
+        self._acts = length > RULES.acting * _find_largest(equations, length)
         # The training equations are the total less the group's: leaving out costs no pass.
         self._without = [self._total - equations.stacked(weights, group) for group in groups]
         self._of_joints = [
@@ -195,7 +196,8 @@ class Trials:
         self._n_samples = max(int(equations.counts.sum()), 1)
         rms = np.sqrt(np.array([gram[-1, -1] for gram in equations.of_joints]) / self._n_samples)
         # A joint without torque would divide by zero; below rounding of the others it has none.
-        least = max(float(rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
+        tiny = np.finfo(np.float64).tiny
+        least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
         self._rms = np.maximum(rms, least)
         self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
         self.taken: list[Candidate] = []
@@ -213,9 +215,13 @@ class Trials:
         # Schur complement of a unit column: 1 - g^T G^+ g.
         return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
 
-    def _is_shown(self, candidate: Candidate) -> bool:
+    def _is_shown(self, candidate: Candidate, least: float = RULES.shown) -> bool:
         """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
-        return bool(np.all(self._apart[self.acting(candidate).places] >= RULES.shown))
+        return bool(np.all(self._apart[self.acting(candidate).places] >= least))
+
+    def shows(self, candidate: Candidate) -> bool:
+        """Return whether data have a value for each parameter of an effect, however unsure."""
+        return self._is_shown(candidate, RULES.separate)
 
     def own(self, at: At) -> Candidate:
         """Return the effect at a joint that is taken."""
@@ -272,6 +278,16 @@ class Trials:
         blocks = [whole.moves.T @ gram @ both for _, gram in self._blocks]
         left = np.array([-block[:, 0] - block[:, 1:] @ d for block in blocks])
         return d, _estimate_scatter(whole.schur, left, d)[0]
+
+    def values_by_data(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
+        """Return what `values_of` does, of a fit that does not know CAD."""
+        with_cad = self.prior
+        self.prior = replace(with_cad, information=np.zeros_like(with_cad.information))
+        self._factored.clear()
+        found = self.values_of(candidates)
+        self.prior = with_cad
+        self._factored.clear()
+        return found
 
     def values_in_halves(self, candidate: Candidate) -> list[Array]:
         """Return the values of a candidate next to all others in each half of the blocks."""
@@ -469,6 +485,17 @@ class Trials:
             if gain >= RULES.sure * len(c):
                 gaining.append((candidate, gain))
         return gaining
+
+
+def _find_largest(equations: EffectEquations, length: Array) -> Array:
+    """Return the largest squared length (P + 1,) of the columns of each one's effect."""
+    largest = np.zeros_like(length)
+    of_effects: dict[str, list[Indices]] = {}
+    for candidate in equations.candidates:
+        of_effects.setdefault(candidate.effect.key, []).append(candidate.places)
+    for places in map(np.concatenate, of_effects.values()):
+        largest[places] = length[places].max(initial=0.0)
+    return largest
 
 
 def evaluate_worth(gain: float, n_columns: int) -> float:
