@@ -21,7 +21,6 @@ from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.errors.driving_friction import doubt_driving_friction
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
     NonlinearPlace,
@@ -327,7 +326,6 @@ def fit_samples(
         rate=first.parallel.output_rate if first.parallel else first.rate,
         provenance=provenance + (fitted.sentences(model.joint_names) if fitted else ()),
         findings=fitted.findings(model.joint_names) if fitted else (),
-        omitted=None if textbook else doubt_driving_friction(information, estimate),
     )
 
 

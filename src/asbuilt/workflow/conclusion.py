@@ -19,7 +19,8 @@ from asbuilt.identification.effects.report import (
     describe_stated,
     report_effects,
 )
-from asbuilt.identification.errors.bias import report_position_noise
+from asbuilt.identification.errors.bias import OmittedBias, report_position_noise
+from asbuilt.identification.errors.driving_friction import doubt_driving_friction
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
@@ -119,8 +120,9 @@ def conclude_study(
     )
     lacking = fits.effects.lacking
     # Bias by effects that are not in the model widens the errors of the result.
-    omitted = None if lacking is None else lacking.bias(fits.final)
-    omitted = fits.final.omitted if omitted is None else omitted.with_further(fits.final.omitted)
+    omitted = _join_biases(
+        None if lacking is None else lacking.bias(fits.final), _doubt_friction(fits.final)
+    )
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
         *(as_identified(effect, result) for effect in named),
@@ -180,6 +182,17 @@ def conclude_study(
     return Conclusion(
         result, consolidate_findings(findings, shares), trained, validations, attribution
     )
+
+
+def _doubt_friction(fit: Fit) -> OmittedBias | None:
+    """Return what friction that depends on load may hide; nothing where errors are textbook's."""
+    if fit.uncertainty.basis.asked == "textbook":
+        return None
+    return doubt_driving_friction(fit.information, fit.estimate)
+
+
+def _join_biases(first: OmittedBias | None, second: OmittedBias | None) -> OmittedBias | None:
+    return second if first is None else first.with_further(second)
 
 
 def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:

@@ -18,7 +18,12 @@ from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError, export_parameters
 
-SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_position_wrong": "zero"}
+SAME_EFFECT = {
+    "clock_wrong": "clock",
+    "joint_gain_wrong": "gain",
+    "sensor_crosstalk": "crosstalk",
+    "zero_position_wrong": "zero",
+}
 """Findings that name an effect which the selection of effects may name too."""
 
 
@@ -208,6 +213,8 @@ def _make_effect_reason(each: FoundEffect) -> Reason:
     family = EFFECTS[each.effect]
     unit = "" if each.unit == "1" else each.unit
     size = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
+    if family.of_shares:
+        size = family.text_of(each.estimate, None, revolute=True)
     at = "" if each.joint is None else f" at {each.joint}"
     where = "in the log" if family.of_log else "not in the model"
     return Reason("effect_found", f"{family.title} of {size}{at} {where}")
@@ -349,6 +356,7 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "torque_scale": "torques have another scale than masses",
         "joint_torque_scale": "torque of another scale{at}",
         "joint_gain_wrong": "a wrong torque gain{at}",
+        "sensor_crosstalk": "cross-talk of torque sensors{at}",
         "zero_position_wrong": "a wrong zero position{at}",
         "torque_does_not_follow": "torque that hardly follows the motion{at}",
         "torque_saturates": "saturated torque{at}",
@@ -366,6 +374,7 @@ OF_TORQUE = frozenset(
         "torque_scale",
         "joint_torque_scale",
         "joint_gain_wrong",
+        "sensor_crosstalk",
         "torque_unexplained",
         "torque_uncorrelated",
         "cad_predicts_better",

@@ -65,13 +65,18 @@ class CrossTalk(Effect):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return which torques a sensor adds."""
+        # The entries of the row stand in brackets; without a sure one its length is all there is.
+        listed = found.text.partition("(")[2].rpartition(")")[0]
+        error = None if found.std_error is None else 100.0 * found.std_error
+        whole = f"{format_plus_minus(100.0 * found.estimate, error)} % of other joints"
         return Finding(
             "sensor_crosstalk",
             "warning",
-            f"The torque of {found.joint} holds a share of other joints': {found.text}",
+            f"The torque of {found.joint} holds {listed or whole} in addition to its own"
+            f" ({found.improvement}), as of sensors that answer to other joints' torques",
             Cure(
-                "calibrate the sensors against each other, or take these shares off the logged"
-                " torque; its own gain is right"
+                "take these shares off the logged torque, or calibrate the sensors against each"
+                " other; the gain of the joint is no cure"
             ),
             joint=found.joint,
         )
