@@ -15,6 +15,7 @@ from asbuilt.identification import Effects, IdentificationResult
 from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.report import (
+    as_by_encoders,
     as_identified,
     describe_stated,
     report_effects,
@@ -128,7 +129,8 @@ def conclude_study(
         *(as_identified(effect, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
-    result = replace(result, effects=bound_effects(result, effects))
+    bounded = bound_effects(result, effects)
+    result = replace(result, effects=tuple(as_by_encoders(each, result) for each in bounded))
     # With a free base every row has parts of all joints: no joint has causes of its own.
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
