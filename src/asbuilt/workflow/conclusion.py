@@ -36,6 +36,7 @@ from asbuilt.validation.generalisation.coverage import (
     check_left_out,
     check_repetitions,
 )
+from asbuilt.validation.generalisation.foot_moments import report_foot_moments
 from asbuilt.validation.generalisation.generalisation import check_validations
 from asbuilt.validation.generalisation.plateaus import report_plateaus
 from asbuilt.validation.generalisation.unexplained import report_nameless, report_unexplained
@@ -173,6 +174,7 @@ def conclude_study(
         *report_cad_verdicts(validations),
         *report_springs(result),
         *leg_findings(result, fits.samples),
+        *report_foot_moments(result, fits.samples),
     )
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}

@@ -357,6 +357,7 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "joint_torque_scale": "torque of another scale{at}",
         "joint_gain_wrong": "a wrong torque gain{at}",
         "sensor_crosstalk": "cross-talk of torque sensors{at}",
+        "foot_moments": "moments under the feet that no point has",
         "zero_position_wrong": "a wrong zero position{at}",
         "torque_does_not_follow": "torque that hardly follows the motion{at}",
         "torque_saturates": "saturated torque{at}",
