@@ -89,8 +89,8 @@ def _check_equations(model: RobotModel, recording: Recording) -> Iterator[Findin
         " coordinates of base and joints, so that no equation is left"
         + (f": {join_names(flat)} are flat and have three moments each" if flat else ""),
         Cure(
-            "state feet that touch at a point or are balls as such (--contacts FRAME, or"
-            " FRAME:RADIUS), log the forces, or lift feet"
+            "state feet that touch at a point, or are balls of some radius, as such and not as"
+            " flat, log the forces, or lift feet"
         ),
     )
 
