@@ -12,9 +12,6 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.scaled import Scaled
 
-LOAD_FRICTION = "load_friction"
-"""The term whose share of the load is the same both ways."""
-
 
 def doubt_driving_friction(
     information: SquareRootInformation, estimate: Estimate
