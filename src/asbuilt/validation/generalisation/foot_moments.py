@@ -45,10 +45,8 @@ def report_foot_moments(
     n_base = result.n_base
     blocks: list[Array] = []
     for batch in used:
-        rows, counted = _build_rows(result, model, batch)
-        blocks += [part.T @ part for part in np.array_split(rows, BLOCKS) if counted]
-    if not blocks:
-        return
+        rows = _build_rows(result, model, batch)
+        blocks += [part.T @ part for part in np.array_split(rows, BLOCKS)]
     total = np.sum(blocks, axis=0)
     normal = Scaled(total[:-1, :-1])
     if not normal.determined[n_base:].any():
@@ -72,9 +70,7 @@ def report_foot_moments(
         )
 
 
-def _build_rows(
-    result: IdentificationResult, model: RobotModel, batch: Samples
-) -> tuple[Array, bool]:
+def _build_rows(result: IdentificationResult, model: RobotModel, batch: Samples) -> Array:
     """Return rows of base parameters, both moments per length, and torque, without forces."""
     every = slice(None, None, -(-batch.n_samples // SAMPLES))
     q, qd, qdd, tau = (x[every] for x in (batch.q, batch.qd, batch.qdd, batch.tau))
@@ -106,4 +102,4 @@ def _build_rows(
     whole = np.concatenate([W, -moments, tau[:, :, None]], axis=2)
     whole -= np.einsum("smj,snm,snc->sjc", across, back, whole, optimize=True)
     whole /= result.sigma[:, None]
-    return whole.reshape(-1, whole.shape[2]), bool(closed.any())
+    return whole.reshape(-1, whole.shape[2])
