@@ -19,7 +19,7 @@ from asbuilt.apps.run.log_check import check_log
 from asbuilt.apps.run.options import RunOptions
 from asbuilt.apps.run.prediction import without_hold_out
 from asbuilt.apps.run.purpose import States, choose_states
-from asbuilt.apps.run.rounds import Round, learn_round
+from asbuilt.apps.run.rounds import Round, learn_round, moves_as_goal
 from asbuilt.excitation import Motion
 from asbuilt.tables import format_share
 
@@ -154,14 +154,25 @@ class Loop:
             self.rounds,
             self._states,
             self.options,
+            as_goal=self._moves_as_goal(),
         )
+
+    def _moves_as_goal(self) -> bool:
+        return moves_as_goal(self.rounds, repeated=self.motion is not None)
 
     def _design(self, number: int, path: Path) -> None:
         self.progress(f"design round {number}", 0.0)
         last = self.rounds[-1] if self.rounds else None
         study, weights = (None, None) if last is None else (last.study, last.goal.widening)
         motion = design_round(
-            self.model, study, self.options, number, self._states, weights, self.motion
+            self.model,
+            study,
+            self.options,
+            number,
+            self._states,
+            weights,
+            self.motion,
+            as_goal=self._moves_as_goal(),
         )
         path.parent.mkdir(parents=True, exist_ok=True)
         asbuilt.write_motion(path, motion, self.model.joint_names)
