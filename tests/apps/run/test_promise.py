@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import asbuilt
-from asbuilt.apps.run.promise import Unexplained
+from asbuilt.apps.run.promise import Promise, Unexplained, promise_error, widen_promise
 from asbuilt.apps.run.purpose import States
 from asbuilt.excitation import Motion
 
@@ -68,3 +69,25 @@ def test_a_joint_without_torque_promises_nothing() -> None:
     found = Unexplained.of([even]).at(States(*np.zeros((3, 5, 2))))
     assert found[0] > LEVEL
     assert found[1] == pytest.approx(0.0)
+
+
+def test_what_earlier_models_promised_or_this_one_promises_does_not_widen_it() -> None:
+    """A joint that was found worse than both does; one that only the old model misjudged not."""
+    recording = asbuilt.VirtualRobot.preset("lab", MODEL, 1, engine="inverse-dynamics").record(
+        asbuilt.random_fourier(MODEL, 1, duration=8.0), 1, rate=200.0
+    )
+    study = asbuilt.identify(MODEL, [recording.recording])
+    unexplained = Unexplained.of(study.training)
+    states = States.of([asbuilt.random_fourier(MODEL, 2, duration=8.0)])
+    now = promise_error(study.result, states, unexplained=unexplained)
+    less = replace(now, noise=0.5 * now.noise, uncertain=0.5 * now.uncertain)
+    more = replace(now, noise=3.0 * now.noise, uncertain=3.0 * now.uncertain)
+    found = now.joints * [1.0, 2.0]
+
+    def widen(before: Promise) -> np.ndarray | None:
+        return widen_promise(study.result, unexplained, [(states, before, found)])
+
+    np.testing.assert_allclose(widen(less), [1.0, 2.0])
+    np.testing.assert_allclose(widen(now), [1.0, 2.0])
+    np.testing.assert_allclose(widen(more), 1.0)
+    assert widen_promise(study.result, unexplained, []) is None

@@ -30,7 +30,7 @@ class Promise:
     torque
         RMS torque of each joint (n,).
     widening
-        Factors (n,) by which earlier tests found more than was promised; at least 1.
+        Factors (n,) by which earlier tests found more than is promised for them; at least 1.
     """
 
     noise: Array
@@ -155,19 +155,27 @@ def promise_error(
     return Promise(noise, np.sqrt(np.maximum(variance, 0.0)), torque, usual)
 
 
-def widen_promises(tests: Sequence[tuple[Promise, Array]]) -> Array | None:
-    """Return the factor (n,) by which the last tests found larger errors than were promised.
+def widen_promise(
+    result: IdentificationResult,
+    unexplained: Unexplained | None,
+    tests: Sequence[tuple[States, Promise, Array]],
+) -> Array | None:
+    """Return the factor (n,) by which the last tests found more than was, and is, promised there.
 
-    Root mean square of found over promised, at least 1; promises count without their own widening.
+    Each test has the states of a motion, what was promised before it was learned and the RMS torque
+    error (n,) then found. A model that knew less promised more, and what is learned of friction at
+    reversal is in the promise that a result makes now: the larger counts, without earlier factors.
+    Root mean square of found over promised, at least 1.
     """
     last = tests[-TESTS_COUNTED:]
     if not last:
         return None
-    ratios = [
-        found / np.maximum(np.hypot(promise.noise, promise.uncertain), np.finfo(float).tiny)
-        for promise, found in last
-    ]
-    return np.asarray(np.maximum(1.0, np.sqrt(np.mean(np.square(ratios), axis=0))))
+    squares = []
+    for states, before, found in last:
+        now = promise_error(result, states, unexplained=unexplained)
+        promised = np.maximum(before.joints / before.widening, now.joints)
+        squares.append((found / np.maximum(promised, np.finfo(float).tiny)) ** 2)
+    return np.asarray(np.maximum(1.0, np.sqrt(np.mean(squares, axis=0))))
 
 
 def _relate(errors: Array, torques: Array) -> float:

@@ -19,7 +19,7 @@ from asbuilt.apps.run.prediction import (
     predict_round,
     relate_rollout,
 )
-from asbuilt.apps.run.promise import Promise, Unexplained, promise_error, widen_promises
+from asbuilt.apps.run.promise import Promise, Unexplained, promise_error, widen_promise
 from asbuilt.apps.run.purpose import States
 from asbuilt.excitation import Motion
 from asbuilt.tables import format_share, round_significant
@@ -49,6 +49,8 @@ class Round:
         Files of the motion and of its recording.
     seconds
         Duration of the motion [s].
+    states
+        States of the motion.
     promised, found
         Error that the model before it promised, and that its log showed before it was learned. In
         the first round no model promised, and CAD's error was found.
@@ -72,6 +74,7 @@ class Round:
     motion: Path
     log: Path
     seconds: float
+    states: States
     promised: float | None
     found: float
     promise: Promise | None
@@ -154,18 +157,17 @@ def learn_round(
     """
     last = earlier[-1] if earlier else None
     tests = [
-        (each.as_goal, each.promise, each.tested)
+        (each.as_goal, each.states, each.promise, each.tested)
         for each in earlier
         if each.promise and each.tested
     ]
     promise = tested = promised = None
+    moved = States.of([motion])
     if last is not None:
-        widening = widen_promises([(before, after.joints) for _, before, after in tests])
-        moved = States.of([motion])
-        promise = promise_error(last.study.result, moved, widening, last.unexplained)
+        promise = promise_error(last.study.result, moved, last.goal.widening, last.unexplained)
         promised = promise.error * last.exchange
         tested = predict_round(last.study, recordings[-1], options.purpose)
-        tests.append((as_goal, promise, tested))
+        tests.append((as_goal, moved, promise, tested))
     study = asbuilt.identify(
         model, recordings, options=StudyOptions(holdout=None, drive=options.drive)
     )
@@ -174,7 +176,8 @@ def learn_round(
     simulated = is_simulated(study, options.purpose)
     # Position errors are torque errors over time: those of an instant hardly move a joint.
     unexplained = None if simulated else Unexplained.of(study.training)
-    widening = widen_promises([(before, after.joints) for _, before, after in tests])
+    found = [(where, before, after.joints) for _, where, before, after in tests]
+    widening = widen_promise(study.result, unexplained, found)
     goal = promise_error(study.result, states, widening, unexplained)
     exchange = 1.0
     if simulated:
@@ -188,6 +191,7 @@ def learn_round(
         len(recordings),
         *files,
         motion.duration,
+        moved,
         promised,
         _find_error_of_cad(study, recordings[-1], options) if tested is None else tested.error,
         promise,
