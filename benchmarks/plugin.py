@@ -3,7 +3,7 @@
     python benchmarks/plugin.py --eigen DIR
 
 DIR is the include folder of Eigen 3 (`pip install --target DIR cmeel-eigen`); Pinocchio's headers
-come with `pin`. Both are compiled with -O3 for this machine and called with the same changing
+come with `pin`. Both are compiled with -O3 and called with the same changing
 motion. The plugin has armature, friction and offset of the drives; Pinocchio has armature.
 """
 
@@ -34,6 +34,8 @@ DEFINED = [
         "BOOST_MPL_LIMIT_VECTOR_SIZE=30",
         "BOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
         "BOOST_FUSION_INVOKE_MAX_ARITY=12",
+        # The recursion of its library, which is compiled with all optimisations.
+        "PINOCCHIO_ENABLE_TEMPLATE_INSTANTIATION",
     )
 ]
 """What programs that use Pinocchio define, by its own CMake files."""
@@ -130,7 +132,7 @@ def measure(name: str, eigen: Path | None) -> tuple[float, float | None]:
         clock = CLOCK.format(n=n, repeats=REPEATS, calls=CALLS)
         own = ["-I", str(folder / "include"), "-I", str(HEADERS)]
         text = clock + PLUGIN.format(n=n, package=package)
-        c = [*own, "-O3", "-march=native", "-c", "src/dynamics.c", "-o", "dynamics.o"]
+        c = [*own, "-O3", "-c", "src/dynamics.c", "-o", "dynamics.o"]
         subprocess.run(["gcc", "-std=c99", *c], cwd=folder, check=True)
         ours = time_program(folder, text, [*own, "src/solver.cpp", "dynamics.o"])
         if eigen is None:
@@ -145,7 +147,16 @@ def measure(name: str, eigen: Path | None) -> tuple[float, float | None]:
 def time_program(folder: Path, text: str, options: list[str]) -> float:
     """Compile a program and return the time that it prints."""
     (folder / "main.cpp").write_text(text)
-    command = ["g++", "-std=c++17", "-O3", "-DNDEBUG", "-march=native", "main.cpp", *options, "-o", "program"]
+    command = [
+        "g++",
+        "-std=c++17",
+        "-O3",
+        "-DNDEBUG",
+        "main.cpp",
+        *options,
+        "-o",
+        "program",
+    ]
     subprocess.run([*command, "-lm"], cwd=folder, check=True)
     done = subprocess.run([folder / "program"], check=True, capture_output=True)
     return float(done.stdout.split()[0])

@@ -26,8 +26,8 @@ from asbuilt.tables import format_share, round_significant
 
 PARTED = 1.5
 """Found over promised error of a joint from which a line names it; of 95 % of tests it is less."""
-BETTER = 0.9
-"""Promise over the former one below which a round is said to have lowered it."""
+ALIKE = 0.9
+"""Promise over the former one below which, or above whose inverse, a round tells it."""
 FIRST_TEST = 3
 """First round that moves as the user will; two designed ones have taught the model before."""
 KNOWN = 0.5
@@ -251,9 +251,9 @@ def _list_surprises(study: Study, promise: Promise | None, tested: Tested | None
 
 
 def _list_promises(last: Round | None, error: float) -> Iterator[str]:
-    """Yield the promise on the motion that matters, if it is new or lower."""
+    """Yield the promise on the motion that matters, if it is new or another one."""
     now = format_share(error)
     if last is None:
         yield f"promises {now}"
-    elif error < BETTER * last.goal_error and now != format_share(last.goal_error):
+    elif not ALIKE < error / last.goal_error < 1.0 / ALIKE and now != format_share(last.goal_error):
         yield f"promises {now}, before {format_share(last.goal_error)}"
