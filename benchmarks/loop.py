@@ -130,7 +130,7 @@ def random_motion(model: RobotModel, seed: int, seconds: float) -> Motion:
     )
 
 
-def measure(
+def measure_robot(
     number: int,
     known: dict[str, Any] | None = None,
     *,
@@ -224,6 +224,7 @@ def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
     if times:
         medians = np.median(times, axis=0)
         yield f"median seconds: loop {medians[0]:g}, random {medians[1]:g}, excite {medians[2]:g}"
+        yield from compare_at_equal_seconds(rows)
     proven = [
         (now["error"] / now["promised"], now)
         for row in rows
@@ -251,6 +252,24 @@ def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield f"CPU seconds of a loop: median {np.median([row['cpu_of_loop'] for row in rows]):.0f}"
 
 
+def compare_at_equal_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the error of the loop over that of one designed motion of the same length."""
+    for length in LENGTHS:
+        ratios = [
+            here["error"] / there[1]
+            for row in rows
+            for here in row["loop"]
+            for there in row["excite"]
+            if here["seconds"] == there[0] == length and there[1] is not None
+        ]
+        if ratios:
+            low, middle, high = np.quantile(ratios, (0.0, 0.5, 1.0))
+            yield (
+                f"{length:g} s: error of the loop over that of one designed motion: median"
+                f" {middle:.2f}, {low:.2f} to {high:.2f}"
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", type=int, default=15)
@@ -274,7 +293,7 @@ def main() -> None:
             if number in {row["robot"] for row in known}:
                 continue
             known.append(
-                measure(
+                measure_robot(
                     number,
                     rows.get(number),
                     rounds=given.rounds,

@@ -115,7 +115,7 @@ def write_joints(urdf: Path) -> str:
     return "\n".join(lines)
 
 
-def measure(name: str, eigen: Path | None) -> tuple[float, float | None]:
+def time_robot(name: str, eigen: Path | None) -> tuple[float, float | None]:
     """Return microseconds per call of the plugin, and of Pinocchio if there is an Eigen."""
     model = asbuilt.load_robot(name)
     drive = DriveValues(armature=0.1, viscous=1.0, coulomb=2.0, offset=0.1)
@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     given = parser.parse_args()
     for name in given.robots:
-        ours, theirs = measure(name, given.eigen)
+        ours, theirs = time_robot(name, given.eigen)
         beside = "" if theirs is None else f", Pinocchio {theirs:.3f}"
         print(f"{name}: microseconds per call: plugin {ours:.3f}{beside}")
     print(f"the best of {REPEATS} runs of {CALLS} calls")

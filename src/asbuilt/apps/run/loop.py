@@ -238,6 +238,11 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
             f" ({spent}). {_advise(last)}"
         ).strip()
     found = f"{format_share(last.found)} was found in the last round, {promised} is promised"
+    if ending == "rounds" and last.passes(options.until / 100.0):
+        return (
+            f"The error is within {wanted}, but not with USE in {IN_A_ROW} rounds in a row"
+            f" ({spent}): {found}. More rounds may prove it (--rounds)."
+        )
     if ending == "rounds":
         return f"Not proven within {wanted} after {spent}: {found}. {_advise(last)}".strip()
     return (
