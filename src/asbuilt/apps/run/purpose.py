@@ -29,6 +29,11 @@ class States:
     qd: Array
     qdd: Array
 
+    @property
+    def speed(self) -> float:
+        """RMS velocity of all joints together [rad/s or m/s]."""
+        return float(np.sqrt(np.sum(np.mean(self.qd**2, axis=0))))
+
     @classmethod
     def of(cls, motions: Sequence[Motion], count: int = SAMPLES) -> States:
         """Return `count` states of motions, at equal intervals of each."""

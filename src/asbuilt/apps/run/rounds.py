@@ -14,7 +14,6 @@ from asbuilt.apps.run.options import RunOptions
 from asbuilt.apps.run.prediction import (
     HORIZON,
     Tested,
-    find_torque_error,
     is_simulated,
     predict_round,
     relate_rollout,
@@ -65,7 +64,10 @@ class Round:
     as_goal
         Whether the motion was one like the user's.
     exchange
-        Error in the measure of the loop per torque error: 1 unless it is of simulated motion.
+        Share of simulated motion per torque error and one over the speed [rad/(N m s)]; None if the
+        measure of the loop is the torque.
+    goal_states
+        The states that matter.
     learned
         What the round taught, in phrases.
     """
@@ -83,18 +85,19 @@ class Round:
     goal: Promise
     unexplained: Unexplained | None
     as_goal: bool
-    exchange: float
+    exchange: float | None
+    goal_states: States
     learned: tuple[str, ...]
 
     @property
     def goal_error(self) -> float:
         """The promise on the motion that matters, in the measure of the loop."""
-        return self.goal.error * self.exchange
+        return convert_promise(self.goal.error, self.goal, self.goal_states, self.exchange)
 
     @property
     def goal_noise(self) -> float:
         """The part of it that more motion of the same kind does not take away."""
-        return self.goal.noise_error * self.exchange
+        return convert_promise(self.goal.noise_error, self.goal, self.goal_states, self.exchange)
 
     @property
     def verdict(self) -> str:
@@ -165,7 +168,7 @@ def learn_round(
     moved = States.of([motion])
     if last is not None:
         promise = promise_error(last.study.result, moved, last.goal.widening, last.unexplained)
-        promised = promise.error * last.exchange
+        promised = convert_promise(promise.error, promise, moved, last.exchange)
         tested = predict_round(last.study, recordings[-1], options.purpose)
         tests.append((as_goal, moved, promise, tested))
     study = asbuilt.identify(
@@ -179,13 +182,14 @@ def learn_round(
     found = [(where, before, after.joints) for _, where, before, after in tests]
     widening = widen_promise(study.result, unexplained, found)
     goal = promise_error(study.result, states, widening, unexplained)
-    exchange = 1.0
+    exchange = None
     if simulated:
-        exchange = _find_exchange(study, recordings[-1], [after for *_, after in tests])
+        tried = [(where, after) for _, where, _, after in tests]
+        exchange = _find_exchange(study, recordings[-1], moved, tried)
     taught = [
         *_list_learned(last, study),
         *_list_surprises(study, promise, tested),
-        *_list_promises(last, goal.error * exchange),
+        *_list_promises(last, convert_promise(goal.error, goal, states, exchange)),
     ]
     return Round(
         len(recordings),
@@ -201,6 +205,7 @@ def learn_round(
         unexplained,
         as_goal,
         exchange,
+        states,
         tuple(taught),
     )
 
@@ -212,18 +217,34 @@ def _find_error_of_cad(study: Study, recording: Recording, options: RunOptions) 
     return relate_rollout(rollout, "cad")
 
 
-def _find_exchange(study: Study, recording: Recording, tests: Sequence[Tested]) -> float:
-    """Return the error of simulated motion per torque error.
+def _find_exchange(
+    study: Study, recording: Recording, moved: States, tests: Sequence[tuple[States, Tested]]
+) -> float:
+    """Return the share of simulated motion per torque error and one over the speed.
 
-    Over windows of one length an error of the torque is integrated alike, whatever causes it. The
-    geometric mean of the predictions that were made; without one, that on the recording learned.
+    Over windows of one length an error of the torque is integrated alike, whatever causes it, and
+    the motion is as long as it is fast. The geometric mean of the predictions that were made, with
+    their states; without one, that on the recording learned, which `moved` has.
     """
-    found = [(each.error, find_torque_error(each.validation)) for each in tests]
+    found = [(after.error, after.joints, where) for where, after in tests]
     if not found:
         (rollout,) = asbuilt.roll_out_result(study.result, recording, [HORIZON])
-        torque = float(study.training[-1].metrics_as_built.relative_error)
-        found = [(relate_rollout(rollout, "as_built"), torque)]
-    return float(np.exp(np.mean([np.log(error / torque) for error, torque in found])))
+        joints = study.training[-1].metrics_as_built.rms
+        found = [(relate_rollout(rollout, "as_built"), joints, moved)]
+    ratios = [
+        error * where.speed / np.linalg.norm(np.nan_to_num(joints))
+        for error, joints, where in found
+    ]
+    return float(np.exp(np.mean(np.log(ratios))))
+
+
+def convert_promise(
+    share: float, promise: Promise, states: States, exchange: float | None
+) -> float:
+    """Return a share of the torque of a promise on states in the measure of a loop."""
+    if exchange is None:
+        return share
+    return share * float(np.linalg.norm(promise.torque)) * exchange / states.speed
 
 
 def _list_learned(last: Round | None, study: Study) -> Iterator[str]:
