@@ -181,3 +181,19 @@ def test_a_complete_file_loses_nothing_and_has_no_callback(tmp_path: Path) -> No
     assert [*exported.files] == ["mjcf"]
     assert all(each["lost"] == 0.0 for each in exported.as_document()["lost"]["mjcf"])
     assert not any("nearest" in note for note in exported.notes["mjcf"])
+
+
+def test_a_joint_without_torque_in_the_recordings_has_no_share(
+    loaded: tuple[IdentificationResult, asbuilt.Recording], tmp_path: Path
+) -> None:
+    result, _ = loaded
+    data = result.cause_data
+    assert data is not None
+    fitted, judged = data.fitted, data.judged
+    dead = replace(data, fitted=(fitted[0], 0 * fitted[1]), judged=(judged[0], 0 * judged[1]))
+    silent = replace(result, cause_data=dead)
+    exported = export_result(silent, mjcf=tmp_path / "arm.xml")
+    first, second = exported.as_document()["lost"]["mjcf"]
+    assert first["lost"] > 0.0
+    assert second["lost"] is None
+    assert "joint_2" not in exported.notes["mjcf"][0].partition("lacks")[2]

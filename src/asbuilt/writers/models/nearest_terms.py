@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from asbuilt.arrays import Array
+from asbuilt.codec import make_plain
 from asbuilt.description.model import PLAIN_TERMS, USUAL_GRAVITY, DriveValues, Joint, RobotModel
 from asbuilt.dynamics import DriveSet, drive_columns, gravity_torque, inverse_dynamics
 from asbuilt.identification.result.result import IdentificationResult
@@ -49,7 +51,7 @@ class NearestTerms:
         Keys of these terms, each with the names of the joints that have it.
     lost, left_out
         RMS torque (n,) that the file lacks as a share of the joint's torque: as written, and had
-        the terms only been left out.
+        the terms only been left out. NaN for a joint whose torque is unknown.
     judged_by
         The motion on which that was found.
     """
@@ -85,13 +87,12 @@ class NearestTerms:
         share = f"on {self.judged_by} the file lacks of the torque of {', '.join(lost)}"
         return ("; ".join([*([stands] if terms else []), *([share] if lost else []), alternative]),)
 
-    def as_document(self) -> list[dict[str, str | float]]:
-        """Return the loss of every joint, ready for JSON."""
+    def as_document(self) -> list[dict[str, Any]]:
+        """Return the loss of every joint, ready for JSON; None where it is unknown."""
+        shares = zip(make_plain(self.lost), make_plain(self.left_out), strict=True)
         return [
             {"joint": name, "lost": lost, "left_out": left_out}
-            for name, lost, left_out in zip(
-                self.model.joint_names, self.lost.tolist(), self.left_out.tolist(), strict=True
-            )
+            for name, (lost, left_out) in zip(self.model.joint_names, shares, strict=True)
         ]
 
 
@@ -141,12 +142,16 @@ def find_nearest_terms(
             lost = lost - change * rows[k].plain[key]
         squares[0, k] = lost @ lost
         squares[2, k] = rows[k].torque @ rows[k].torque
-        joints.append(_replace_terms(joint, changes, rich))
+        # Terms that are zero go without a word.
+        gone = rich if changes or not missing.any() else []
+        joints.append(_replace_terms(joint, changes, gone))
         for key in rich if changes else ():
             replaced.setdefault(key, []).append(joint.name)
     tilted = np.zeros(n) if gravity else _measure_tilt(built.model)
     lacking = squares[:2] / count + tilted**2
-    lost, left_out = np.sqrt(lacking / np.maximum(squares[2] / count, np.finfo(float).tiny))
+    # A joint without torque in the recordings has no share.
+    size = np.where(squares[2] > 0.0, squares[2] / count, np.nan)
+    lost, left_out = np.sqrt(lacking / size)
     names = {key: tuple(having) for key, having in replaced.items()}
     return NearestTerms(replace(robot, joints=tuple(joints)), names, lost, left_out, judged_by)
 
@@ -243,7 +248,7 @@ def _fit(
 
 
 def _replace_terms(joint: Joint, changes: Mapping[str, float], rich: list[str]) -> Joint:
-    if not changes:
+    if not rich:
         return joint
     drive = make_friction_plain(joint.drive)
     plain = {key: (getattr(drive, key) or 0.0) + change for key, change in changes.items()}
