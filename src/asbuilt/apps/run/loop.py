@@ -241,7 +241,7 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
     if ending == "rounds" and last.passes(options.until / 100.0):
         return (
             f"The error is within {wanted}, but not with USE in {IN_A_ROW} rounds in a row"
-            f" ({spent}): {found}. More rounds may prove it (--rounds)."
+            f" ({spent}): {found}. More rounds may prove it."
         )
     if ending == "rounds":
         return f"Not proven within {wanted} after {spent}: {found}. {_advise(last)}".strip()
