@@ -142,9 +142,7 @@ def find_nearest_terms(
             lost = lost - change * rows[k].plain[key]
         squares[0, k] = lost @ lost
         squares[2, k] = rows[k].torque @ rows[k].torque
-        # Terms that are zero go without a word.
-        gone = rich if changes or not missing.any() else []
-        joints.append(_replace_terms(joint, changes, gone))
+        joints.append(_replace_terms(joint, changes, rich if changes else []))
         for key in rich if changes else ():
             replaced.setdefault(key, []).append(joint.name)
     tilted = np.zeros(n) if gravity else _measure_tilt(built.model)
