@@ -54,27 +54,18 @@ class Equations:
         """Samples of each block (B,)."""
         return np.array([block.n_samples for block in self.blocks], dtype=np.float64)
 
-    def group(self, name: str) -> slice:
-        """Return the columns of a group."""
-        names = list(self.groups)
-        first = sum(self.groups[before] for before in names[: names.index(name)])
-        return slice(first, first + self.groups[name])
-
-    def in_group(self, name: str, k: int) -> Indices:
-        """Return which columns of a group joint k has, counted from the group's first."""
-        columns = self.group(name)
-        own = self.support[k]
-        return np.asarray(own[(own >= columns.start) & (own < columns.stop)] - columns.start)
+    def in_model(self, k: int) -> Indices:
+        """Return which columns of the model joint k has."""
+        return np.asarray(self.support[k][self.support[k] < self.groups[MODEL]])
 
     @cached_property
     def of_joints(self) -> tuple[Array, ...]:
         """Gram matrices of each joint over all blocks."""
         return tuple(gram.sum(axis=0) for gram in self.grams)
 
-    def of_joint(self, k: int, weight: Array | None = None) -> Array:
+    def of_joint(self, k: int, weight: Array) -> Array:
         """Return the Gram matrix of joint k over all blocks, which weigh (B,)."""
-        counted = np.ones(self.n_blocks) if weight is None else weight
-        return np.asarray(np.tensordot(counted, self.grams[k], 1))
+        return np.asarray(np.tensordot(weight, self.grams[k], 1))
 
     def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
         """Return the sum over joints, (P + 1, P + 1), of joint k times `weights[k]`^2."""

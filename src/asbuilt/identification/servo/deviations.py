@@ -164,7 +164,7 @@ def estimate_deadband(
 
 def _list_widths(plain: Equations, joints: Indices) -> Iterator[float]:
     """Yield the widths to try, smallest first."""
-    sizes = [np.sqrt(plain.of_joint(k)[-1, -1] / max(plain.counts[k].sum(), 1)) for k in joints]
+    sizes = [np.sqrt(plain.of_joints[k][-1, -1] / max(plain.counts[k].sum(), 1)) for k in joints]
     width = DEADBAND.smallest * float(np.median(sizes))
     while width < DEADBAND.largest * float(np.median(sizes)):
         yield width
@@ -176,7 +176,7 @@ def _validate_halves(rows: Equations, plain: Equations, joints: Indices, usual: 
     second = (np.arange(rows.n_blocks) // DEADBAND.half) % 2 == 1
     costs = np.zeros((joints.size, rows.n_blocks))
     for row, k in enumerate(joints.tolist()):
-        shrunk = max(rows.of_joint(k)[-1, -1] / plain.of_joint(k)[-1, -1], 1e-300)
+        shrunk = max(rows.of_joints[k][-1, -1] / plain.of_joints[k][-1, -1], 1e-300)
         # Blocks of one half are judged by the fit to the other, in stretches that share a pose.
         for here in (second, ~second):
             left = block_variances(rows, k, fit_robust_residual(rows, k, ~here)) / shrunk

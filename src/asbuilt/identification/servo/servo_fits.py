@@ -21,7 +21,7 @@ from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.pose_noise import DOUBT
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
-from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.servo.block_fits import block_variances, block_weights, sum_clusters
@@ -121,7 +121,7 @@ def _estimate_own_scale(
     rows: Equations, base: BaseParameters, design: Array, kd: float, k: int
 ) -> tuple[float, float, Scale]:
     """Return c of a joint, its variance from time blocks, and what gives it."""
-    support = rows.in_group(MODEL, k)
+    support = rows.in_model(k)
     K = base.regrouping[support]
     drives = K[:, 10 * base.n_links :][:, _find_varying_columns(base)]
     # Of the ten of a link gravity acts by first moments and mass; the six inertias do the rest.
@@ -187,7 +187,7 @@ class DelaySlopes:
         cls, rows: Equations, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
     ) -> DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
-        supports = [rows.in_group(MODEL, k) for k in range(rows.n_joints)]
+        supports = [rows.in_model(k) for k in range(rows.n_joints)]
         weight = np.array(counted, dtype=np.float64)
         count = max(float(weight @ rows.lengths), 1.0)
         means = (
@@ -355,7 +355,7 @@ def _build_coefficients(
     rows: Equations, base: BaseParameters, k: int, kp: float, kd: float
 ) -> tuple[Array, Array]:
     """Return a joint's rows in terms of parameters and delay, and its torque, as coefficients."""
-    support = rows.in_group(MODEL, k)
+    support = rows.in_model(k)
     J = np.zeros((support.size + 3, base.n_standard + 1))
     J[: support.size, :-1] = base.regrouping[support]
     # Rows are [W_k, qd, du/dt, u - q]: of du/dt and u - q the gains are coefficients.

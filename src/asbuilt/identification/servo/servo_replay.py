@@ -24,7 +24,7 @@ from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.identification.errors.pose_noise import ExpectedScores
-from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
@@ -160,7 +160,7 @@ def replay(
         copies.append([_Copy.of(reduced, beta, servo) for reduced in rows])
     every = [copy for pair in copies for copy in pair]
     names = tuple(
-        tuple(base.names[j] for j in every[0].rows.in_group(MODEL, k))
+        tuple(base.names[j] for j in every[0].rows.in_model(k))
         for k in range(every[0].rows.n_joints)
     )
     joints = range(model.n_joints)
@@ -302,7 +302,7 @@ class _Copy:
         scores = []
         weights = []
         for k in range(rows.n_joints):
-            support = rows.in_group(MODEL, k)
+            support = rows.in_model(k)
             # e = kp (u - q) - kd qd - W beta as a combination of the rows.
             e = np.concatenate([-beta[support], [-servo.kd[k], 0.0, servo.kp[k]]])
             scores.append((rows.grams[k] @ e)[:, :-1])
