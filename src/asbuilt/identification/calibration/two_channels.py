@@ -258,27 +258,20 @@ def _join_channels(
         *(f"{name} motor" for name in model.joint_names),
     )
 
-    def join(
-        behind: Sequence[Array], again: Sequence[Array], ahead: Sequence[Array]
-    ) -> list[Array]:
-        motor_rows = []
-        for k in range(n):
-            columns = again[k][:-1]
-            moved = [] if beta is None or k not in scaled else [beta[links.support[k]] @ columns]
-            motor_rows.append(np.vstack([columns, ahead[k][:-1], *moved, ahead[k][-1:]]))
-        # A chunk is a view of the buffer that the next one overwrites.
-        return [*(own.copy() for own in behind), *motor_rows]
-
     def rows() -> Iterator[RowBlock]:
         pairs = zip(
             divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
         )
         for seen, driven in pairs:
-            chunks = zip(
-                seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
-            )
-            parts = [join(*chunk) for chunk in chunks]
-            yield RowBlock(tuple(map(np.hstack, zip(*parts, strict=True))), seen.time, seen.seconds)
+            motor_rows = []
+            both_sides = zip(driven.rows(links), driven.rows(drives), strict=True)
+            for k, (behind, ahead) in enumerate(both_sides):
+                columns = behind[:-1]
+                moved = (
+                    [] if beta is None or k not in scaled else [beta[links.support[k]] @ columns]
+                )
+                motor_rows.append(np.vstack([columns, ahead[:-1], *moved, ahead[-1:]]))
+            yield RowBlock((*seen.rows(links), *motor_rows), seen.time, seen.seconds)
 
     return reduce_rows(both, names, support, rows())
 

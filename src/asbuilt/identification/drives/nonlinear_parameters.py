@@ -308,7 +308,4 @@ class _Remaining:
 
 
 def _stack_rows(plan: RegressorPlan, chosen: Sequence[SampleBlock]) -> list[Array]:
-    chunks = [
-        tuple(rows.copy() for rows in chunk) for each in chosen for chunk in each.chunks(plan)
-    ]
-    return [np.hstack(parts) for parts in zip(*chunks, strict=True)]
+    return [np.hstack(parts) for parts in zip(*(block.rows(plan) for block in chosen), strict=True)]

@@ -105,16 +105,10 @@ def gather_equations(
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
         for part in divide_into_blocks(robot.model, samples, block_seconds, kept):
-            block = [np.zeros((len(s) + 1,) * 2) for s in support]
-            for chunk in part.chunks(plan, partial(columns, part)):
-                for k, rows in enumerate(chunk):
-                    # Rows are transposed (parameters and torque by samples), so that this is the
-                    # Gram matrix.
-                    block[k] += rows @ rows.T
-            grams.append(
-                # Slots that a joint does not have hold zeros, and go before the blocks are kept.
-                tuple(gram[np.ix_(kept, kept)] for gram, kept in zip(block, there, strict=True))
-            )
+            rows = part.rows(plan, partial(columns, part))
+            # Slots that a joint does not have hold zeros, and go before the blocks are kept.
+            own = [rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True)]
+            grams.append(tuple(each @ each.T for each in own))
             times.append(part.time)
     n_samples = [block.n_samples for block in times]
     equations = Equations(

@@ -89,12 +89,10 @@ class Equations:
 
     def together(self) -> Equations:
         """Return the equations of all blocks as one."""
-        first, last = self.blocks[0], self.blocks[-1]
-        samples = sum(block.n_samples for block in self.blocks)
         return replace(
             self,
             grams=tuple(gram[None] for gram in self.of_joints),
-            blocks=(TimeBlock(first.source, first.start, last.stop, samples),),
+            blocks=(TimeBlock.spanning(self.blocks),),
             counts=self.counts.sum(axis=1, keepdims=True),
         )
 

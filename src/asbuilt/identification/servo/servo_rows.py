@@ -197,9 +197,7 @@ class CommandedMotion:
 
     def _reduce_run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
         whole = replace(blocks[0], last=blocks[-1].last)
-        # Chunks are views of a buffer that the next one overwrites.
-        chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(self._plan)]
-        rows = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
+        rows = whole.rows(self._plan)
         spans = tuple(
             slice(block.first - whole.first, block.last - whole.first) for block in blocks
         )
