@@ -131,12 +131,12 @@ def conclude_study(
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
     bounded = bound_effects(result, effects)
-    result = replace(result, effects=tuple(as_by_encoders(each, result) for each in bounded))
+    result = result.with_effects(tuple(as_by_encoders(effect, result) for effect in bounded))
     # With a free base every row has parts of all joints: no joint has causes of its own.
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
     if attribution and options.wanted_effects.named:
-        result = replace(result, effects=(*result.effects, *attribution.bodies))
+        result = result.with_effects((*result.effects, *attribution.bodies))
     validations = tuple(
         with_exported(result.without_recording(number), prediction, samples)
         if number < len(prepared.held_out)

@@ -12,7 +12,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import DriveSet, DriveTerm
+from asbuilt.dynamics import BaseParameters, DriveSet, DriveTerm
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.torque_prediction import parameter_torque
@@ -76,18 +76,24 @@ class FoundEffect:
 class Described:
     """Hold the robot whose effects are searched: model, drive terms, values and torque source.
 
-    `chi` are standard parameters near the recording, in the order of `drive`, `speeds` the
-    velocities recorded, each (N, n), `largest` (n,) the torques that nearly all samples keep,
-    `clock_bound` the share by which velocities let the clock be wrong.
+    `base` are its base parameters with its drive terms, `chi` standard parameters near the
+    recording in their order, `speeds` the velocities recorded, each (N, n), `largest` (n,) the
+    torques that nearly all samples keep, `clock_bound` the share by which velocities let the clock
+    be wrong.
     """
 
     model: RobotModel
-    drive: DriveSet
+    base: BaseParameters
     chi: Array
     source: str
     speeds: tuple[Array, ...]
     largest: Array
     clock_bound: float = np.inf
+
+    @property
+    def drive(self) -> DriveSet:
+        """The drive terms."""
+        return self.base.drive
 
 
 @dataclass(frozen=True, eq=False)

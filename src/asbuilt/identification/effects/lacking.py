@@ -11,10 +11,11 @@ from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.findings import join_names
-from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
+from asbuilt.identification.effects.gathering import EFFECTS, At, Candidate
 from asbuilt.identification.effects.selection import Selection
 from asbuilt.identification.errors.bias import OmittedBias, derive_estimate_moves, shrink_effects
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.equations import Equations
 from asbuilt.scaled import Scaled
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class Lacking:
     has none.
     """
 
-    equations: EffectEquations
+    equations: Equations
     names: tuple[str, ...]
     columns: Indices
     values: Array
@@ -172,8 +173,7 @@ def _is_constant(candidate: Candidate, selection: Selection) -> bool:
 
 def _list_names(selection: Selection) -> tuple[str, ...]:
     """Return the names of the model's parameters in the equations, and of terms added to it."""
-    equations = selection.equations
-    names = [*equations.base.names, *[""] * (equations.n_parameters - equations.n_base)]
+    names = [*selection.robot.base.names, *[""] * selection.equations.groups[EFFECTS]]
     for candidate in selection.taken:
         if (
             candidate.term is None
@@ -195,7 +195,7 @@ def _list_names(selection: Selection) -> tuple[str, ...]:
 
 
 def _word_candidates(candidates: Sequence[Candidate], selection: Selection) -> str:
-    names = selection.equations.robot.model.joint_names
+    names = selection.robot.model.joint_names
     joints: dict[str, list[str]] = {}
     for candidate in candidates:
         located = joints.setdefault(candidate.effect.title, [])
