@@ -62,7 +62,7 @@ class Lacking:
                 candidates.append(trial.candidate)
         doubted = [
             selection.acting(candidate)
-            for candidate in selection.equations.candidates
+            for candidate in selection.candidates
             if candidate.effect.usual and candidate.slot not in busy
         ]
         doubted = [candidate for candidate in doubted if candidate.places.size]

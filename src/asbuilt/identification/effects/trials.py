@@ -177,7 +177,7 @@ class Trials:
         self._total = equations.stacked(weights)
         length = np.diag(self._total)
         self._size = np.sqrt(length)
-        self._acts = length > RULES.acting * _find_largest(equations, length)
+        self._acts = length > RULES.acting * _find_largest(candidates, length)
         # The training equations are the total less the group's: leaving out costs no pass.
         self._without = [self._total - equations.stacked(weights, group) for group in groups]
         self._of_joints = [
@@ -487,11 +487,11 @@ class Trials:
         return gaining
 
 
-def _find_largest(equations: EffectEquations, length: Array) -> Array:
+def _find_largest(candidates: Iterable[Candidate], length: Array) -> Array:
     """Return the largest squared length (P + 1,) of the columns of each one's effect."""
     largest = np.zeros_like(length)
     of_effects: dict[str, list[Indices]] = {}
-    for candidate in equations.candidates:
+    for candidate in candidates:
         of_effects.setdefault(candidate.effect.key, []).append(candidate.places)
     for places in map(np.concatenate, of_effects.values()):
         largest[places] = length[places].max(initial=0.0)
