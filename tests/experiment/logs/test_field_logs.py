@@ -14,6 +14,7 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.experiment import RecordingSheet, check_recording, propose_sheet, read_recording
+from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.untrusted import parse_toml
 from command_line import call
 
@@ -365,3 +366,65 @@ def test_check_writes_the_sheet_beside_the_log(
     (tmp_path / "run.csv.toml").write_text("sign = 1\n")
     assert call(capsys, *asked, "--write-sheet")[0] == 1
     assert (tmp_path / "run.csv.toml").read_text() == "sign = 1\n"
+
+
+@pytest.mark.parametrize("zero", [-0.35, np.array([0.0, 0.9, -0.6])])
+def test_encoders_that_wrap_within_the_motion_get_the_zero_of_the_torques(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path, zero: Any
+) -> None:
+    wrapped = np.mod(clean["q"] + zero, 2.0 * np.pi)
+    columns = named(clean, q=wrapped)
+    velocities = [name for name in columns if "velocity" in name]
+    path = write(tmp_path / "wrap.csv", {k: v for k, v in columns.items() if k not in velocities})
+    recording, check, proposal = read_proposed(model, path)
+    assert check.ok
+    # The pan axis is vertical: no torque shows its zero.
+    away = np.abs(recording.q - clean["q"])[:, 1:]
+    assert np.degrees(away.max()) < 4.0
+    assert "zero" in proposal.content
+
+
+def test_zero_of_a_counter_that_wraps_may_be_given(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "wrap.csv", named(clean, q=np.mod(clean["q"] + 6.0, 2.0 * np.pi)))
+    recording = read_recording(path, model=model, sheet=RecordingSheet(zero=6.0))
+    np.testing.assert_allclose(recording.q, clean["q"], atol=1e-7)
+
+
+def test_one_impossible_mass_is_not_said_of_the_torques(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    heavy = tmp_path / "heavy.urdf"
+    heavy.write_text(
+        URDF.replace('mass value="2.6"', 'mass value="26"').replace(
+            'ixx="0.006" iyy="0.04" izz="0.042"', 'ixx="0.006" iyy="0.012" izz="0.012"'
+        )
+    )
+    robot = load_robot(heavy)
+    check = check_recording(
+        robot, read_recording(write(tmp_path / "a.csv", named(clean)), model=robot)
+    )
+    assert check.ok
+    assert [(f.code, f.link) for f in check.warnings] == [("implausible_density", "b")]
+    assert "agree with 2.6 kg" in check.warnings[0].message
+
+
+def test_parts_of_a_long_log_are_mended_as_the_whole(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    order = np.arange(COUNT)
+    swapped = np.arange(50, COUNT - 50, 60)
+    order[swapped], order[swapped + 1] = order[swapped + 1], order[swapped]
+    spoilt = {name: values[order] for name, values in clean.items()}
+    spoilt["q"] = np.mod(spoilt["q"], 2.0 * np.pi)
+    path = write(tmp_path / "long.csv", named(spoilt))
+    whole = read_recording(path, model=model)
+    parts = [*RecordingStream(path, model=model, chunk_samples=500)]
+    for name in ("t", "q", "qd", "tau"):
+        np.testing.assert_array_equal(
+            np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name)
+        )
+    assert parts[-1].notes == whole.notes
+    check = check_recording(model, RecordingStream(path, model=model, chunk_samples=500))
+    assert [f.message for f in check.findings if f.code == "note"] == [*whole.notes]

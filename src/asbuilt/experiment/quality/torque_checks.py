@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import inverse_dynamics
-from asbuilt.experiment.quality.conventions import check_conventions
+from asbuilt.experiment.quality.conventions import check_conventions, check_zeros
 from asbuilt.experiment.quality.gravity_checks import check_gravity, find_friction_sign
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
@@ -22,7 +22,7 @@ from asbuilt.experiment.quality.torque_fit import (
     find_swapped_torques,
     infer_density,
 )
-from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
+from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE, UNWRAPPED
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
 CLEAR = 0.9
@@ -69,7 +69,10 @@ def check_torques(
     # The masses of CAD may prefer a swap that any masses refute.
     if best is not fit and compare_by_any_masses(fit, best) < 0:
         best = fit
-    other = check_conventions(best, believed="zero" in recording.first.stated)
+    stated = "zero" in recording.first.stated
+    other = check_conventions(best, believed=stated)
+    if other is None and not stated:
+        other = check_zeros(best, of_encoders=_list_wrapped_joints(recording))
     if best is not fit:
         yield _report_swapped(fit, best)
     if other is not None:
@@ -79,6 +82,12 @@ def check_torques(
     elif best is fit:
         yield from _find_swapped_without_cad(fit)
     yield from _check_sign_and_scale(recording, best, ratio)
+
+
+def _list_wrapped_joints(recording: FirstPass) -> tuple[int, ...]:
+    """Return the joints of a log whose counters begin again within the motion."""
+    wrapped = any(note.startswith(UNWRAPPED) for note in recording.first.notes)
+    return tuple(range(recording.n_joints)) if wrapped else ()
 
 
 def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
