@@ -13,6 +13,7 @@ import pytest
 
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
+from asbuilt.errors import RecordingError
 from asbuilt.experiment import RecordingSheet, check_recording, propose_sheet, read_recording
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.untrusted import parse_toml
@@ -428,3 +429,80 @@ def test_parts_of_a_long_log_are_mended_as_the_whole(
     assert parts[-1].notes == whole.notes
     check = check_recording(model, RecordingStream(path, model=model, chunk_samples=500))
     assert [f.message for f in check.findings if f.code == "note"] == [*whole.notes]
+
+
+def in_turns(clean: Mapping[str, Array]) -> dict[str, Array]:
+    return {"q": clean["q"] / (2.0 * np.pi), "qd": clean["qd"] / (2.0 * np.pi)}
+
+
+def in_registers(clean: Mapping[str, Array]) -> dict[str, Array]:
+    counts = np.round(clean["q"] * 4096 / (2.0 * np.pi))
+    speeds = np.round(clean["qd"] / (0.229 * np.pi / 30.0))
+    return {"q": np.mod(counts, 2.0**32), "qd": np.mod(speeds, 2.0**32)}
+
+
+LIMITS = np.array([120.0, 90.0, 30.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "content"),
+    [
+        (in_turns, {"units": {"position": "turn", "velocity": "turn/s"}}),
+        (in_registers, {"units": {"position": "1/4096 turn", "velocity": "0.229 rpm"}}),
+        (lambda clean: {"tau": 1e3 * clean["tau"]}, {"units": {"torque": "mN m"}}),
+        (lambda clean: {"tau": np.round(1e3 * clean["tau"] / LIMITS)}, {"gains": 1e-3 * LIMITS}),
+        (lambda clean: {"tau": 100.0 * clean["tau"] / LIMITS}, {"gains": 1e-2 * LIMITS}),
+    ],
+)
+def test_units_are_named_by_what_agrees(
+    clean: dict[str, Array], tmp_path: Path, change: Any, content: dict[str, Any]
+) -> None:
+    robot = tmp_path / "limited.urdf"
+    text = URDF
+    for limit in LIMITS:
+        text = text.replace('effort="90" velocity', f'effort="{limit:g}"  velocity', 1)
+    robot.write_text(text)
+    model = load_robot(robot)
+    recording, check, proposal = read_proposed(
+        model, write(tmp_path / "log.csv", named(clean, **change(clean)), "%.12g")
+    )
+    assert check.ok
+    assert not check.warnings
+    for name, value in content.items():
+        if isinstance(value, dict):
+            assert value.items() <= proposal.content[name].items()
+        else:
+            np.testing.assert_allclose(proposal.content[name], value)
+    np.testing.assert_allclose(recording.q, clean["q"], atol=1e-3)
+    np.testing.assert_allclose(recording.tau, clean["tau"], atol=0.07)
+
+
+def test_units_in_names_of_torque_columns(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    columns = {
+        name.replace("effort", "torque_kgcm"): x / (0.0980665 if "effort" in name else 1.0)
+        for name, x in named(clean).items()
+    }
+    recording = read_recording(write(tmp_path / "kgcm.csv", columns), model=model)
+    np.testing.assert_allclose(recording.tau, clean["tau"], atol=1e-6)
+    shares = {name.replace("effort", "torque_permille"): x for name, x in named(clean).items()}
+    path = write(tmp_path / "permille.csv", shares)
+    with pytest.raises(RecordingError, match="are in permille, which does not say") as refused:
+        read_recording(path, model=model)
+    assert refused.value.cure is not None
+    assert refused.value.cure.sheet == {"gains": [0.09, 0.09, 0.09]}
+
+
+def test_currents_are_said_to_lack_gains(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    counts = np.mod(np.round(250.0 * clean["tau"]), 65536.0)
+    columns = {
+        k.replace("effort", "present_current"): x for k, x in named(clean, tau=counts).items()
+    }
+    recording = read_recording(write(tmp_path / "raw.csv", columns), model=model)
+    (error,) = check_recording(model, recording).errors
+    assert error.code == "torque_scale"
+    assert "currents without gains" in error.message
+    assert "0.004 N m at" in error.message

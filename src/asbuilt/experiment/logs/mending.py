@@ -91,7 +91,7 @@ class LogMender:
     def __init__(self, layout: Layout, zero: object = None) -> None:
         self._layout = layout
         self._zero = zero
-        self._wide: set[str] = set()
+        self._wide: set[tuple[int, str]] = set()
         self._counters: dict[str, _Counter] = {}
         self._jumps: dict[float, dict[str, int]] = {}
         self._latest: float | None = None
@@ -143,26 +143,31 @@ class LogMender:
 
     def _sign(self, columns: dict[str, Array]) -> Iterator[Mended]:
         """Turn unsigned integers that stand for negative ones into these."""
-        for names in self._list_groups():
-            found = [name for name in names if name in self._wide or _is_unsigned(columns[name])]
-            if not found:
+        for bits, names in self._list_counted():
+            known = any((bits, name) in self._wide for name in names)
+            if not known and not any(_is_unsigned(columns[name], bits) for name in names):
                 continue
-            self._wide |= set(names)
+            self._wide |= {(bits, name) for name in names}
             count = 0
             for name in names:
-                below = columns[name] >= 2**15
+                below = columns[name] >= 2.0 ** (bits - 1)
                 count += int(below.sum())
-                columns[name] = np.where(below, columns[name] - 2.0**16, columns[name])
+                columns[name] = np.where(below, columns[name] - 2.0**bits, columns[name])
             if count:
-                what = f"{join(names)} are 16 bits without a sign, which wrap at 65536: "
-                after = " values from 32768 on count as negative"
+                what = f"{join(names)} are {bits} bits without a sign, which wrap at {2**bits}: "
+                after = f" values from {2 ** (bits - 1)} on count as negative"
                 yield Mended(f"sign {names[0]}", what, count, after)
 
-    def _list_groups(self) -> list[tuple[str, ...]]:
-        """Return the columns of each quantity but positions, which may be counters from zero."""
-        wanted = ("torque", "velocity")
-        listed = (self._layout.quantities.get(quantity, ()) for quantity in wanted)
-        return [tuple(name for name in names if name) for names in listed]
+    def _list_counted(self) -> Iterator[tuple[int, tuple[str, ...]]]:
+        """Yield the columns of each quantity that may be integers without a sign, and their bits.
+
+        Positions of 16 bits are counters, which `_unwrap` makes go on.
+        """
+        for quantity in ("torque", "velocity", "position", "command"):
+            names = tuple(name for name in self._layout.quantities.get(quantity, ()) if name)
+            if quantity in ("torque", "velocity"):
+                yield 16, names
+            yield 32, names
 
     def _unwrap(self, columns: dict[str, Array]) -> None:
         """Make positions of counters that begin again after a turn go on."""
@@ -408,13 +413,14 @@ def _with_clock(
     return replace(table, columns=columns), [note]
 
 
-def _is_unsigned(values: Array) -> bool:
-    """Return whether integers of 16 bits stand for small numbers of both signs."""
+def _is_unsigned(values: Array, bits: int) -> bool:
+    """Return whether integers of some bits stand for small numbers of both signs."""
     known = values[np.isfinite(values)]
-    if not known.size or known.min() < 0 or not 2**15 <= known.max() < 2**16:
+    half = 2.0 ** (bits - 1)
+    if not known.size or known.min() < 0 or not half <= known.max() < 2.0 * half:
         return False
-    middle = (known > 2**14) & (known < 3 * 2**14)
-    return bool(np.all(known == np.round(known)) and not middle.any() and known.min() < 2**14)
+    middle = (known > 0.5 * half) & (known < 1.5 * half)
+    return bool(np.all(known == np.round(known)) and not middle.any() and known.min() < 0.5 * half)
 
 
 def _list_turns(values: Array, scale: float) -> list[float]:

@@ -48,7 +48,11 @@ from asbuilt.experiment.quality.signal_checks import (
 )
 from asbuilt.experiment.quality.torque_checks import check_torques
 from asbuilt.experiment.quality.torque_fit import TorqueFit
-from asbuilt.experiment.quality.unit_checks import find_counts
+from asbuilt.experiment.quality.unit_checks import (
+    find_counts,
+    find_position_unit,
+    report_position_unit,
+)
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
 from asbuilt.tables import preformat, wrap_text
@@ -369,6 +373,10 @@ def _check_in_time(
     if counts is not None:
         # Positions in counts make every later comparison wrong.
         yield counts.finding()
+        return
+    unit = "" if motion is None else find_position_unit(model, known, motion)
+    if unit:
+        yield report_position_unit(unit)
         return
     excess = find_impossible_motion(model, known, motion)
     of_motion = list(check_recorded_motion(model, known, motion, excess))
