@@ -106,7 +106,8 @@ def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reaso
     cad = error.cad
     if found is None:
         return
-    if cad is not None and found > cad:
+    # A hundredth of an error is no difference to act upon.
+    if cad is not None and found > 1.01 * cad:
         yield Reason("cad_predicts_better", "CAD is better", found > RULES.behind_cad * cad)
     if measure == "torque" and found > RULES.weak:
         much = "most" if found > RULES.useless else "much"
@@ -210,8 +211,8 @@ def _is_omitted(each: FoundEffect) -> bool:
 
 def _make_effect_reason(each: FoundEffect) -> Reason:
     family = EFFECTS[each.effect]
-    unit = "" if each.unit == "1" else each.unit
-    size = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
+    scale, unit = (100.0, "%") if family.of_shares else (1.0, each.unit)
+    size = f"{round_significant(scale * each.estimate, 2)} {unit}".rstrip()
     at = "" if each.joint is None else f" at {each.joint}"
     where = "in the log" if family.of_log else "not in the model"
     return Reason("effect_found", f"{family.title} of {size}{at} {where}")

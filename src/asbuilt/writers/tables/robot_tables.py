@@ -277,4 +277,5 @@ def standard_table(base: BaseParameters) -> Table:
 
 
 def _format_vector(values: Iterable[float]) -> str:
-    return " ".join(f"{value + 0.0:.5g}" for value in values)
+    # Three vectors of three numbers and a name fit 80 columns so; files have all digits.
+    return " ".join(f"{value + 0.0:.3g}" for value in values)
