@@ -150,7 +150,8 @@ def format_size(each: FoundEffect) -> str:
     """Return the size of an effect with its standard error, or its interval and what was chosen."""
     scale, unit = _read_unit(each)
     if each.feasible is None:
-        size = format_plus_minus(scale * each.estimate, scale * each.std_error)
+        error = None if each.std_error is None else scale * each.std_error
+        size = format_plus_minus(scale * each.estimate, error)
         return f"{size} {unit}".rstrip()
     chosen = round_significant(scale * each.estimate)
     least, greatest = (scale * bound for bound in each.feasible)

@@ -467,7 +467,8 @@ def test_units_are_named_by_what_agrees(
         model, write(tmp_path / "log.csv", named(clean, **change(clean)), "%.12g")
     )
     assert check.ok
-    assert not check.warnings
+    # Counts of a small motion are coarse, which is true.
+    assert {finding.code for finding in check.warnings} <= {"band_limited_by_noise"}
     for name, value in content.items():
         if isinstance(value, dict):
             assert value.items() <= proposal.content[name].items()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -229,13 +230,16 @@ def _refine_zeros(cost: Callable[[Array], float], zeros: Array) -> Array:
         return changed
 
     # Tens of steps a joint settle to a tenth of a degree, which masses do not reach.
-    found = minimize(
-        lambda values: cost(with_zeros(values)),
+    def misfit(values: Array) -> float:
+        return cost(with_zeros(values))
+
+    found: Any = minimize(  # type: ignore[call-overload]
+        misfit,
         zeros[moved],
         method="Nelder-Mead",
         options={"maxfev": 60 * moved.size, "xatol": 1e-3, "fatol": 1e-3},
     )
-    return with_zeros(found.x)
+    return with_zeros(np.asarray(found.x))
 
 
 def _count_joints_beyond(fit: TorqueFit) -> int:

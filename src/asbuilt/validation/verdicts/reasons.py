@@ -11,6 +11,7 @@ import numpy as np
 
 from asbuilt.description.plausibility import (
     explain_implausible_links,
+    find_wrong_units,
     list_corrections,
 )
 from asbuilt.findings import Finding, join_names
@@ -262,8 +263,9 @@ def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     total = sum(float(link.inertia.mass) for link in links)
     built = float(sum(masses))
     known = all(link.inertia_known for link in result.model.links) and total > 0.0
-    absurd = explain_implausible_links(result.model.with_parameters(found[: 10 * len(links)]))
-    if absurd and known:
+    # What the log leaves open stays at CAD, with its unit.
+    exported = result.model.with_parameters(found[: 10 * len(links)])
+    if find_wrong_units(result.model) and (absurd := explain_implausible_links(exported)):
         text = f"mass and inertia of {join_names(list(absurd))} cannot be of one link"
         yield Reason("implausible_bodies", text, forbids=True)
         return
