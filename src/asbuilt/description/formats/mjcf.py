@@ -202,7 +202,7 @@ def _remove_shapes(root: Element, source: str) -> dict[str, float]:
         element.attrib.pop("material", None)
     compiler = root.find("compiler")
     from_geoms = False
-    groups = (0.0, np.inf)
+    groups: tuple[float, ...] = (0.0, np.inf)
     if compiler is not None:
         compiler.attrib.pop("fusestatic", None)
         from_geoms = compiler.get("inertiafromgeom") == "true"

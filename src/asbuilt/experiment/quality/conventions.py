@@ -233,7 +233,7 @@ def _refine_zeros(cost: Callable[[Array], float], zeros: Array) -> Array:
     def misfit(values: Array) -> float:
         return cost(with_zeros(values))
 
-    found: Any = minimize(  # type: ignore[call-overload]
+    found: Any = minimize(
         misfit,
         zeros[moved],
         method="Nelder-Mead",
