@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.workflow.study import Study, identify
 from named_effects import named_effects
 from outside_robot import Engine, OutsideRobot, Sensors, mean_inertia, other_bodies
@@ -30,6 +31,7 @@ ROBOTS = {
     "iiwa 14": str(SHARED_IIWA) if SHARED_IIWA.exists() else "kuka-iiwa7-r800",
 }
 """Without the recordings' folder the iiwa 7 takes the place of the iiwa 14."""
+PLANAR = "planar"
 DURATION, RATE, HARMONICS = 40.0, 200.0, 40
 NOISE = 0.1
 VISCOUS, COULOMB, OFFSET = 1.0, 2.0, 0.3
@@ -37,10 +39,15 @@ VISCOUS, COULOMB, OFFSET = 1.0, 2.0, 0.3
 
 @dataclass(frozen=True, slots=True)
 class Lacking:
-    """What a robot has: its effect by name, findings that name it too, counts and rate [Hz]."""
+    """What a robot has: its effect by name, findings that name it too, counts and rate [Hz].
+
+    `log` is what is done to its log.
+    """
 
     effect: str
     change: Callable[[OutsideRobot, Array], OutsideRobot] = lambda robot, inertia: robot
+    log: Callable[[Recording], Recording] = lambda log: log
+    source: TorqueSource = "sensor"
     codes: tuple[str, ...] = ()
     counts: float = 2.0**20
     rate: float = RATE
@@ -77,6 +84,23 @@ def _hose(q: Array, qd: Array) -> Array:
     return torque
 
 
+def _mix_sensors(robot: OutsideRobot, inertia: Array) -> OutsideRobot:
+    """Return the robot with 2 % of a neighbour's torque at every other sensor."""
+    n = len(robot.coulomb)
+    return replace(robot, crosstalk={(k, (k + 1) % n): 0.02 for k in range(0, n, 2)})
+
+
+def _turn_in_plane(robot: OutsideRobot, inertia: Array) -> OutsideRobot:
+    """Return the robot with its base turned by half a degree about the axis of joint 2."""
+    return replace(robot, turn=np.deg2rad([0.0, 0.5, 0.0]))
+
+
+def _hold_rows(log: Recording) -> Recording:
+    """Return a log whose rows hold each second sample twice."""
+    rows = np.arange(log.n_samples) // 2 * 2
+    return replace(log, q=log.q[rows], tau=log.tau[rows])
+
+
 NAMELESS = ("torque_nameless",)
 LACKING = {
     "nothing": Lacking(""),
@@ -95,6 +119,15 @@ LACKING = {
     "elastic": Lacking("elastic", _elastic),
     "presliding": Lacking("presliding", lambda r, _: replace(r, bristle=_all(0.01, r))),
     "warming": Lacking("warming", lambda r, _: replace(r, warming=0.2), codes=("friction_drifts",)),
+    "crosstalk": Lacking("crosstalk", _mix_sensors),
+    "plane_tilt": Lacking("tilt", _turn_in_plane),
+    "asymmetry": Lacking(
+        "load_friction",
+        lambda r, _: replace(r, efficiency=_all((0.08, 0.02), r)),
+        source="motor",
+    ),
+    "backlash": Lacking("backlash", lambda r, _: replace(r, backlash=_all(1e-3, r))),
+    "held_rows": Lacking("", log=_hold_rows, codes=("stale_samples",), rate=500.0),
     "uneven": Lacking("", lambda r, _: replace(r, nameless=_uneven), codes=NAMELESS),
     "ripple": Lacking("", lambda r, _: replace(r, nameless=_ripple), codes=NAMELESS),
     "hose": Lacking("", lambda r, _: replace(r, nameless=_hose), codes=NAMELESS),
@@ -106,9 +139,14 @@ class Trial:
     """One study of a robot: parameters whose 95 % interval holds the truth, and what was named."""
 
     names: tuple[str, ...]
-    held: NDArray[np.bool_]
+    errors: Array
     named: bool
     other_names: tuple[str, ...]
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether each 95 % interval holds the truth; `errors` are in standard errors."""
+        return np.abs(self.errors) < 1.959964
 
 
 def logged(
@@ -122,14 +160,37 @@ def logged(
     robot = what.change(plain, mean_inertia(plain.bodies, motion.sample(2.0).q))
     turns = tuple(joint.is_revolute for joint in cad.joints)
     sensors = Sensors(np.full(n, NOISE), counts=what.counts, turns=turns)
-    return robot, robot.log(motion, sensors, what.rate, rng, torque_source="sensor")
+    return robot, what.log(robot.log(motion, sensors, what.rate, rng, torque_source=what.source))
+
+
+def planar_arm() -> RobotModel:
+    """Return an arm of two links in a vertical plane, both axes along y."""
+    links = ((0.4, 3.0, 0.2, 0.05), (0.3, 1.5, 0.15, 0.02))
+    bodies, joints = [], []
+    for k, (_, mass, centre, inertia) in enumerate(links):
+        bodies.append(
+            f'<link name="link_{k + 1}"><inertial><origin xyz="{centre} 0.02 0.01"/>'
+            f'<mass value="{mass}"/><inertia ixx="{0.2 * inertia}" iyy="{inertia}"'
+            f' izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+        parent, place = ("base", 0.0) if k == 0 else (f"link_{k}", links[k - 1][0])
+        joints.append(
+            f'<joint name="joint_{k + 1}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="link_{k + 1}"/><origin xyz="{place} 0 0"/><axis xyz="0 1 0"/>'
+            '<limit lower="-2.5" upper="2.5" velocity="3" effort="60"/></joint>'
+        )
+    text = f'<robot name="planar"><link name="base"/>{"".join(bodies + joints)}</robot>'
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "planar.urdf")
+        path.write_text(text)
+        return load_robot(str(path))
 
 
 def trials(
     name: str, lacking: str, repetitions: int, engine: Engine = "pinocchio"
 ) -> Iterator[Trial]:
     """Yield what studies with default options hold and name."""
-    model = load_robot(ROBOTS[name])
+    model = planar_arm() if name == PLANAR else load_robot(ROBOTS[name])
     bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in model.joints)
     cad = replace(model, joints=bare)
     for seed in range(repetitions):
@@ -150,15 +211,14 @@ def trial(robot: OutsideRobot, study: Study, what: Lacking) -> Trial:
     }
     names = base.standard_names
     known = [*robot.bodies.parameters, *(drives.get(name, np.nan) for name in names[n_links:])]
-    error = np.abs(study.result.estimates - base.values(np.nan_to_num(known)))
+    error = study.result.estimates - base.values(np.nan_to_num(known))
     lacks = {name for name, value in zip(names, known, strict=True) if np.isnan(value)}
     kept = [j for j, name in enumerate(base.names) if name not in lacks]
-    held = error < 1.959964 * study.result.std_errors
     effects = {each.effect for each in named_effects(study)}
     codes = {finding.code for finding in study.findings}
     return Trial(
         tuple(base.names[j] for j in kept),
-        held[kept],
+        error[kept] / study.result.std_errors[kept],
         what.effect in effects or bool(codes & {*what.codes}),
         tuple(sorted(effects - {what.effect})),
     )

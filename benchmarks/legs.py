@@ -37,6 +37,8 @@ FORCE_NOISE = 1e-3
 """Standard deviation of a measured force in units of its largest range."""
 FELT = 0.02
 """Force over the weight above which a contact's flag is 1."""
+BRAKED = {"condim": "6", "friction": "0.8 0.02 0.01", "priority": "1"}
+"""Feet of the Go2 in MuJoCo's menagerie: lengths of torsional and rolling friction [m]."""
 STEEPEST = np.deg2rad(70.0)
 
 
@@ -46,7 +48,8 @@ class Walk:
 
     It squats, sways and turns on its feet (`squat`), trots (`step`), jumps (`hop`), or moves its
     joints as it falls (`flight`). With `forces` those of the feet are logged in place of flags,
-    with `command` what the servos are asked for in place of torques; their gains are known.
+    with `command` what the servos are asked for in place of torques; their gains are known. Feet
+    that are `braked` have torsional and rolling friction, as those of MuJoCo's own models have.
     """
 
     robot: str
@@ -55,11 +58,13 @@ class Walk:
     method: str = "wls"
     forces: bool = False
     command: bool = False
+    braked: bool = False
 
     @property
     def name(self) -> str:
         name = f"legs_{self.robot}_{'_'.join(self.motions)}_{self.seconds:g}s_{self.method}"
-        return name + "_forces" * self.forces + "_command" * self.command
+        name += "_forces" * self.forces + "_command" * self.command
+        return name + "_braked" * self.braked
 
 
 class Stage(NamedTuple):
@@ -84,7 +89,7 @@ def studied(walk: Walk, seed: int) -> tuple[RobotModel, Study]:
     cad = described(walk.robot)
     truth = other_bodies(cad, rng)
     logs = [
-        recorded(legged, truth, kind, walk.seconds, rng, walk.forces, walk.command)
+        recorded(legged, truth, kind, walk.seconds, rng, walk.forces, walk.command, walk.braked)
         for kind in walk.motions
     ]
     if not walk.command:
@@ -117,18 +122,19 @@ def recorded(
     rng: np.random.Generator,
     forces: bool = False,
     command: bool = False,
+    braked: bool = False,
 ) -> dict[str, Array]:
     """Return the log of a motion; the robot falls freely if it is `flight`.
 
     A `command` is logged in place of torques; it is held until the next sample.
     """
-    stage = staged(legged, model)
+    stage = staged(legged, model, braked)
     goal = goals(stage, kind, seconds + SETTLING, rng)
     log = simulated(legged, stage, goal, kind == "flight", rng, command)
     return _columns(legged, model, log, rng, forces, command)
 
 
-def staged(legged: Legged, model: RobotModel) -> Stage:
+def staged(legged: Legged, model: RobotModel, braked: bool = False) -> Stage:
     """Return a robot that stands on a floor, with balls or the corners of soles at its contacts."""
     root = fromstring(export_mjcf(model))
     for geom in root.iter("geom"):
@@ -137,6 +143,7 @@ def staged(legged: Legged, model: RobotModel) -> Stage:
     world, bodies = next(iter(root.iter("worldbody"))), list(root.iter("body"))
     stiff = {"solref": "0.004 1", "friction": "1 .005 .0001"}
     SubElement(world, "geom", {"name": "floor", "type": "plane", "size": "99 99 1"} | stiff)
+    touch = stiff | (BRAKED if braked else {})
     own: dict[str, str] = {}
     for foot in legged.feet:
         sites = [each for each in root.iter("site") if each.get("name") == foot]
@@ -149,7 +156,7 @@ def staged(legged: Legged, model: RobotModel) -> Stage:
         for k, (along, across) in enumerate(corners):
             place = f"{x + along} {y + across} {z + below}"
             ball = {"name": f"{foot} {k}", "type": "sphere", "pos": place, "mass": "0"}
-            SubElement(body, "geom", ball | {"size": str(size)} | stiff)
+            SubElement(body, "geom", ball | {"size": str(size)} | touch)
     m = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
     m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     m.jnt_limited[:] = 0

@@ -23,7 +23,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -41,13 +41,14 @@ from asbuilt import (
 from asbuilt.apps.run import Loop, RunOptions, predict_round
 from asbuilt.excitation import Motion
 
+Purpose = Literal["torque", "simulator", "payload"]
 MAKES = ("ur10e", "kuka-iiwa7-r800", "franka-panda", "puma-560", "scara")
 LOGGED = ("sensor", "motor", "command")
 EFFECTS = ("tilt", "tool", "stiction", "backlash")
 LENGTHS = (10.0, 20.0, 30.0, 40.0, 60.0, 120.0)
 """Seconds of motion from which models are made."""
 ROUNDS = 6
-"""Rounds of the loop, 10 s each."""
+"""Rounds of the loop, 10 s each, unless stated."""
 TESTS = 3
 WITHIN = 1.2
 """Error, in multiples of what 120 s reach, at which a model counts as learned."""
@@ -77,7 +78,7 @@ class EndlessLoop(Loop):
     """A loop that goes on whatever it finds."""
 
     def choose_ending(self) -> Any:
-        return "rounds" if len(self.rounds) >= ROUNDS else None
+        return "rounds" if len(self.rounds) >= self.options.rounds else None
 
 
 def make_robot(number: int) -> tuple[RobotModel, VirtualRobot, list[str], str]:
@@ -113,9 +114,9 @@ def add_effect(robot: VirtualRobot, name: str, rng: np.random.Generator) -> Virt
     return replace(robot, train=changed)
 
 
-def measure_error(study: Study, tests: list[Recording]) -> float:
+def measure_error(study: Study, tests: list[Recording], purpose: Purpose = "torque") -> float:
     """Return the root mean square error on motions that the study has not seen."""
-    errors = [predict_round(study, each, "torque").error for each in tests]
+    errors = [predict_round(study, each, purpose).error for each in tests]
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
@@ -129,10 +130,17 @@ def random_motion(model: RobotModel, seed: int, seconds: float) -> Motion:
     )
 
 
-def measure(number: int, known: dict[str, Any] | None = None) -> dict[str, Any]:
+def measure_robot(
+    number: int,
+    known: dict[str, Any] | None = None,
+    *,
+    rounds: int = ROUNDS,
+    purpose: Purpose = "torque",
+    loop_only: bool = False,
+) -> dict[str, Any]:
     """Return the errors of one robot for each way of moving it.
 
-    With a `known` row only the loop is measured again.
+    With a `known` row only the loop is measured again, with `loop_only` nothing else.
     """
     model, robot, effects, logged = make_robot(number)
     tests = [
@@ -142,7 +150,7 @@ def measure(number: int, known: dict[str, Any] | None = None) -> dict[str, Any]:
     row: dict[str, Any] = {"robot": number, "make": model.name, "effects": effects,
                            "logged": logged, "loop": [], "random": [], "excite": []}  # fmt: skip
     began = time.process_time()
-    options = RunOptions(rounds=ROUNDS, until=WANTED, seed=number)
+    options = RunOptions(rounds=rounds, until=WANTED, seed=number, purpose=purpose)
     with tempfile.TemporaryDirectory() as folder:
         loop = EndlessLoop(
             model=model,
@@ -154,13 +162,15 @@ def measure(number: int, known: dict[str, Any] | None = None) -> dict[str, Any]:
         for made in loop:
             seconds += made.seconds
             row["loop"].append({
-                "seconds": seconds, "error": measure_error(made.study, tests),
+                "seconds": seconds, "error": measure_error(made.study, tests, purpose),
                 "promised": made.goal_error, "verdict": made.verdict,
                 "passes": made.passes(WANTED / 100), "round": [made.promised, made.found],
             })  # fmt: skip
     row["cpu_of_loop"] = time.process_time() - began
     if known is not None:
         return {**known, **{key: row[key] for key in ("loop", "cpu_of_loop")}}
+    if loop_only:
+        return row
     whole = robot.record(random_motion(model, number, LENGTHS[-1]), number + 1).recording
     for length in LENGTHS:
         part = whole.between(0.0, length) if length < LENGTHS[-1] else whole
@@ -201,17 +211,20 @@ def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
     )
     times = []
     for row in rows:
+        name = f"{row['make']:<18}{row['logged']:<9}{'+'.join(row['effects']) or '-':<19}"
+        if not row["excite"]:
+            yield name
+            continue
         ends = [row[way][-1][1] for way in ("random", "excite")]
         level = WITHIN * min(each for each in ends if each is not None)
         loop = [(each["seconds"], each["error"]) for each in row["loop"]]
         found = [time_until(each, level) for each in (loop, row["random"], row["excite"])]
         times.append(found)
-        yield (
-            f"{row['make']:<18}{row['logged']:<9}{'+'.join(row['effects']) or '-':<19}"
-            f"{100 * level:>8.2f}" + "".join(f"{each:>8.0f}" for each in found)
-        )
-    medians = np.median(times, axis=0)
-    yield f"median seconds: loop {medians[0]:g}, random {medians[1]:g}, excite {medians[2]:g}"
+        yield f"{name}{100 * level:>8.2f}" + "".join(f"{each:>8.0f}" for each in found)
+    if times:
+        medians = np.median(times, axis=0)
+        yield f"median seconds: loop {medians[0]:g}, random {medians[1]:g}, excite {medians[2]:g}"
+        yield from compare_at_equal_seconds(rows)
     proven = [
         (now["error"] / now["promised"], now)
         for row in rows
@@ -221,6 +234,9 @@ def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
     right = sum(ratio <= TRUSTED for ratio, _ in proven)
     worst = max((ratio for ratio, _ in proven), default=np.nan)
     yield f"proven (USE twice in a row): right {right} of {len(proven)}, worst {worst:.2f}"
+    ratios = [ratio for ratio, _ in proven] or [np.nan]
+    low, middle, high = np.quantile(ratios, (0.05, 0.5, 0.95))
+    yield f"error over promise when proven: median {middle:.2f}, 90 % in {low:.2f} to {high:.2f}"
     every = [each["error"] / each["promised"] for row in rows for each in row["loop"][1:]]
     yield (
         f"error within {TRUSTED:g} of the promise after any round but the first:"
@@ -236,11 +252,33 @@ def summarise(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield f"CPU seconds of a loop: median {np.median([row['cpu_of_loop'] for row in rows]):.0f}"
 
 
+def compare_at_equal_seconds(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the error of the loop over that of one designed motion of the same length."""
+    for length in LENGTHS:
+        ratios = [
+            here["error"] / there[1]
+            for row in rows
+            for here in row["loop"]
+            for there in row["excite"]
+            if here["seconds"] == there[0] == length and there[1] is not None
+        ]
+        if ratios:
+            low, middle, high = np.quantile(ratios, (0.0, 0.5, 1.0))
+            yield (
+                f"{length:g} s: error of the loop over that of one designed motion: median"
+                f" {middle:.2f}, {low:.2f} to {high:.2f}"
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", type=int, default=15)
     parser.add_argument("--out", type=Path, default=Path("out/loop.jsonl"))
     parser.add_argument("--summary", type=Path)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--for", dest="purpose", choices=get_args(Purpose), default="torque")
+    parser.add_argument("--loop-only", action="store_true", help="without the other motions")
+    parser.add_argument("--first", type=int, default=0, help="number of the first robot")
     parser.add_argument("--again", type=Path, help="rows of which only the loop is measured again")
     given = parser.parse_args()
     path = given.summary or given.out
@@ -251,10 +289,18 @@ def main() -> None:
     known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     if given.summary is None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        for number in range(given.robots):
+        for number in range(given.first, given.first + given.robots):
             if number in {row["robot"] for row in known}:
                 continue
-            known.append(measure(number, rows.get(number)))
+            known.append(
+                measure_robot(
+                    number,
+                    rows.get(number),
+                    rounds=given.rounds,
+                    purpose=given.purpose,
+                    loop_only=given.loop_only,
+                )
+            )
             with path.open("a") as file:
                 file.write(json.dumps(known[-1]) + "\n")
     print("\n".join(summarise(known)))

@@ -82,7 +82,10 @@ class OutsideRobot:
     that between motor and link, `mix` turns joint rates into motor rates, `bristle` is the
     stiffness length of Dahl's friction (0: friction is Coulomb's), `beside` are further torques on
     the links by joint, `nameless` is one of all positions and velocities that no effect is the name
-    of, `warming` is the share of viscous friction that goes over a log.
+    of, `warming` is the share of viscous friction that goes over a log. `crosstalk` is the share of
+    another joint's torque that a sensor adds, by its joint and the other one, `backlash` the play
+    [rad] between motor and link, `efficiency` are the shares of the load that friction takes where
+    the motor drives and where the load does.
     """
 
     bodies: RobotModel
@@ -97,6 +100,9 @@ class OutsideRobot:
     stribeck: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     quadratic: Mapping[int, float] = field(default_factory=dict)
     load_share: Mapping[int, float] = field(default_factory=dict)
+    efficiency: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    backlash: Mapping[int, float] = field(default_factory=dict)
+    crosstalk: Mapping[tuple[int, int], float] = field(default_factory=dict)
     beside: Mapping[int, Callable[[Array], Array]] = field(default_factory=dict)
     nameless: Callable[[Array, Array], Array] | None = None
     gain: Mapping[int, float] = field(default_factory=dict)
@@ -122,14 +128,19 @@ class OutsideRobot:
         n, load = q.shape[1], self.rigid(q, qd, qdd)
         for k, torque in self.beside.items():
             load[:, k] += torque(q[:, k])
-        for k, stiffness in self.stiffness.items():
-            lag = load[:, k] / stiffness
+        lags = [(k, load[:, k] / stiffness) for k, stiffness in self.stiffness.items()]
+        lags += [(k, 0.5 * play * lean(load[:, k])) for k, play in self.backlash.items()]
+        for k, lag in lags:
             ahead = np.gradient(lag, t)
             q[:, k] += lag
             qd[:, k] += ahead
             qdd[:, k] += np.gradient(ahead, t)
         tau = self._driven(t, q, qd, qdd, load)
         tau = _at(t, tau, t - self.delay) * _each(self.gain, n, 1.0)
+        sensor = np.eye(n)
+        for place, share in self.crosstalk.items():
+            sensor[place] = share
+        tau = tau @ sensor.T
         return Logged(t, q + _each(self.zero, n, 0.0), qd, qdd, tau)
 
     def at_states(self, log: Logged) -> Array:
@@ -163,6 +174,9 @@ class OutsideRobot:
         for k, factor in self.quadratic.items():
             torque[:, k] += factor * sd[:, k] * np.abs(sd[:, k])
         for k, share in self.load_share.items():
+            torque[:, k] += share * np.abs(load[:, k]) * sign[:, k]
+        for k, (driving, driven) in self.efficiency.items():
+            share = np.where(load[:, k] * sign[:, k] > 0.0, driving, driven)
             torque[:, k] += share * np.abs(load[:, k]) * sign[:, k]
         return np.asarray(torque)
 
@@ -198,6 +212,15 @@ class OutsideRobot:
             [(1.0 - 0.5 * self.warming) * self.viscous, self.coulomb, self.offset]
         )
         return np.concatenate([self.bodies.parameters, drives.ravel()])
+
+
+SOFT = 0.03
+"""Share of the RMS load within which gears change from one flank to the other."""
+
+
+def lean(load: Array) -> Array:
+    """Return on which flank a load (N,) lies, in [-1, 1]."""
+    return np.asarray(np.tanh(load / (SOFT * np.sqrt(np.mean(load**2)))))
 
 
 def dahl(x: Array, length: float) -> Array:

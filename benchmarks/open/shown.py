@@ -32,7 +32,10 @@ from task import HERE, RESULTS, SHARED, tasks
 HOUSE = HERE.parents[1]
 PRINTS = HERE / "prints"
 QUOTES = HERE / "shown.toml"
-PAGES = ("README.md", "docs/tutorial.md", "docs/explanation/what-a-log-determines.md")
+PAGES = (
+    *("README.md", "docs/index.md", "docs/tutorial.md"),
+    "docs/explanation/what-a-log-determines.md",
+)
 """Pages of prose whose numbers are renewed; those of docs/benchmark and docs/robots are written
 whole, and notebooks are kept without outputs."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d.]*(?:e[-+]?\d+)?")

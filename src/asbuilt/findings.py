@@ -148,13 +148,19 @@ def _cut_to_clauses(text: str, room: int) -> str:
         for mark in ("; ", ". ", ": ", ", ", " (")
         for at in range(len(text))
         if text.startswith(mark, at) and text[:at].count("(") == text[:at].count(")")
-        if " " in text[:at]
+        if " " in text[:at] and not (mark == " (" and _goes_on_behind(text, at))
     ]
     strong = [at for at in ends if not text.startswith((", ", " ("), at)]
     for kind in (strong, ends):
         if fitting := [at for at in kind if at < room]:
             return text[: max(fitting)]
     return text[: min(ends)] if ends else text
+
+
+def _goes_on_behind(text: str, bracket: int) -> bool:
+    """Return whether a clause goes on behind a bracket, so that it is none without the rest."""
+    rest = text[text.find(")", bracket) + 1 :]
+    return bool(rest) and rest[0] not in ";:,.)"
 
 
 def rank_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:

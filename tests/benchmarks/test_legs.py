@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from asbuilt import identify
-from asbuilt.errors import UsageError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment import read_fitted_recordings
 from legged_robots import LEGGED
 from legs import STEP, Walk, against_truth, described, parameter_errors, recorded, studied
@@ -90,3 +90,22 @@ def test_one_unknown_stiffness_follows_from_the_weight() -> None:
 def test_intervals_hold_the_truth(robot: str, motion: str, forces: bool) -> None:
     ((error, std_error),) = parameter_errors(Walk(robot, (motion,), forces=forces), 1)
     assert np.mean(np.abs(error) < 1.959964 * std_error) >= LEAST
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("braked", [True, False])
+def test_feet_that_brake_their_turning_are_named_and_others_are_not(braked: bool) -> None:
+    _, study = studied(Walk("go2", ("step",), 10.0, braked=braked), 0)
+    found = [finding for finding in study.findings if finding.code == "foot_moments"]
+    assert bool(found) == braked
+    assert all("torsional" in finding.message for finding in found)
+    reasons = list(study.verdict.reasons)
+    assert ("foot_moments" in reasons) == braked
+
+
+def test_four_flat_feet_leave_no_equation() -> None:
+    log = recorded(LEGGED["go2"], described("go2"), "squat", 3.0, np.random.default_rng(0))
+    cad = described("go2")
+    flat = tuple(replace(contact, flat=True, radius=0.0) for contact in cad.contacts)
+    with pytest.raises(RecordingError, match="no equation is left"):
+        identify(replace(cad, contacts=flat), log, torque_source="motor")

@@ -7,9 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from asbuilt import simulate_recording
 from asbuilt.description import bundled_robot
+from asbuilt.dynamics import link_poses
 from asbuilt.errors import DescriptionError, MotionError, RecordingError
-from asbuilt.excitation import DesignOptions, check_motion, design_motion, random_fourier
+from asbuilt.excitation import (
+    DesignOptions,
+    check_motion,
+    design_motion,
+    random_fourier,
+    random_point_to_point,
+)
 from asbuilt.experiment import VirtualRobot, check_recording
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.workflow import StudyOptions, identify
@@ -119,8 +127,35 @@ def test_limits_beyond_the_reach_are_refused_before_a_search() -> None:
     short = replace(model, loops=(loop,))
     with pytest.raises(MotionError, match=r"crank_joint -[\d.]+ to [\d.]+"):
         design_motion(short, DesignOptions(duration=4.0))
-    with pytest.raises(MotionError, match="do not close everywhere"):
-        random_fourier(short)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("draw", [random_fourier, random_point_to_point])
+def test_random_motions_close_the_loops_where_the_limits_do_not(draw) -> None:
+    stated = robot_with_loops("piston")
+    model = stated.with_limits([replace(stated.joints[0].limits, upper=0.8)])
+    with pytest.raises(MotionError, match="closes no loop"):
+        link_poses(model, [0.8])
+    for seed in range(2):
+        motion = draw(model, seed)
+        t = motion.sample_times(200.0)
+        lever = model.tree.joint_names.index("lever_joint")
+        angle = model.coupling.motion(motion.derivative(t, 0)).q[:, lever]
+        # The cylinder's pivot is 0.1 m beside and 0.5 m below the lever's, which is 0.4 m long: the
+        # law of cosines gives the distance of its end, which is the piston's length.
+        end = np.column_stack([0.4 * np.cos(angle) - 0.1, 0.5 - 0.4 * np.sin(angle)])
+        length = motion.derivative(t, 0)[:, 0] + 0.5
+        np.testing.assert_allclose(np.linalg.norm(end, axis=1), length, atol=1e-6)
+
+
+@pytest.mark.study
+def test_a_log_of_a_mechanism_with_limits_beyond_its_reach_is_identified() -> None:
+    stated = robot_with_loops("piston")
+    model = stated.with_limits([replace(stated.joints[0].limits, upper=0.8)])
+    log = simulate_recording(stated, random_fourier(stated, rng=1, duration=8.0), rng=1)
+    assert not [f for f in check_recording(model, log).findings if f.severity == "error"]
+    wide, narrow = (identify(each, log, method="wls").result for each in (model, stated))
+    np.testing.assert_allclose(wide.estimates, narrow.estimates, rtol=1e-6, atol=1e-9)
 
 
 def test_exports_that_have_no_loops_refuse_by_name() -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from asbuilt.description import bundled_robot
+from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment import SignalChain, as_recordings
 from asbuilt.identification.calibration.added_moments import identify_added_moments
-from asbuilt.workflow import StudyOptions, identify, prepare
+from asbuilt.workflow import StudyOptions, identify, identify_payload, prepare
 
 SHEET = """rate = 200
 header = false
@@ -85,3 +86,14 @@ def test_two_weights_change_first_moments_in_their_ratio(shared: Path, tmp_path:
     error = ratio * np.hypot(spread / light, more / heavy)
     assert error < 0.1
     assert abs(ratio - 205 / 105) < 2.0 * error
+
+
+@pytest.mark.study
+def test_a_weight_at_the_tip_has_no_mass_but_first_moments(shared: Path, tmp_path: Path) -> None:
+    robot = bundled_robot("dvrk-psm")
+    options = StudyOptions(chain=SignalChain(cutoff=5.4), holdout=None, method="wls")
+    result = identify(robot, log(shared, tmp_path, "psm", "one_no_weight"), options=options)
+    loaded = log(shared, tmp_path, "psm", "one_205_grams_parallel")
+    with pytest.raises(IdentifiabilityError, match=r"first moments are: mx .* g m") as caught:
+        identify_payload(result, loaded)
+    assert caught.value.cure.settings == {"moments": True}

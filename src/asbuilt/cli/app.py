@@ -16,6 +16,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -320,7 +321,19 @@ def _fail(
             print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
         _say(fold_text(f"asbuilt: {message}" + (f"; {hint}" if hint else "")))
+        if other := _find_other_sheet(given, kind, values):
+            _say(fold_text(f"Or read it by the sheet of a log beside it: --sheet {other}"))
     return status
+
+
+def _find_other_sheet(given: Sequence[str], kind: str, values: Mapping[str, Any]) -> str:
+    """Return the sheet of another log of the folder that may read one which cannot be read."""
+    log = values.get("file")
+    if kind != "RecordingError" or not isinstance(log, str) or "--sheet" in given:
+        return ""
+    from asbuilt.experiment.logs.sheet import find_sheet_of_another
+
+    return str(find_sheet_of_another(Path(log)) or "")
 
 
 def _say(text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +41,7 @@ from asbuilt.cli.arguments.options import (
 from asbuilt.cli.arguments.spread import require_known_value
 from asbuilt.description.inertia import tool_from_text
 from asbuilt.findings import Cure
+from asbuilt.tables import wrap_text
 
 
 def check(
@@ -77,6 +79,8 @@ def check(
     if write_sheet:
         proposals = _propose_sheets(described, log, reading)
         written = _write_sheets(proposals)
+        # The sheet has the sign now, which the option would turn again.
+        reading = replace(reading, flip_torque=reading.flip_torque and not written)
     try:
         model, (recordings,) = read_robot_and_recordings(described, reading, log)
     except RecordingError as problem:
@@ -107,7 +111,7 @@ def check(
                 + ("" if part is None else f"\n{part.as_text(describe_cure)}")
                 for found, part in zip(checks, carried, strict=True)
             )
-            + ("" if write_sheet else _print_sheets(proposals))
+            + (_tell_unwritten(proposals, written) if write_sheet else _print_sheets(proposals))
             + list_files(files)
         ),
     )
@@ -154,11 +158,28 @@ def _write_sheets(proposals: dict[Path, experiment.SheetProposal]) -> dict[str, 
     return written
 
 
+def _tell_unwritten(
+    proposals: dict[Path, experiment.SheetProposal], written: dict[str, Path]
+) -> str:
+    """Return for each log without a new sheet why it has none."""
+    return "".join(
+        f"\n\n{log.name} needs no sheet."
+        if not each.content
+        else f"\n\nThe sheet beside {log.name} stays as it is."
+        for log, each in proposals.items()
+        if f"sheet of {log.name}" not in written
+    )
+
+
 def _print_sheets(proposals: dict[Path, experiment.SheetProposal]) -> str:
     """Return the sheets that change how logs are read, and what they then are."""
     return "".join(
-        f"\n\nWith this sheet {log.name} is {each.outcome} (--write-sheet writes it beside"
-        f" the log):\n\n{each.text.rstrip()}"
+        "\n\n"
+        + wrap_text(
+            f"With this sheet {log.name} is {each.outcome} (--write-sheet writes it beside the"
+            " log):"
+        )
+        + f"\n\n{each.text.rstrip()}"
         for log, each in proposals.items()
         if each.changed
     )

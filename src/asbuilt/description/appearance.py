@@ -64,7 +64,7 @@ def link_solids(model: RobotModel) -> tuple[Solid, ...]:
 
 def stretched_length(model: RobotModel) -> float:
     """Return the length of the longest chain from the root, joint by joint [m]; at least 0.1."""
-    return max(0.1, float(np.max(_measure_distances(model))))
+    return max(0.1, float(np.max(measure_distances(model))))
 
 
 def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
@@ -85,7 +85,7 @@ def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
 
 
 def _build_solids(model: RobotModel) -> Iterator[Solid]:
-    distances = _measure_distances(model)
+    distances = measure_distances(model)
     reach = stretched_length(model)
     thick = SLENDERNESS * reach
     ends: dict[int, list[Array]] = {k: [] for k in range(ROOT, model.n_links)}
@@ -137,7 +137,7 @@ def _build_rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Arra
             yield start, stop
 
 
-def _measure_distances(model: RobotModel) -> Array:
+def measure_distances(model: RobotModel) -> Array:
     """Return how far along the chain each link ends, shape (n_links,) [m]."""
     along = np.zeros(model.n_links)
     for k in model.link_order:

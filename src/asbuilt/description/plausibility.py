@@ -156,6 +156,11 @@ class _Build:
         """
         return self.density < AIR and self.gyration > self.length
 
+    @property
+    def is_implausible(self) -> bool:
+        """Whether no link of a robot is so built."""
+        return self.is_too_dense or self.is_too_wide
+
     def corrected(self, misreading: _Misreading) -> _Build:
         """Return the link with the values that a misread file means."""
         gyration = self.gyration * np.sqrt(misreading.mass / misreading.inertia)
@@ -176,9 +181,6 @@ def check_plausibility(model: RobotModel) -> tuple[Finding, ...]:
     ()
     """
     reach = max(stretched_length(model), SHORTEST_REACH)
-    builds = [_measure_link(model, k) for k in range(model.n_links)]
-    heaviest = max((link.inertia.mass for link in model.links), default=0.0)
-    known = [each for each in builds if each is not None and each.mass > NEGLIGIBLE * heaviest]
     findings = [
         *_check_lengths(model),
         *(
@@ -191,7 +193,7 @@ def check_plausibility(model: RobotModel) -> tuple[Finding, ...]:
                 *_check_centre(model, k, reach),
             )
         ),
-        *_check_sizes(known),
+        *_check_sizes(_measure_links(model)),
         *report_copies(model, LIMITS),
     ]
     return rank_findings(findings)
@@ -213,6 +215,44 @@ def find_wrong_units(model: RobotModel) -> Finding | None:
     """Return the finding that masses, inertias or lengths are in another unit, if they are."""
     found = (each for each in check_plausibility(model) if each.code == "description_units")
     return next(found, None)
+
+
+def list_corrections(model: RobotModel) -> tuple[RobotModel, ...]:
+    """Return the descriptions that an implausible one may mean; none if it is plausible.
+
+    Of a link that cannot be, mass or inertia may be the wrong one: first the description with other
+    masses, then the one with other inertias. Only a log can tell which of them is meant.
+    """
+    builds = _measure_links(model)
+    unit = _find_common_unit(builds)
+    if unit is not None:
+        return (_correct_links(model, dict.fromkeys((each.name for each in builds), unit)),)
+    slips = {name: found for name, found in _find_slips(builds).items() if found}
+    corrected = []
+    for k in range(max(map(len, slips.values()), default=0)):
+        chosen = {name: found[min(k, len(found) - 1)] for name, found in slips.items()}
+        corrected.append(_correct_links(model, chosen))
+    return tuple(corrected)
+
+
+def _correct_links(model: RobotModel, misread: Mapping[str, _Misreading]) -> RobotModel:
+    """Return the robot with the masses and inertias that misread links mean."""
+    bodies = []
+    for link in model.links:
+        body = link.inertia
+        if link.name in misread:
+            way = misread[link.name]
+            tensor = body.inertia_about_com / way.inertia
+            body = LinkInertia.from_com(body.mass / way.mass, body.com, tensor)
+        bodies.append(body.parameters)
+    return model.with_parameters(np.concatenate(bodies))
+
+
+def _measure_links(model: RobotModel) -> list[_Build]:
+    """Return how the links that carry some mass are built."""
+    builds = [_measure_link(model, k) for k in range(model.n_links)]
+    heaviest = max((link.inertia.mass for link in model.links), default=0.0)
+    return [each for each in builds if each is not None and each.mass > NEGLIGIBLE * heaviest]
 
 
 def _measure_link(model: RobotModel, index: int) -> _Build | None:
@@ -237,24 +277,32 @@ def _measure_link(model: RobotModel, index: int) -> _Build | None:
 
 
 def _check_sizes(builds: Sequence[_Build]) -> list[Finding]:
-    wrong = [each for each in builds if each.is_too_dense or each.is_too_wide]
-    if 2 * len(wrong) > len(builds):
-        unit = _find_misreading(builds, UNITS, USUAL_DENSITY)
-        if unit is not None:
-            return [_report_units(builds, unit)]
-    right = [each.density for each in builds if each not in wrong]
+    unit = _find_common_unit(builds)
+    if unit is not None:
+        return [_report_units(builds, unit)]
+    slips = _find_slips(builds)
+    return [_report_link(each, slips[each.name]) for each in builds if each.name in slips]
+
+
+def _find_common_unit(builds: Sequence[_Build]) -> _Misreading | None:
+    """Return the unit that explains most links, None if most are plausible or none does."""
+    wrong = [each for each in builds if each.is_implausible]
+    return _find_misreading(builds, UNITS, USUAL_DENSITY) if 2 * len(wrong) > len(builds) else None
+
+
+def _find_slips(builds: Sequence[_Build]) -> dict[str, list[_Misreading]]:
+    """Return by implausible link the factors of its mass, and of its inertia, that explain it."""
+    right = [each.density for each in builds if not each.is_implausible]
     usual = float(np.median(right)) if right else USUAL_DENSITY
-    return [
-        _report_link(
-            each,
-            [
-                slip
-                for possible in (MASS_SLIPS, INERTIA_SLIPS)
-                if (slip := _find_misreading([each], possible, usual)) is not None
-            ],
-        )
-        for each in wrong
-    ]
+    return {
+        each.name: [
+            slip
+            for possible in (MASS_SLIPS, INERTIA_SLIPS)
+            if (slip := _find_misreading([each], possible, usual)) is not None
+        ]
+        for each in builds
+        if each.is_implausible
+    }
 
 
 def _find_misreading(
@@ -271,7 +319,7 @@ def _find_misreading(
 
     def mends(misreading: _Misreading) -> bool:
         corrected = [build.corrected(misreading) for build in builds]
-        sound = [not (each.is_too_dense or each.is_too_wide) for each in corrected]
+        sound = [not each.is_implausible for each in corrected]
         return 2 * sum(sound) > len(sound)
 
     best = min(filter(mends, possible), key=score, default=None)

@@ -27,6 +27,8 @@ ORTHOGONALITY = 1e-6
 """A matrix counts as a rotation where `R R^T` differs from 1 by no more: files write six digits."""
 
 _STRAIGHTENED = "and taken as the right angle"
+SCALED = "and is scaled to 1"
+"""End of the note on an axis whose length is not 1."""
 _QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
 
 
@@ -56,16 +58,39 @@ def straighten_angle(angle: float, what: str, notes: list[str]) -> float:
 
 
 def condense_notes(notes: Sequence[str]) -> tuple[str, ...]:
-    """Return the notes with more than two straightened angles gathered in the first of them."""
-    angles = [note for note in notes if _STRAIGHTENED in note]
+    """Return the notes with what is said of several joints, and several angles, said once.
+
+    >>> condense_notes(["joint 'a': no limits", "read", "joint 'b': no limits"])
+    ("joints 'a', 'b': no limits", 'read')
+    """
+    said: dict[str, list[str]] = {}
+    for note in notes:
+        head, _, rest = note.partition(": ")
+        of_joint = head.startswith("joint ") and rest
+        said.setdefault(rest if of_joint else note, []).append(head if of_joint else "")
+    whole = [_join_heads(heads, text) for text, heads in said.items()]
+    angles = [note for note in whole if _STRAIGHTENED in note]
     if len(angles) <= 2:
-        return tuple(notes)
+        return tuple(whole)
     gathered = f"{angles[0]}; so are {len(angles) - 1} more angles of this description"
     return tuple(
         gathered if note is angles[0] else note
-        for note in notes
+        for note in whole
         if note is angles[0] or _STRAIGHTENED not in note
     )
+
+
+def _join_heads(heads: Sequence[str], text: str) -> str:
+    """Return what is said of joints, each named by a head such as `joint 'j1'`."""
+    if not heads[0]:
+        return text
+    names = ", ".join(head.removeprefix("joint ") for head in heads)
+    return f"joint{'s' if len(heads) > 1 else ''} {names}: {text}"
+
+
+def is_about_digits(note: str) -> bool:
+    """Return whether a note tells of digits that a file lacks, which nobody needs to act upon."""
+    return _STRAIGHTENED in note or note.endswith(SCALED)
 
 
 def cosine_sine(angle: float) -> tuple[float, float]:

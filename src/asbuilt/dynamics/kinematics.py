@@ -54,10 +54,27 @@ def draw_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Ar
     closure = model.closure
     if closure is None:
         return rng.uniform(-np.pi, np.pi, (count, n))
+    lower, upper = (
+        np.array([getattr(joint.limits, end) for joint in model.joints])
+        for end in ("lower", "upper")
+    )
+    return draw_postures_within(model, lower, upper, rng, count)
+
+
+def draw_postures_within(
+    model: RobotModel, lower: Array, upper: Array, rng: np.random.Generator, count: int
+) -> Array:
+    """Return random positions (count, n_joints) that are uniform within bounds, each (n_joints,).
+
+    Where loops place joints, they are those at which the loops close, away from singular postures:
+    limits of a motor often reach farther. Raises `DescriptionError` where there are none.
+    """
+    n, closure = model.n_joints, model.closure
+    if closure is None:
+        return rng.uniform(lower, upper, (count, n))
     home = closure.home[:n]
     reach = np.pi * closure.scale[:n]
-    lower = np.maximum([joint.limits.lower for joint in model.joints], home - reach)
-    upper = np.minimum([joint.limits.upper for joint in model.joints], home + reach)
+    lower, upper = np.maximum(lower, home - reach), np.minimum(upper, home + reach)
     found = np.empty((0, n))
     for trial in range(TRIALS):
         width = 1.0 - trial / TRIALS  # nearer to the first posture, the longer it takes
@@ -70,6 +87,11 @@ def draw_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Ar
         f"{model.name}: of {TRIALS * count} random postures of the motors the loops close at"
         f" {len(found)}; give limits within which they do"
     )
+
+
+def find_first_posture(model: RobotModel) -> Array | None:
+    """Return the motors' positions (n_joints,) of the described posture; None without loops."""
+    return None if model.closure is None else model.closure.home[: model.n_joints]
 
 
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:

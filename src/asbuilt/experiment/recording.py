@@ -27,6 +27,8 @@ ENCODERS: Mapping[str, str] = {"motor": "q_motor", "link": "q_link"}
 FLIPPED = "the sign of every torque was flipped"
 FLIPPED_TWICE = "the sign of every torque was flipped twice, so that it is again as logged"
 """Notes of `Recording.flipped`."""
+UNWRAPPED = "positions that wrap at"
+"""Beginning of the note on positions that went on where their counters began again."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -47,6 +47,8 @@ from .estimators.recursive import RecursiveEstimate as RecursiveEstimate
 from .estimators.recursive import RecursiveIdentification as RecursiveIdentification
 from .identify import identify_samples as identify_samples
 from .information.cause_data import CauseData as CauseData
+from .information.equations import MODEL as MODEL
+from .information.equations import Equations as Equations
 from .information.estimate import Estimate as Estimate
 from .information.estimate import EstimationData as EstimationData
 from .information.estimate import noise_floor as noise_floor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,8 @@ class ScreenRules:
         Findings that are shown however long the rest is.
     joints
         Joints that the table lists.
+    worth
+        Relative fall of the torque error from which an effect that is not in the model is listed.
     effect_width
         Characters of an effect next to its torque errors.
     """
@@ -45,6 +48,7 @@ class ScreenRules:
     finding_lines: int = 2
     fewest: int = 1
     joints: int = 12
+    worth: float = 0.1
     effect_width: int = WIDTH - 16
 
 
@@ -92,10 +96,11 @@ def format_effects(
 ) -> list[str]:
     """Return a line for each effect: what is in the model that CAD lacks, then what is not.
 
-    What is not in the model and would not change the torque error is left out.
+    What is not in the model is listed if it is an error of the log, or would lower the torque error
+    by `ScreenRules.worth`: of anything else nobody would do anything.
     """
     ordered = sorted(effects, key=lambda each: each.error_after - each.error_before)
-    ordered = [each for each in ordered if each.in_model or format_effect_errors(each)]
+    ordered = [each for each in ordered if each.in_model or _is_worth_a_line(each)]
     lines: list[str] = []
     for head, most, part in (
         ("In the model, which CAD lacks", RULES.effects, [e for e in ordered if e.in_model]),
@@ -103,11 +108,31 @@ def format_effects(
     ):
         if part:
             rows = [(format_effect(each), format_effect_errors(each)) for each in part[:most]]
-            width = max(len(text) for text, _ in rows)
             lines.append(f"{head} (torque error without it -> with it):")
-            lines += [wrap_text(f"{text:<{width}}  {gain}", "  ") for text, gain in rows]
+            lines += _align_effects(rows)
             if len(part) > most:
                 lines.append(f"  ... {len(part) - most} more {_word_further_output(cure_text)}")
+    return lines
+
+
+def _is_worth_a_line(each: FoundEffect) -> bool:
+    """Return whether an effect that is not in the model changes what a user does."""
+    of_log = each.effect in EFFECTS and EFFECTS[each.effect].of_log
+    large = each.error_after < (1.0 - RULES.worth) * each.error_before
+    return bool(format_effect_errors(each)) and (of_log or large)
+
+
+def _align_effects(rows: Sequence[tuple[str, str]]) -> list[str]:
+    """Return lines of effects with their torque errors in a column; long texts go on below."""
+    gains = max(len(gain) for _, gain in rows)
+    width = min(max(len(text) for text, _ in rows), WIDTH - gains - 4)
+    lines = []
+    for text, gain in rows:
+        *before, last = textwrap.wrap(
+            text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
+        lines += [f"  {line}" for line in before]
+        lines.append(f"  {last:<{width}}  {gain}".rstrip())
     return lines
 
 
@@ -115,19 +140,29 @@ def format_effect(each: FoundEffect) -> str:
     """Return an effect with its place and size, and its standard error if the line has room."""
     title = EFFECTS[each.effect].title if each.effect in EFFECTS else each.effect
     where = f"{title} at {each.joint}" if each.joint else title
-    unit = "" if each.unit == "1" else each.unit
-    short = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
+    scale, unit = _read_unit(each)
+    short = f"{round_significant(scale * each.estimate, 2)} {unit}".rstrip()
     texts = [f"{where} {size}" for size in (format_size(each), short)]
     return texts[0] if each.feasible or len(texts[0]) <= RULES.effect_width else texts[1]
 
 
 def format_size(each: FoundEffect) -> str:
     """Return the size of an effect with its standard error, or its interval and what was chosen."""
-    unit = "" if each.unit == "1" else each.unit
+    scale, unit = _read_unit(each)
     if each.feasible is None:
-        return f"{format_plus_minus(each.estimate, each.std_error)} {unit}".rstrip()
-    chosen = round_significant(each.estimate)
-    return f"{format_range(*each.feasible, unit)}, chosen {chosen}"
+        error = None if each.std_error is None else scale * each.std_error
+        size = format_plus_minus(scale * each.estimate, error)
+        return f"{size} {unit}".rstrip()
+    chosen = round_significant(scale * each.estimate)
+    least, greatest = (scale * bound for bound in each.feasible)
+    return f"{format_range(least, greatest, unit)}, chosen {chosen}"
+
+
+def _read_unit(each: FoundEffect) -> tuple[float, str]:
+    """Return the factor and the unit in which a size is read: shares in percent."""
+    if each.effect in EFFECTS and EFFECTS[each.effect].of_shares:
+        return 100.0, "%"
+    return 1.0, "" if each.unit == "1" else each.unit
 
 
 def format_effect_errors(each: FoundEffect) -> str:
@@ -155,10 +190,11 @@ def shorten_findings(
         # Lines end at spaces: each costs up to a word.
         width = RULES.finding_lines * (WIDTH - len(label)) - RULES.finding_lines * 8
         text = wrap_text(finding.brief(width, cure_text), label).split("\n")
-        if shown >= RULES.fewest and len(lines) + len(text) + 1 > room:
+        # Two lines more: an empty one before, and that on further findings behind.
+        if shown >= RULES.fewest and len(lines) + len(text) + 2 > room:
             break
         lines += text
         shown += 1
     left += len(findings) - shown
     more = [f"... {left} more finding{'s' if left > 1 else ''} {_word_further_output(cure_text)}"]
-    return [*([""] if lines and len(lines) + 2 <= room else []), *lines, *(more if left else [])]
+    return [*([""] if lines else []), *lines, *(more if left else [])]

@@ -15,11 +15,13 @@ from asbuilt.identification import Effects, IdentificationResult
 from asbuilt.identification.bodies.known_masses import describe_known_masses
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.report import (
+    as_by_encoders,
     as_identified,
     describe_stated,
     report_effects,
 )
-from asbuilt.identification.errors.bias import report_position_noise
+from asbuilt.identification.errors.bias import OmittedBias, report_position_noise
+from asbuilt.identification.errors.driving_friction import doubt_driving_friction
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import report_springs
@@ -34,6 +36,7 @@ from asbuilt.validation.generalisation.coverage import (
     check_left_out,
     check_repetitions,
 )
+from asbuilt.validation.generalisation.foot_moments import report_foot_moments
 from asbuilt.validation.generalisation.generalisation import check_validations
 from asbuilt.validation.generalisation.plateaus import report_plateaus
 from asbuilt.validation.generalisation.unexplained import report_nameless, report_unexplained
@@ -119,18 +122,21 @@ def conclude_study(
     )
     lacking = fits.effects.lacking
     # Bias by effects that are not in the model widens the errors of the result.
-    omitted = None if lacking is None else lacking.bias(fits.final)
+    omitted = _join_biases(
+        None if lacking is None else lacking.bias(fits.final), _doubt_friction(fits.final)
+    )
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
         *(as_identified(effect, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
-    result = replace(result, effects=bound_effects(result, effects))
+    bounded = bound_effects(result, effects)
+    result = result.with_effects(tuple(as_by_encoders(effect, result) for effect in bounded))
     # With a free base every row has parts of all joints: no joint has causes of its own.
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
     if attribution and options.wanted_effects.named:
-        result = replace(result, effects=(*result.effects, *attribution.bodies))
+        result = result.with_effects((*result.effects, *attribution.bodies))
     validations = tuple(
         with_exported(result.without_recording(number), prediction, samples)
         if number < len(prepared.held_out)
@@ -168,6 +174,7 @@ def conclude_study(
         *report_cad_verdicts(validations),
         *report_springs(result),
         *leg_findings(result, fits.samples),
+        *report_foot_moments(result, fits.samples),
     )
     # An effect that is in the model needs no finding that it is missing.
     modelled = {(effect.effect, effect.joint) for effect in result.effects if effect.in_model}
@@ -179,6 +186,17 @@ def conclude_study(
     return Conclusion(
         result, consolidate_findings(findings, shares), trained, validations, attribution
     )
+
+
+def _doubt_friction(fit: Fit) -> OmittedBias | None:
+    """Return what friction that depends on load may hide; nothing where errors are textbook's."""
+    if fit.uncertainty.basis.asked == "textbook":
+        return None
+    return doubt_driving_friction(fit.information, fit.estimate)
+
+
+def _join_biases(first: OmittedBias | None, second: OmittedBias | None) -> OmittedBias | None:
+    return second if first is None else first.with_further(second)
 
 
 def _measure_error_shares(metrics: TorqueMetrics) -> dict[str, float]:

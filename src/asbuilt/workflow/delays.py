@@ -161,8 +161,11 @@ def report_delays(
     ]
     if not late:
         return ()
+    # One recording needs no name.
+    several = len(recordings) > 1
+    names = [recording.source.rpartition("/")[2] if several else "" for recording in late]
     listed = ", ".join(
-        f"{recording.source.rpartition('/')[2]} {recording.text}" for recording in late
+        f"{name} {recording.text}".strip() for name, recording in zip(names, late, strict=True)
     )
     shift = np.zeros(1) if moved is None else moved
     errors = np.nan_to_num(result.std_errors, nan=np.inf)

@@ -145,7 +145,7 @@ def test_a_body_made_of_meshes_alone_counts_as_unknown():
         ('<body><joint type="ball"/><geom size="1"/></body>', r"ball joint"),
         ('<body><joint axis="0 0 0"/><geom size="1"/></body>', r"MuJoCo refuses the model: .*axis"),
         ('<body name="x"><geom size="1"/></body>', r"no body has a hinge or slide joint"),
-        ('<include file="other.xml"/>', r"includes 'other.xml'"),
+        ('<include file="other.xml"/>', r"includes 'other.xml' and has no folder"),
         (
             '<body><joint/><flexcomp name="f" type="mesh" file="/etc/passwd"/></body>',
             r"holds <flexcomp>.*write its rigid bodies out",
@@ -201,3 +201,75 @@ def test_mujocos_warnings_become_notes_and_not_a_log_file(monkeypatch, tmp_path,
             read_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     assert not list(tmp_path.iterdir())
     assert capfd.readouterr() == ("", "")
+
+
+ARM = """<mujocoinclude><body name="arm" pos="0 0 .2"><joint name="j" axis="0 1 0" damping=".3"/>
+<geom type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass="2"/>
+<include file="parts/hand.xml"/></body></mujocoinclude>"""
+HAND = """<mujocoinclude><body name="hand" pos=".3 0 0"><joint name="k" axis="0 0 1"/>
+<geom type="box" size=".05 .03 .02" pos=".05 0 0" mass=".4"/></body></mujocoinclude>"""
+SCENE = """<mujoco model="scene"><include file="settings.xml"/><worldbody><light pos="0 0 3"/>
+<include file="arm.xml"/></worldbody></mujoco>"""
+
+
+def test_included_files_are_those_of_mujoco(tmp_path):
+    (tmp_path / "parts").mkdir()
+    settings = '<mujoco><default><joint armature="0.07"/></default></mujoco>'
+    for name, text in (("arm.xml", ARM), ("parts/hand.xml", HAND), ("settings.xml", settings)):
+        (tmp_path / name).write_text(text)
+    scene = tmp_path / "scene.xml"
+    scene.write_text(SCENE)
+    model = load_robot(scene)
+    compiled = mujoco.MjModel.from_xml_path(str(scene))
+    data = mujoco.MjData(compiled)
+    q, qd, qdd = np.random.default_rng(5).uniform(-1.0, 1.0, (3, 20, 2))
+    drives = np.array(
+        [[joint.drive.armature, joint.drive.viscous or 0.0] for joint in model.joints]
+    )
+    ours = inverse_dynamics(model, q, qd, qdd) + drives[:, 0] * qdd + drives[:, 1] * qd
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(compiled, data)
+        np.testing.assert_allclose(ours[k], data.qfrc_inverse, atol=1e-10)
+    assert model.link_names == ("arm", "hand")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "../secret.xml",
+            r"includes '../secret.xml', which is no .xml or .mjcf file in the folder",
+        ),
+        ("/etc/passwd", r"includes '/etc/passwd', which is no .xml"),
+        ("link.xml", r"includes 'link.xml', which is no .xml"),
+        ("gone.xml", r"includes 'gone.xml', which does not exist"),
+        ("scene.xml", r"scene.xml is included again"),
+        ("loop.xml", r"loop.xml is included again"),
+    ],
+)
+def test_files_outside_the_folder_and_circles_are_refused(tmp_path, name, message):
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    (tmp_path / "secret.xml").write_text(HAND)
+    (folder / "link.xml").symlink_to(tmp_path / "secret.xml")
+    (folder / "loop.xml").write_text('<mujocoinclude><include file="loop.xml"/></mujocoinclude>')
+    scene = folder / "scene.xml"
+    scene.write_text(SCENE.replace("arm.xml", name).replace('<include file="settings.xml"/>', ""))
+    with pytest.raises(DescriptionError, match=message):
+        load_robot(scene)
+
+
+def test_meshes_that_are_there_to_be_seen_do_not_hide_the_inertia():
+    text = """<mujoco><default><default class="seen"><geom type="mesh" group="2" density="0"/>
+    </default></default><asset><mesh name="m" file="nowhere.stl"/></asset>
+    <worldbody><body name="a"><joint name="j"/><geom mesh="m" type="mesh" mass="1.5"/>
+    <body name="b"><joint name="k" axis="0 1 0"/><geom class="seen" mesh="m"/>
+    <geom type="capsule" size=".03" fromto="0 0 0 0 0 .2" mass=".7"/></body>
+    <body name="c"><joint name="l" axis="0 1 0"/><geom type="mesh" mesh="m" mass="0"/>
+    <geom type="sphere" size=".05" mass=".2"/></body></body></worldbody></mujoco>"""
+    model = read_mjcf(text)
+    assert [link.inertia_known for link in model.links] == [False, True, True]
+    assert [link.inertia.mass for link in model.links[1:]] == pytest.approx([0.7, 0.2])
+    (note,) = [note for note in model.notes if "'a'" in note]
+    assert "1.5 kg by its geoms" in note

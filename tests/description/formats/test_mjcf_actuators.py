@@ -173,3 +173,46 @@ def test_gains_are_those_of_mujocos_forces(actuator: str, gains: tuple[float, ..
     np.testing.assert_allclose(found, gains[:2], atol=1e-9)
     if np.isfinite(gains[2]):
         assert max(abs(torque(sign * 1e4, 0, 0)) for sign in (1, -1)) == pytest.approx(gains[2])
+
+
+@pytest.mark.parametrize("bias", ["0.5 0 -1", "0 0 0", "-0.4 -2 -1"])
+def test_a_range_of_force_holds_for_the_whole_force(bias: str) -> None:
+    actuator = (
+        f'<general joint="left 1" gear="10" gainprm="2" biastype="affine" biasprm="{bias}"'
+        ' forcerange="-3 3"/>'
+    )
+    text = SCENE[: SCENE.index("<actuator>")] + f"<actuator>{actuator}</actuator></mujoco>"
+    scene = compiled(text)
+    data = mujoco.MjData(scene)
+    reached = []
+    for control in (-1e4, 1e4):
+        data.ctrl[:] = control
+        mujoco.mj_forward(scene, data)
+        reached.append(abs(float(data.qfrc_actuator[0])))
+    assert read_mjcf(text).joints[0].limits.torque == pytest.approx(max(reached))
+
+
+def test_rotor_and_friction_of_a_motor_are_those_of_mujoco() -> None:
+    actuators = (
+        '<motor joint="left 1" gear="20" armature="1e-4" damping="2e-3"/>'
+        '<dcmotor name="dc" joint="right 1" gear="50" motorconst="0.05 0.05" resistance="1.5"'
+        ' inductance="0.001 0" cogging="0.01 7 0.3" lugre="100 1 .1 .12 .01" saturation="2"'
+        ' thermal="1 100 0 .004 25 25" armature="1e-5" input="pos vel" controller="3 0 .1 0 0 12"/>'
+    )
+    text = SCENE[: SCENE.index("<actuator>")] + f"<actuator>{actuators}</actuator></mujoco>"
+    model, scene = read_mjcf(text), compiled(text)
+    data = mujoco.MjData(scene)
+    scene.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    rng = np.random.default_rng(2)
+    armature = np.array([joint.drive.armature for joint in model.joints])
+    for _ in range(5):
+        q, a = rng.uniform(-1.0, 1.0, (2, 5))
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, 0.0, a
+        mujoco.mj_inverse(scene, data)
+        ours = inverse_dynamics(model, q[None], np.zeros((1, 5)), a[None])[0] + armature * a
+        np.testing.assert_allclose(data.qfrc_inverse, ours, atol=1e-10)
+    assert model.joints[0].drive.viscous == pytest.approx(0.8 + 2e-3 * 20**2)
+    assert model.joints[3].limits.torque == pytest.approx(100.0)
+    (note,) = [note for note in model.notes if "dcmotor dc" in note]
+    for what in ("back-EMF", "inductance", "cogging of 0.01", "LuGre", "heating", "controller"):
+        assert what in note

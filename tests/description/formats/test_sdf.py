@@ -177,3 +177,41 @@ def test_frames_in_a_circle_are_refused():
     )
     with pytest.raises(DescriptionError, match="in a circle"):
         read_sdf(text.format(parent="mount", pose="", lower=-1, upper=1, more=""))
+
+
+def test_links_keep_their_names_where_joints_have_frames_of_their_own():
+    text = """<sdf version="1.9"><model name="m"><link name="base"/>
+    <joint name="fix" type="fixed"><parent>world</parent><child>base</child></joint>
+    <link name="a"><pose>0 0 .5 0 0 0</pose><inertial><pose>.1 0 0 0 0 0</pose><mass>2</mass>
+    <inertia><ixx>.01</ixx><iyy>.02</iyy><izz>.02</izz></inertia></inertial></link>
+    <joint name="j" type="revolute"><pose>0 .03 -.1 0 0 .2</pose><parent>base</parent>
+    <child>a</child><axis><xyz>0 1 0</xyz></axis></joint>
+    <link name="b"><pose relative_to="k">0 0 .02 .3 0 0</pose><inertial><mass>1</mass>
+    <inertia><ixx>.003</ixx><iyy>.004</iyy><izz>.005</izz></inertia></inertial></link>
+    <joint name="k" type="revolute"><pose relative_to="a">.3 0 0 0 .4 0</pose>
+    <parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz></axis></joint></model></sdf>"""
+    model = read_sdf(text)
+    assert model.link_names == ("a", "b")
+    assert [link.inertia.mass for link in model.links] == [2.0, 1.0]
+    np.testing.assert_allclose(model.links[0].inertia.com, [0.1, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        np.diag(model.links[1].inertia.inertia_about_com), [0.003, 0.004, 0.005], atol=1e-12
+    )
+    pin = pytest.importorskip("pinocchio")
+
+    def frame(xyz: list[float], rpy: list[float]) -> object:
+        return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+    other = pin.Model()
+    j_in_a = frame([0.0, 0.03, -0.1], [0.0, 0.0, 0.2])
+    j = other.addJoint(0, pin.JointModelRY(), frame([0.0, 0.03, 0.4], [0.0, 0.0, 0.2]), "j")
+    body = pin.Inertia(2.0, np.array([0.1, 0.0, 0.0]), np.diag([0.01, 0.02, 0.02]))
+    other.appendBodyToJoint(j, body, j_in_a.inverse())
+    k_in_a = frame([0.3, 0.0, 0.0], [0.0, 0.4, 0.0])
+    k = other.addJoint(j, pin.JointModelRZ(), j_in_a.inverse() * k_in_a, "k")
+    body = pin.Inertia(1.0, np.zeros(3), np.diag([0.003, 0.004, 0.005]))
+    other.appendBodyToJoint(k, body, frame([0.0, 0.0, 0.02], [0.3, 0.0, 0.0]))
+    data = other.createData()
+    for q, qd, qdd in np.random.default_rng(3).uniform(-1.0, 1.0, (5, 3, 2)):
+        ours = inverse_dynamics(model, q[None], qd[None], qdd[None])[0]
+        np.testing.assert_allclose(ours, pin.rnea(other, data, q, qd, qdd), atol=1e-10)

@@ -13,7 +13,9 @@ import pytest
 
 from asbuilt.arrays import Array
 from asbuilt.description import RobotModel, load_robot
+from asbuilt.errors import RecordingError
 from asbuilt.experiment import RecordingSheet, check_recording, propose_sheet, read_recording
+from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.untrusted import parse_toml
 from command_line import call
 
@@ -365,3 +367,143 @@ def test_check_writes_the_sheet_beside_the_log(
     (tmp_path / "run.csv.toml").write_text("sign = 1\n")
     assert call(capsys, *asked, "--write-sheet")[0] == 1
     assert (tmp_path / "run.csv.toml").read_text() == "sign = 1\n"
+
+
+@pytest.mark.parametrize("zero", [-0.35, np.array([0.0, 0.9, -0.6])])
+def test_encoders_that_wrap_within_the_motion_get_the_zero_of_the_torques(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path, zero: Any
+) -> None:
+    wrapped = np.mod(clean["q"] + zero, 2.0 * np.pi)
+    columns = named(clean, q=wrapped)
+    velocities = [name for name in columns if "velocity" in name]
+    path = write(tmp_path / "wrap.csv", {k: v for k, v in columns.items() if k not in velocities})
+    recording, check, proposal = read_proposed(model, path)
+    assert check.ok
+    # The pan axis is vertical: no torque shows its zero.
+    away = np.abs(recording.q - clean["q"])[:, 1:]
+    assert np.degrees(away.max()) < 4.0
+    assert "zero" in proposal.content
+
+
+def test_zero_of_a_counter_that_wraps_may_be_given(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "wrap.csv", named(clean, q=np.mod(clean["q"] + 6.0, 2.0 * np.pi)))
+    recording = read_recording(path, model=model, sheet=RecordingSheet(zero=6.0))
+    np.testing.assert_allclose(recording.q, clean["q"], atol=1e-7)
+
+
+def test_one_impossible_mass_is_not_said_of_the_torques(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    heavy = tmp_path / "heavy.urdf"
+    heavy.write_text(
+        URDF.replace('mass value="2.6"', 'mass value="26"').replace(
+            'ixx="0.006" iyy="0.04" izz="0.042"', 'ixx="0.006" iyy="0.012" izz="0.012"'
+        )
+    )
+    robot = load_robot(heavy)
+    check = check_recording(
+        robot, read_recording(write(tmp_path / "a.csv", named(clean)), model=robot)
+    )
+    assert check.ok
+    assert [(f.code, f.link) for f in check.warnings] == [("implausible_density", "b")]
+    assert "agree with 2.6 kg" in check.warnings[0].message
+
+
+def test_parts_of_a_long_log_are_mended_as_the_whole(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    order = np.arange(COUNT)
+    swapped = np.arange(50, COUNT - 50, 60)
+    order[swapped], order[swapped + 1] = order[swapped + 1], order[swapped]
+    spoilt = {name: values[order] for name, values in clean.items()}
+    spoilt["q"] = np.mod(spoilt["q"], 2.0 * np.pi)
+    path = write(tmp_path / "long.csv", named(spoilt))
+    whole = read_recording(path, model=model)
+    parts = [*RecordingStream(path, model=model, chunk_samples=500)]
+    for name in ("t", "q", "qd", "tau"):
+        np.testing.assert_array_equal(
+            np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name)
+        )
+    assert parts[-1].notes == whole.notes
+    check = check_recording(model, RecordingStream(path, model=model, chunk_samples=500))
+    assert [f.message for f in check.findings if f.code == "note"] == [*whole.notes]
+
+
+def in_turns(clean: Mapping[str, Array]) -> dict[str, Array]:
+    return {"q": clean["q"] / (2.0 * np.pi), "qd": clean["qd"] / (2.0 * np.pi)}
+
+
+def in_registers(clean: Mapping[str, Array]) -> dict[str, Array]:
+    counts = np.round(clean["q"] * 4096 / (2.0 * np.pi))
+    speeds = np.round(clean["qd"] / (0.229 * np.pi / 30.0))
+    return {"q": np.mod(counts, 2.0**32), "qd": np.mod(speeds, 2.0**32)}
+
+
+LIMITS = np.array([120.0, 90.0, 30.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "content"),
+    [
+        (in_turns, {"units": {"position": "turn", "velocity": "turn/s"}}),
+        (in_registers, {"units": {"position": "1/4096 turn", "velocity": "0.229 rpm"}}),
+        (lambda clean: {"tau": 1e3 * clean["tau"]}, {"units": {"torque": "mN m"}}),
+        (lambda clean: {"tau": np.round(1e3 * clean["tau"] / LIMITS)}, {"gains": 1e-3 * LIMITS}),
+        (lambda clean: {"tau": 100.0 * clean["tau"] / LIMITS}, {"gains": 1e-2 * LIMITS}),
+    ],
+)
+def test_units_are_named_by_what_agrees(
+    clean: dict[str, Array], tmp_path: Path, change: Any, content: dict[str, Any]
+) -> None:
+    robot = tmp_path / "limited.urdf"
+    text = URDF
+    for limit in LIMITS:
+        text = text.replace('effort="90" velocity', f'effort="{limit:g}"  velocity', 1)
+    robot.write_text(text)
+    model = load_robot(robot)
+    recording, check, proposal = read_proposed(
+        model, write(tmp_path / "log.csv", named(clean, **change(clean)), "%.12g")
+    )
+    assert check.ok
+    # Counts of a small motion are coarse, which is true.
+    assert {finding.code for finding in check.warnings} <= {"band_limited_by_noise"}
+    for name, value in content.items():
+        if isinstance(value, dict):
+            assert value.items() <= proposal.content[name].items()
+        else:
+            np.testing.assert_allclose(proposal.content[name], value)
+    np.testing.assert_allclose(recording.q, clean["q"], atol=1e-3)
+    np.testing.assert_allclose(recording.tau, clean["tau"], atol=0.07)
+
+
+def test_units_in_names_of_torque_columns(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    columns = {
+        name.replace("effort", "torque_kgcm"): x / (0.0980665 if "effort" in name else 1.0)
+        for name, x in named(clean).items()
+    }
+    recording = read_recording(write(tmp_path / "kgcm.csv", columns), model=model)
+    np.testing.assert_allclose(recording.tau, clean["tau"], atol=1e-6)
+    shares = {name.replace("effort", "torque_permille"): x for name, x in named(clean).items()}
+    path = write(tmp_path / "permille.csv", shares)
+    with pytest.raises(RecordingError, match="are in permille, which does not say") as refused:
+        read_recording(path, model=model)
+    assert refused.value.cure is not None
+    assert refused.value.cure.sheet == {"gains": [0.09, 0.09, 0.09]}
+
+
+def test_currents_are_said_to_lack_gains(
+    model: RobotModel, clean: dict[str, Array], tmp_path: Path
+) -> None:
+    counts = np.mod(np.round(250.0 * clean["tau"]), 65536.0)
+    columns = {
+        k.replace("effort", "present_current"): x for k, x in named(clean, tau=counts).items()
+    }
+    recording = read_recording(write(tmp_path / "raw.csv", columns), model=model)
+    (error,) = check_recording(model, recording).errors
+    assert error.code == "torque_scale"
+    assert "currents without gains" in error.message
+    assert "0.004 N m at" in error.message

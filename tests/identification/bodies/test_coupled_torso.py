@@ -6,7 +6,7 @@ import pytest
 from asbuilt import StudyOptions, identify, load_robot, simulate_recording
 from asbuilt.excitation import random_fourier
 from asbuilt.identification import consistency_margin
-from asbuilt.identification.bodies.consistency import margin_is_consistent
+from asbuilt.identification.bodies.consistency import decide_consistency
 from asbuilt.writers import export_result
 
 LINK = """
@@ -54,8 +54,7 @@ def test_a_consistent_fit_is_called_consistent(result):
     places = [result.base.names.index(name) for name in shared]
     assert np.any(result.base.regrouping[np.ix_(places, offsets)] != 0.0)
     assert result.physically_consistent
-    margin = consistency_margin(result.base, result.estimates)
-    assert margin_is_consistent(margin, result.estimates)
+    assert decide_consistency(result.base, result.estimates)[1]
 
 
 def test_an_offset_hides_no_inconsistent_link(result):

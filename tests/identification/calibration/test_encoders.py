@@ -215,6 +215,21 @@ def test_two_encoders_make_a_better_model_of_an_elastic_arm(studies):
 
 
 @pytest.mark.study
+def test_the_armature_that_a_search_finds_is_that_of_the_encoders() -> None:
+    recording = replace(log((5.0, 5.0, 5.0), 1)[1], torque_source="unknown")
+    bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in MODEL.joints)
+    study = identify(replace(MODEL, joints=bare), recording)
+    rotors = {pair.joint: (pair.rotor, pair.rotor_error) for pair in study.result.encoders}
+    found = [each for each in study.effects if each.effect == "armature"]
+    assert len(found) == 3
+    for each in found:
+        assert (each.estimate, each.std_error) == pytest.approx(rotors[each.joint])
+        assert each.feasible is None
+        own = ROTORS[MODEL.joint_names.index(each.joint)]
+        assert each.estimate == pytest.approx(own, rel=0.01)
+
+
+@pytest.mark.study
 def test_screen_stored_result_and_report_have_the_encoders(studies):
     both = studies[1]
     assert "Two encoders: j1 lag" in str(both.summary())

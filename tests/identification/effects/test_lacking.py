@@ -84,12 +84,16 @@ def test_the_bias_by_a_tilt_is_that_of_the_fit_on_the_tilted_base() -> None:
     np.testing.assert_allclose(sizes[large], np.abs(bias)[large], rtol=0.1)
 
 
-def test_textbook_errors_stay_and_a_right_model_lacks_nothing() -> None:
+def test_textbook_errors_stay_and_a_right_model_lacks_at_most_a_level_floor() -> None:
     data = samples()
     lacking = find_effects(MODEL, FITTED, [data], applied=()).lacking
     assert lacking is not None
     assert lacking.bias(fitted(data, errors="textbook")) is None
-    assert find_effects(MODEL, RICHER, [data], applied=()).lacking is None
+    right = find_effects(MODEL, RICHER, [data], applied=()).lacking
+    assert right is not None
+    assert right.sizes.tolist() == [np.deg2rad(0.5)] * len(right.columns)
+    # Gravity turns about joint 1, which no torque of it shows: the floor is found level.
+    assert np.all(np.abs(right.values) < 4.0 * np.sqrt(np.diag(right.covariance)) + 1e-9)
 
 
 @pytest.mark.study

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description import load_robot
-from asbuilt.dynamics import DriveSet, available_terms
+from asbuilt.dynamics import DriveSet, available_terms, find_base_parameters
 from asbuilt.errors import UsageError
 from asbuilt.experiment import SignalChain, prepare_samples, read_recordings, resolve_chain
 from asbuilt.identification import EFFECTS, find_effects, identify_samples
@@ -170,7 +170,8 @@ def test_a_force_between_two_points_is_a_balancer_and_in_the_model(
 
 def test_terms_that_only_a_description_states_are_not_sought() -> None:
     model = load_robot("ur10e")
-    robot = Described(model, DRIVE, np.zeros(78), "sensor", (np.ones((9, 6)),), np.ones(6))
+    base = find_base_parameters(model, DRIVE)
+    robot = Described(model, base, np.zeros(78), "sensor", (np.ones((9, 6)),), np.ones(6))
     sought = [(v.effect.key, v.n_columns) for _, e in EFFECTS.items() for v in e.variants(robot)]
     assert not {"extension_spring", "motor_cable"} & {key for key, _ in sought}
     # neither a cable nor a force between two points wins by its number of columns

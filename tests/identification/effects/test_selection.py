@@ -16,9 +16,11 @@ from scipy import stats
 
 from asbuilt.identification import evaluate_worth
 from asbuilt.identification.effects.effect import Effect
-from asbuilt.identification.effects.gathering import Candidate, EffectEquations
+from asbuilt.identification.effects.gathering import EFFECTS, Candidate
 from asbuilt.identification.effects.selection import Selection, _find_best_form
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
+from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.rows import TimeBlock
 
 BASE, ALL, BLOCKS, SAMPLES = 4, 10, 12, 30
 SUPPORT = (np.array([0, 1, 2, 4, 7, 8]), np.array([1, 2, 3, 5, 6, 7, 8, 9]), np.array([3, 7, 8]))
@@ -68,17 +70,15 @@ class Rows:
 
     def selection(self, candidates=CANDIDATES, applied=("one", "two", "whole")):
         own = [rows[:, :, np.append(s, ALL)] for rows, s in zip(self.joints, SUPPORT, strict=True)]
-        equations = EffectEquations(
-            ROBOT,
-            SimpleNamespace(n_base=BASE),
-            candidates,
+        equations = Equations(
+            {MODEL: BASE, EFFECTS: ALL - BASE},
             SUPPORT,
             tuple(np.einsum("bni,bnj->bij", rows, rows) for rows in own),
-            np.full(BLOCKS, SAMPLES),
-            ALL,
+            (TimeBlock("log", 0.0, 1.0, SAMPLES),) * BLOCKS,
+            np.full((len(SUPPORT), BLOCKS), float(SAMPLES)),
         )
         prior = Prior(MEAN, self.root.T @ self.root, EFFECT)
-        return Selection(equations, prior, self.weights, GROUPS, applied)
+        return Selection(equations, candidates, ROBOT, prior, self.weights, GROUPS, applied)
 
     def data(self, inside, blocks=range(BLOCKS)):
         """Weighted rows of all joints and their torque."""
@@ -293,8 +293,9 @@ def hide_log(own, k):
 
 def test_what_does_not_act_or_is_hidden_is_told_apart() -> None:
     def columns(own, k):
-        own[:, :, 4] *= 1e-11
-        own[:, :, 6] = 0.0
+        own[:, :, 4] = 0.0
+        # Rounding of its own effect: effects have different units.
+        own[:, :, 6] *= 1e-11
         hide_log(own, k)
 
     rows = drawn({5: 1.0}, columns=columns)

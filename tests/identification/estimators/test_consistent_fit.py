@@ -23,7 +23,6 @@ from asbuilt.experiment import (
 from asbuilt.identification import (
     EstimationData,
     build_cad_prior,
-    consistency_margin,
     estimate_block_uncertainty,
     fit_least_squares,
     identify_samples,
@@ -33,7 +32,7 @@ from asbuilt.identification import (
     summarise,
 )
 from asbuilt.identification.bodies.body_bounds import bound_bodies
-from asbuilt.identification.bodies.consistency import margin_is_consistent
+from asbuilt.identification.bodies.consistency import decide_consistency
 from asbuilt.identification.estimators.consistent_fit import (
     QUIETEST,
     choose_cad_weight,
@@ -80,7 +79,7 @@ def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
     for method, estimate in fits(case).items():
         np.testing.assert_allclose(case.base.values(estimate.standard), estimate.beta)
         assert estimate.part > 0
-        assert margin_is_consistent(consistency_margin(case.base, estimate.beta), estimate.beta)
+        assert decide_consistency(case.base, estimate.beta)[1]
         assert estimate.standard[case.prior.non_negative].min() > -1e-6
         assert not find_inconsistencies(
             case.model.with_parameters(estimate.standard[: 10 * case.model.n_joints])

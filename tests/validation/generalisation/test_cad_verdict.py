@@ -71,6 +71,19 @@ def test_two_blocks_are_too_short_for_a_verdict() -> None:
     assert not verdict.is_worse
 
 
+def test_a_joint_without_masses_is_not_one_that_cad_predicts_better() -> None:
+    whole = predicted((2.0, 0.2), (0.5, 0.4))
+    first = whole.predicted_cad * [0.0, 1.0]
+    verdict = cad_verdict(replace(whole, predicted_cad=first))
+    assert [joint.outcome for joint in verdict.joints] == ["undecided", "better"]
+    assert not verdict.is_worse
+    assert "elbow" not in verdict.sentence
+    none = cad_verdict(replace(whole, predicted_cad=0.0 * first))
+    assert none.sentence.endswith("CAD has no masses.")
+    assert {joint.outcome for joint in (none.whole, *none.joints)} == {"undecided"}
+    assert not none.is_worse
+
+
 def test_one_block_of_fast_motion_does_not_hide_a_better_model() -> None:
     alike = predicted((0.02, 0.02), (0.5, 0.5))
     sizes = np.where(np.arange(N) // 100 == 7, 30.0, 1.0)[:, None]

@@ -221,7 +221,8 @@ class Session:
         if checked is None:
             return "the logs are not checked yet"
         if "error" in checked:
-            return str(checked["error"]["message"])
+            # The check above has the whole message.
+            return str(checked["error"]["message"]).partition("; ")[0]
         errors = [
             finding["message"]
             for recording in checked["recordings"]

@@ -19,8 +19,6 @@ STARTS = 6
 """Random starts of a design; the best of six has 95 % of the information of the best of 96."""
 TIME_LIMIT = 20.0
 """Time of a design [s]; the starts end before it, so that the motion is the same everywhere."""
-FIRST_TEST = 3
-"""First round that moves as the user will; two designed ones have taught the model before."""
 FREQUENCY = 0.25
 """Highest frequency of random motions [Hz], as of `random_fourier` by default."""
 ATTEMPTS = 20
@@ -31,15 +29,6 @@ MOST_SLOWED = 20
 """How often that is tried: by then it is 7 times slower, and only gravity is left."""
 
 
-def is_test_of_goal(number: int) -> bool:
-    """Return whether a round moves as the user will: from the third on every other one.
-
-    Designed motions are fast; what no model explains, such as friction at reversal, is larger in
-    slower motion, which they would never test.
-    """
-    return number >= FIRST_TEST and (number - FIRST_TEST) % 2 == 0
-
-
 def design_round(
     model: RobotModel,
     study: Study | None,
@@ -48,13 +37,15 @@ def design_round(
     states: States,
     weights: Array | None,
     goal: Motion | None = None,
+    *,
+    as_goal: bool = False,
 ) -> Motion:
     """Return the motion of a round, within every limit.
 
-    The first is small and slow and determines all parameters alike. From the third on every other
-    one is `goal`, the user's motion, or a random one over the whole range. Each further one has
-    the least `tr(A C)` with what is known, A the cost of parameter errors for the purpose, in
-    which joints count by `weights` (n,).
+    The first is small and slow and determines all parameters alike. One that moves `as_goal` is
+    `goal`, the user's motion, or a random one over the whole range. Each further one has the least
+    `tr(A C)` with what is known, A the cost of parameter errors for the purpose, in which joints
+    count by `weights` (n,).
 
     Raises
     ------
@@ -71,7 +62,7 @@ def design_round(
     )
     if study is None:
         return _design(model, wanted)
-    if is_test_of_goal(number):
+    if as_goal:
         usual = _choose_goal_motion(model, options, number, goal)
         if usual is not None:
             return _slow_down(study, usual)

@@ -19,7 +19,7 @@ from asbuilt.apps.run.log_check import check_log
 from asbuilt.apps.run.options import RunOptions
 from asbuilt.apps.run.prediction import without_hold_out
 from asbuilt.apps.run.purpose import States, choose_states
-from asbuilt.apps.run.rounds import Round, learn_round
+from asbuilt.apps.run.rounds import Round, learn_round, moves_as_goal
 from asbuilt.excitation import Motion
 from asbuilt.tables import format_share
 
@@ -154,14 +154,25 @@ class Loop:
             self.rounds,
             self._states,
             self.options,
+            as_goal=self._moves_as_goal(),
         )
+
+    def _moves_as_goal(self) -> bool:
+        return moves_as_goal(self.rounds, repeated=self.motion is not None)
 
     def _design(self, number: int, path: Path) -> None:
         self.progress(f"design round {number}", 0.0)
         last = self.rounds[-1] if self.rounds else None
         study, weights = (None, None) if last is None else (last.study, last.goal.widening)
         motion = design_round(
-            self.model, study, self.options, number, self._states, weights, self.motion
+            self.model,
+            study,
+            self.options,
+            number,
+            self._states,
+            weights,
+            self.motion,
+            as_goal=self._moves_as_goal(),
         )
         path.parent.mkdir(parents=True, exist_ok=True)
         asbuilt.write_motion(path, motion, self.model.joint_names)
@@ -227,6 +238,11 @@ def explain_ending(ending: Ending, rounds: Sequence[Round], options: RunOptions)
             f" ({spent}). {_advise(last)}"
         ).strip()
     found = f"{format_share(last.found)} was found in the last round, {promised} is promised"
+    if ending == "rounds" and last.passes(options.until / 100.0):
+        return (
+            f"The error is within {wanted}, but not with USE in {IN_A_ROW} rounds in a row"
+            f" ({spent}): {found}. More rounds may prove it."
+        )
     if ending == "rounds":
         return f"Not proven within {wanted} after {spent}: {found}. {_advise(last)}".strip()
     return (

@@ -10,7 +10,10 @@ import numpy as np
 from asbuilt import IdentificationResult
 from asbuilt.apps.run.purpose import States, evaluate_columns
 from asbuilt.arrays import Array
+from asbuilt.validation import Validation
 
+FEWEST = 4
+"""Samples of the slowest group of `Unexplained`; fewer make its level a matter of chance."""
 TESTS_COUNTED = 2
 """Last tests that widen a promise; earlier ones were of models that knew less."""
 
@@ -27,7 +30,7 @@ class Promise:
     torque
         RMS torque of each joint (n,).
     widening
-        Factors (n,) by which earlier tests found more than was promised; at least 1.
+        Factors (n,) by which earlier tests found more than is promised for them; at least 1.
     """
 
     noise: Array
@@ -51,38 +54,128 @@ class Promise:
         return _relate(self.noise * self.widening, self.torque)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Unexplained:
+    """Hold the torque that a model leaves unexplained, by how slowly a joint moves.
+
+    What dry friction does at reversal no model of friction by velocity explains: where a joint
+    creeps, errors are ten to a hundred times those of quick motion. A filter of the width `T`, the
+    time between samples, sees how slowly a joint moves by `hypot(qd, T qdd)`. Errors in groups of
+    equal such speed agree between motions, the mean over a motion does not.
+
+    Parameters
+    ----------
+    speeds, squares
+        Upper speeds and mean squared errors of the groups, of each joint; slower groups have the
+        larger errors.
+    interval
+        The time T [s].
+    """
+
+    speeds: tuple[Array, ...]
+    squares: tuple[Array, ...]
+    interval: float
+
+    @classmethod
+    def of(cls, validations: Sequence[Validation]) -> Unexplained:
+        """Return the unexplained torque of predictions, joint by joint.
+
+        The groups are the slowest samples, as many again, then twice as many, and so on.
+        """
+        interval = float(np.median(np.concatenate([np.diff(each.t) for each in validations])))
+        speed = np.vstack([
+            np.hypot(each.velocity, interval * np.gradient(each.velocity, each.t, axis=0))
+            for each in validations
+        ])  # fmt: skip
+        squared = np.vstack([each.error for each in validations]) ** 2
+        groups = [_group(*columns) for columns in zip(speed.T, squared.T, strict=True)]
+        speeds, squares = zip(*groups, strict=True)
+        return cls(speeds, squares, interval)
+
+    def at(self, states: States) -> Array:
+        """Return the RMS torque (n,) [N m or N] that stays unexplained on states."""
+        speed = np.hypot(states.qd, self.interval * states.qdd)
+        means = []
+        for upper, squares, moving in zip(self.speeds, self.squares, speed.T, strict=True):
+            group = np.searchsorted(upper[:-1], moving)
+            means.append(np.mean(squares[group]))
+        return np.asarray(np.sqrt(means))
+
+
+def _group(speed: Array, squared: Array) -> tuple[Array, Array]:
+    """Return upper speeds of groups of samples and their mean squares, which fall with speed."""
+    known = np.isfinite(squared)
+    order = np.argsort(speed[known])
+    speed, squared = speed[known][order], squared[known][order]
+    if not len(speed):
+        return np.array([np.inf]), np.zeros(1)
+    ends = [len(speed)]
+    while ends[0] >= 2 * FEWEST:
+        ends.insert(0, ends[0] // 2)
+    sums = np.add.reduceat(squared, [0, *ends[:-1]])
+    counts = np.diff([0, *ends])
+    # A standard error up: the slowest groups have few samples, and of large errors.
+    return speed[np.array(ends) - 1], _fall(sums * (1.0 + np.sqrt(2.0 / counts)), counts)
+
+
+def _fall(sums: Array, counts: Array) -> Array:
+    """Return the nearest means of groups that never rise from one to the next."""
+    blocks = list[list[float]]()
+    for total, count in zip(sums.tolist(), counts.tolist(), strict=True):
+        blocks.append([total, count, 1])
+        while len(blocks) > 1 and blocks[-2][0] * blocks[-1][1] < blocks[-1][0] * blocks[-2][1]:
+            last = blocks.pop()
+            blocks[-1] = [a + b for a, b in zip(blocks[-1], last, strict=True)]
+    return np.concatenate([np.full(int(size), total / count) for total, count, size in blocks])
+
+
 def promise_error(
-    result: IdentificationResult, states: States, widening: Array | None = None
+    result: IdentificationResult,
+    states: States,
+    widening: Array | None = None,
+    unexplained: Unexplained | None = None,
 ) -> Promise:
     """Return the error that a result promises on states.
 
     `E e_k^2 = sigma_k^2 + mean_s Y_sk C Y_sk^T`: residual and parameters are independent, for the
-    residual is that of other samples. The residual is at least the RMS of training, which rare
-    large errors, such as stick and slip, raise above a robust standard deviation.
+    residual is that of other samples. It is the one of training at the speeds of the states, or
+    without `unexplained` at those of training; its RMS has what a robust standard deviation leaves
+    out, rare large errors such as stick and slip.
     """
     columns = evaluate_columns(result, states)
     covariance = np.array(result.covariance)
     variance = np.einsum("skp,pr,skr->k", columns, covariance, columns) / len(columns)
     torque = np.sqrt(np.mean((columns @ result.estimates) ** 2, axis=0))
     sigma = np.where(np.isfinite(result.sigma), result.sigma, 0.0)
-    noise = np.fmax(sigma, np.nan_to_num(result.train.rms))
+    if unexplained is None:
+        noise = np.fmax(sigma, np.nan_to_num(result.train.rms))
+    else:
+        noise = unexplained.at(states)
     usual = np.ones(len(sigma)) if widening is None else widening
     return Promise(noise, np.sqrt(np.maximum(variance, 0.0)), torque, usual)
 
 
-def widen_promises(tests: Sequence[tuple[Promise, Array]]) -> Array | None:
-    """Return the factor (n,) by which the last tests found larger errors than were promised.
+def widen_promise(
+    result: IdentificationResult,
+    unexplained: Unexplained | None,
+    tests: Sequence[tuple[States, Promise, Array]],
+) -> Array | None:
+    """Return the factor (n,) by which the last tests found more than was, and is, promised there.
 
-    Root mean square of found over promised, at least 1; promises count without their own widening.
+    Each test has the states of a motion, what was promised before it was learned and the RMS torque
+    error (n,) then found. A model that knew less promised more, and what is learned of friction at
+    reversal is in the promise that a result makes now: the larger counts, without earlier factors.
+    Root mean square of found over promised, at least 1.
     """
     last = tests[-TESTS_COUNTED:]
     if not last:
         return None
-    ratios = [
-        found / np.maximum(np.hypot(promise.noise, promise.uncertain), np.finfo(float).tiny)
-        for promise, found in last
-    ]
-    return np.asarray(np.maximum(1.0, np.sqrt(np.mean(np.square(ratios), axis=0))))
+    squares = []
+    for states, before, found in last:
+        now = promise_error(result, states, unexplained=unexplained)
+        promised = np.maximum(before.joints / before.widening, now.joints)
+        squares.append((found / np.maximum(promised, np.finfo(float).tiny)) ** 2)
+    return np.asarray(np.maximum(1.0, np.sqrt(np.mean(squares, axis=0))))
 
 
 def _relate(errors: Array, torques: Array) -> float:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+from matplotlib.ticker import NullFormatter
 
 from asbuilt import writers
 from asbuilt.apps.run.loop import Outcome
@@ -90,11 +91,14 @@ def write_promise_figure(path: Path, rounds: Sequence[Round], options: RunOption
     axes.plot(numbers, [100 * each.found for each in rows], "s-", label="found")
     axes.axhline(options.until, color="0.5", lw=1.0, label="wanted")
     axes.set_yscale("log")
+    # Numbers as the table has them: 0.2, not a power of ten.
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xticks(numbers)
     what = "simulated motion" if options.purpose == "simulator" else "torque"
     axes.set_xlabel("round")
     axes.set_ylabel(f"error of the {what} [%]")
-    axes.set_title("Promised before the round was recorded, found before it was learned")
+    axes.set_title("Promised before recording, found before learning")
     axes.legend()
     axes.grid(alpha=0.3)
     saved = writers.save_figure(figure, path)

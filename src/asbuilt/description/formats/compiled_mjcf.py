@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -48,7 +48,7 @@ class Actuators:
         own = (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))  # alike but for balls
         return [
             actuator
-            for actuator in range(m.nu)
+            for actuator in range(len(m.actuator_trntype))
             if m.actuator_trntype[actuator] in own and m.actuator_trnid[actuator, 0] == joint
         ]
 
@@ -61,14 +61,22 @@ class Actuators:
         found = np.inf
         for actuator in self.of(joint):
             gear = abs(float(m.actuator_gear[actuator, 0]))
+            # MuJoCo limits the whole force, its constant and the servo's part together.
             if m.actuator_forcelimited[actuator]:
-                bias = self._read_constant(actuator)
-                most = float(np.abs(m.actuator_forcerange[actuator] - bias).max())
-                found = min(found, most * gear)
+                found = min(found, float(np.abs(m.actuator_forcerange[actuator]).max()) * gear)
             if m.actuator_ctrllimited[actuator] and self.is_motor(actuator):
                 most = float(np.abs(m.actuator_ctrlrange[actuator]).max())
                 found = min(found, abs(float(m.actuator_gainprm[actuator, 0])) * most * gear)
         return found
+
+    def own(self, joint: int, quantity: Literal["armature", "damping"]) -> float:
+        """Return armature or damping of the actuators of a joint, on its side of the gear."""
+        # Actuators of older versions of MuJoCo have none.
+        values = getattr(
+            self.model, f"actuator_{quantity}", np.zeros(len(self.model.actuator_trntype))
+        )
+        gear = self.model.actuator_gear
+        return float(sum(np.ravel(values[k])[0] * gear[k, 0] ** 2 for k in self.of(joint)))
 
     def gains(self, joint: int) -> tuple[float | None, float | None]:
         """Return kp and kd of the position servo of a joint, on its side of the gear."""
@@ -124,7 +132,8 @@ class Actuators:
         m = self.model
         at_joints = {actuator for joint in range(m.njnt) for actuator in self.of(joint)}
         held = [k for k in sorted(at_joints) if self.is_motor(k) or self.is_servo(k)]
-        left = sorted(set(range(m.nu)) - set(held))
+        direct = [k for k in sorted(at_joints) if self._is_dc_motor(k)]
+        left = sorted(set(range(len(m.actuator_trntype))) - {*held, *direct})
         late = [k for k in held if m.actuator_dyntype[k] != self.mujoco.mjtDyn.mjDYN_NONE]
         for some, note in (
             (left, "left out; motors and position actuators of joints are read"),
@@ -132,6 +141,11 @@ class Actuators:
         ):
             if some:
                 yield f"the actuators {', '.join(map(self._name, some))} are {note}"
+        for k in direct:
+            yield (
+                f"of the dcmotor {self._name(k)} armature, damping and limit of torque are read;"
+                f" left out: {', '.join(self._list_unread(k))}"
+            )
         for joint in range(m.njnt):
             several = [k for k in self.of(joint) if k in held]
             if len(several) > 1:
@@ -139,6 +153,25 @@ class Actuators:
                     f"the actuators {', '.join(map(self._name, several))} act on one joint: the"
                     " gains of the first servo and the least limit count"
                 )
+
+    def _is_dc_motor(self, actuator: int) -> bool:
+        # Other versions of MuJoCo have no such actuator.
+        kind = getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", None)
+        return kind is not None and bool(self.model.actuator_biastype[actuator] == kind)
+
+    def _list_unread(self, actuator: int) -> list[str]:
+        """Return what a model does not hold of a dcmotor, by MuJoCo's compiled parameters."""
+        gain = self.model.actuator_gainprm[actuator]
+        bias = self.model.actuator_biasprm[actuator]
+        dynamics = self.model.actuator_dynprm[actuator]
+        there = {
+            "winding inductance": dynamics[0] > 0.0,
+            f"cogging of {bias[0]:.3g} N m": bias[0] != 0.0,
+            f"LuGre friction (Coulomb {bias[3]:.3g}, static {bias[4]:.3g} N m)": dynamics[5] > 0.0,
+            "heating": gain[2] != 0.0,
+            "its controller": np.any(gain[4:7] != 0.0),
+        }
+        return ["voltage and back-EMF", *(what for what, is_there in there.items() if is_there)]
 
     def _name(self, actuator: int) -> str:
         kind = self.mujoco.mjtObj.mjOBJ_ACTUATOR
@@ -210,7 +243,7 @@ def _find_follower(
     """Return the joint that follows the others of an equation, None where none can."""
     driven = {
         int(m.actuator_trnid[a, 0])
-        for a in range(m.nu)
+        for a in range(len(m.actuator_trntype))
         if m.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
     }
     by_joints = m.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,8 +22,14 @@ from asbuilt.description.formats.compiled_mjcf import (
     find_loops_by_equalities,
     with_passive_joints,
 )
+from asbuilt.description.formats.included_mjcf import insert_includes
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
-from asbuilt.description.formats.xml import described_text, find_outermost_tag, parse_xml
+from asbuilt.description.formats.xml import (
+    described_text,
+    find_outermost_tag,
+    parse_numbers,
+    parse_xml,
+)
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import (
     ROOT,
@@ -93,6 +100,7 @@ def read_mjcf(
         raise DescriptionError(
             f"{source}: the outermost element is <{root.tag}>; an MJCF file has <mujoco model=...>"
         )
+    insert_includes(root, source)
     try:
         import mujoco  # noqa: PLC0415 - an extra
     except ImportError:
@@ -200,14 +208,11 @@ def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any,
     return compiled, warnings
 
 
-def _remove_shapes(root: Element, source: str) -> set[str]:
-    """Take out what needs files, and return the names of the bodies whose inertia went with it."""
-    included = next(root.iter("include"), None)
-    if included is not None:
-        raise DescriptionError(
-            f"{source}: the file includes {included.get('file')!r}; load the included robot file"
-            " itself, or save the whole model as one file (mujoco.mj_saveLastXML)"
-        )
+def _remove_shapes(root: Element, source: str) -> dict[str, float]:
+    """Take out what needs files, and return the bodies whose inertia went with it.
+
+    Each has the mass [kg] that its geoms state, 0 where they state none.
+    """
     generated = next((element.tag for element in root.iter() if element.tag in GENERATORS), None)
     if generated is not None:
         raise DescriptionError(
@@ -217,19 +222,22 @@ def _remove_shapes(root: Element, source: str) -> set[str]:
     for section in IRRELEVANT:
         for element in root.findall(section):
             root.remove(element)
-    shapes: dict[str | None, str] = {
-        name: shape
+    defaults: dict[str | None, Mapping[str, str]] = {
+        name: attributes
         for element in root.findall("default")
-        for name, shape in _list_default_shapes(element, "sphere")
+        for name, attributes in _list_default_geoms(element, {})
     }
     for element in root.iter():
         element.attrib.pop("material", None)
     compiler = root.find("compiler")
     from_geoms = False
+    groups: tuple[float, ...] = (0.0, np.inf)
     if compiler is not None:
         compiler.attrib.pop("fusestatic", None)
         from_geoms = compiler.get("inertiafromgeom") == "true"
-    unknown: set[str] = set()
+        if compiler.get("inertiagrouprange"):
+            groups = tuple(parse_numbers(compiler.get("inertiagrouprange", ""), 2, source))
+    unknown: dict[str, float] = {}
     waiting: list[tuple[Element, str | None]] = [
         (world, None) for world in root.findall("worldbody")
     ]
@@ -241,19 +249,23 @@ def _remove_shapes(root: Element, source: str) -> set[str]:
         )
         explicit = body.find("inertial") is not None and not from_geoms
         geoms = [
-            (holder, element, element.get("class", childclass))
-            for holder, element, childclass in inside
+            (holder, element, {**defaults.get(element.get("class", kind), {}), **element.attrib})
+            for holder, element, kind in inside
             if element.tag == "geom"
         ]
-        lost = not explicit and any(
-            _find_shape(geom, shapes.get(kind, "sphere")) in SHAPELESS for _, geom, kind in geoms
-        )
-        for holder, geom, _ in geoms:
-            if explicit or lost or body.tag == "worldbody":
+        needed = [
+            attributes
+            for _, _, attributes in geoms
+            if _find_shape(attributes) in SHAPELESS and _has_mass(attributes, groups)
+        ]
+        lost = bool(needed) and not explicit
+        for holder, geom, attributes in geoms:
+            if explicit or lost or body.tag == "worldbody" or _find_shape(attributes) in SHAPELESS:
                 holder.remove(geom)
         if lost and body.tag == "body":
             body.set("name", body.get("name") or f"unnamed_{len(unknown) + 1}")
-            unknown.add(body.get("name", ""))
+            stated = [_read_number(attributes, "mass", 0.0) for _, _, attributes in geoms]
+            unknown[body.get("name", "")] = sum(stated)
             if body.find("inertial") is None:
                 body.insert(
                     0, Element("inertial", {"pos": "0 0 0", "mass": "1", "diaginertia": "1 1 1"})
@@ -288,23 +300,38 @@ def _list_inside(
             yield body, element, childclass
 
 
-def _find_shape(geom: Element, inherited: str) -> str:
-    return "mesh" if geom.get("mesh") is not None else geom.get("type") or inherited
+def _find_shape(attributes: Mapping[str, str]) -> str:
+    """Return the type of a geom, by its attributes and those of its classes."""
+    return "mesh" if "mesh" in attributes else attributes.get("type", "sphere")
 
 
-def _list_default_shapes(element: Element, inherited: str) -> list[tuple[str | None, str]]:
+def _has_mass(attributes: Mapping[str, str], groups: tuple[float, ...]) -> bool:
+    """Return whether a geom counts for the inertia of its body, and is not there to be seen."""
+    inside = groups[0] <= _read_number(attributes, "group", 0.0) <= groups[1]
+    density = _read_number(attributes, "density", 1.0)
+    return inside and _read_number(attributes, "mass", density) != 0.0
+
+
+def _read_number(attributes: Mapping[str, str], name: str, usual: float) -> float:
+    """Return the number of an attribute; MuJoCo refuses what is none."""
+    with suppress(ValueError):
+        return float(attributes.get(name, usual))
+    return usual
+
+
+def _list_default_geoms(
+    element: Element, inherited: Mapping[str, str]
+) -> list[tuple[str | None, Mapping[str, str]]]:
+    """Return the attributes of geoms of each class, with those of the classes around it."""
     geom = element.find("geom")
-    shape = inherited
-    if geom is not None:
-        shape = geom.get("type") or ("mesh" if geom.get("mesh") is not None else inherited)
+    attributes = {**inherited, **({} if geom is None else geom.attrib)}
     name = element.get("class") or "main"
-    own: list[tuple[str | None, str]] = [(name, shape)] + (
-        [(None, shape)] if name == "main" else []
-    )
+    own: list[tuple[str | None, Mapping[str, str]]] = [(name, attributes)]
+    own += [(None, attributes)] if name == "main" else []
     return own + [
         entry
         for nested in element.findall("default")
-        for entry in _list_default_shapes(nested, shape)
+        for entry in _list_default_geoms(nested, attributes)
     ]
 
 
@@ -318,7 +345,7 @@ class _Tree:
     mujoco: ModuleType
     model: Any
     source: str
-    unknown: set[str]
+    unknown: Mapping[str, float]
     joints: list[Joint] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     parts: list[list[tuple[str, LinkInertia]]] = field(default_factory=list)
@@ -366,9 +393,11 @@ class _Tree:
         if carrier == ROOT:
             return
         if name in self.unknown:
+            mass = self.unknown[name]
+            stated = f" ({mass:.4g} kg by its geoms)" if mass > 0.0 else ""
             self.notes.append(
-                f"body {name!r} has no <inertial>, and its inertia would come from a mesh that is"
-                " not read; it counts as not given"
+                f"body {name!r} has no <inertial>, and its inertia{stated} would come from a mesh"
+                " that is not read; it counts as not given"
             )
         elif m.body_mass[body] > 0.0:
             frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
@@ -432,20 +461,19 @@ class _Tree:
         return JointLimits(lower=lower, upper=upper, torque=torque)
 
     def drive(self, coordinate: int, index: int) -> DriveValues:
-        values = (
+        m = self.model
+        armature, viscous, coulomb = (
             float(np.ravel(array[coordinate])[0])
-            for array in (
-                self.model.dof_armature,
-                self.model.dof_damping,
-                self.model.dof_frictionloss,
-            )
+            for array in (m.dof_armature, m.dof_damping, m.dof_frictionloss)
         )
-        armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
+        armature += self.actuators.own(index, "armature")
+        viscous += self.actuators.own(index, "damping")
         kp, kd = self.actuators.gains(index)
         return DriveValues(
-            armature=armature,
-            viscous=viscous,
-            coulomb=coulomb,
+            # What is zero is not stated.
+            armature=armature or None,
+            viscous=viscous or None,
+            coulomb=coulomb or None,
             offset=self.actuators.offset(index),
             kp=kp,
             kd=kd,

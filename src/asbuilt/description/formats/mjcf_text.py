@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -21,6 +22,8 @@ FEATHER = 1e-14
 """Mass [kg] and inertia [kg m^2] written for a massless link, for MuJoCo refuses bodies that have
 none.
 """
+BALANCER_RADII = (0.1, 0.2)
+"""Distances [m] of the ends of a balancer from its axis; only their product has an effect."""
 PALETTE = ("0.90 0.49 0.13 1", "0.86 0.87 0.88 1")
 """Colours of housings and rods."""
 
@@ -136,10 +139,12 @@ def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]
     written = len(tendons)
     for k, joint in enumerate(model.joints):
         for key, numbers in joint.drive.terms.items():
-            rate, free = _read_tendon_spring(key, numbers)
+            is_ideal = key == "balancer" and numbers.get("harmonics", 1.0) <= 1.0
+            spring = _convert_to_spring(numbers) if is_ideal else numbers
+            rate, free = _read_tendon_spring(key, spring)
             if not rate:
                 continue
-            ends = spring_ends(joint, numbers)
+            ends = spring_ends(joint, spring)
             name = f"{key} at {joint.name}"
             tendon = Element(
                 "spatial",
@@ -158,11 +163,27 @@ def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]
 
 def _read_tendon_spring(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
     """Return stiffness [N/m] and free length [m] of a drive term; no stiffness if it has none."""
-    if key == "extension_spring":
-        return numbers.get("Ke", 0.0), numbers["length"]
+    if key in ("extension_spring", "balancer"):
+        return numbers.get("Ke", 0.0), numbers.get("length", 0.0)
     growth = numbers.get("rate", 0.0) if key == "cylinder" else 0.0
     stiffness = numbers.get("Pc", 0.0) * growth
     return stiffness, numbers["length"] + 1.0 / growth if stiffness else 0.0
+
+
+def _convert_to_spring(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return the spring without free length whose torque is `Bs sin(q) + Bc cos(q)`.
+
+    `Ke inner outer sin(q + angle)`; its ends never meet, since they are at different radii.
+    """
+    sine, cosine = numbers.get("Bs", 0.0), numbers.get("Bc", 0.0)
+    inner, outer = BALANCER_RADII
+    return {
+        "Ke": math.hypot(sine, cosine) / (inner * outer),
+        "angle": math.atan2(cosine, sine),
+        "inner": inner,
+        "outer": outer,
+        "length": 0.0,
+    }
 
 
 def _add_polynomial(

@@ -2,13 +2,13 @@
 
 SDF states poses in the frame of the model or in any named frame, URDF from joint to joint. The
 robot is rewritten as URDF, with a massless body at a joint whose frame is not its link's, and read
-by that reader
+by that reader; the link then takes its name and its frame back
 (format: http://sdformat.org/spec).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from asbuilt.description.formats.xml import (
     parse_numbers,
     parse_xml,
 )
-from asbuilt.description.model import Loop, RobotModel
+from asbuilt.description.model import Joint, Link, Loop, RobotModel
 from asbuilt.description.rotation import (
     compose_placements,
     invert_placement,
@@ -116,7 +116,13 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
     model = _find_only_model(root, source)
     frames = _read_frames(model, source)
     closing = _find_closing_joints(model, frames, source)
-    robot = read_urdf(tostring(_build_urdf(model, frames, source, closing)))
+    urdf = _build_urdf(model, frames, source, closing)
+    children = {
+        str(_find_end(joint, "parent")): str(_find_end(joint, "child"))
+        for joint in urdf.findall("joint")
+        if str(_find_end(joint, "parent")).endswith(JOINT_BODY)
+    }
+    robot = _restore_links(read_urdf(tostring(urdf)), children)
     gravity = root.find("world/gravity")
     turned = np.eye(3) if model.find("pose") is None else _read_pose(model, source)[:3, :3]
     free_fall = (
@@ -130,6 +136,62 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
     return found.closed()
 
 
+JOINT_BODY = " (joint)"
+"""End of the name of the massless body at a joint whose frame is not its link's."""
+
+
+def _restore_links(robot: RobotModel, children: Mapping[str, str]) -> RobotModel:
+    """Return the robot whose links have the names and frames of the SDF, not those of joints.
+
+    `children` names the link that each massless body at a joint carries.
+    """
+    numbers = {link.name: index for index, link in enumerate(robot.links)}
+    poses = {frame.name: frame.placement for frame in robot.frames}
+    moved = {
+        numbers[body]: (child, poses[child])
+        for body, child in children.items()
+        if body in numbers and child in poses
+    }
+
+    def restore_joint(index: int, joint: Joint) -> Joint:
+        before = joint.before
+        if joint.parent in moved:
+            before = compose_placements(invert_placement(moved[joint.parent][1]), before)
+        after = joint.after
+        if index in moved:
+            after = compose_placements(after, moved[index][1])
+        return replace(joint, before=before, after=after)
+
+    def restore_link(index: int, link: Link) -> Link:
+        if index not in moved:
+            return link
+        name, pose = moved[index]
+        into = invert_placement(pose)
+        bodies = link.parts or ((name, link.inertia),)
+        parts = [(body, inertia.moved(into)) for body, inertia in bodies]
+        return Link.of_parts(name, parts, known=link.inertia_known)
+
+    names = {child for child, _ in moved.values()}
+    frames = [
+        replace(
+            frame,
+            placement=compose_placements(invert_placement(moved[frame.link][1]), frame.placement)
+            if frame.link in moved
+            else frame.placement,
+        )
+        for frame in robot.frames
+        if frame.name not in names
+    ]
+    joints = [restore_joint(k, joint) for k, joint in enumerate(robot.moving_joints)]
+    return replace(
+        robot,
+        joints=tuple(joints[: robot.n_joints]),
+        followers=tuple(joints[robot.n_joints :]),
+        links=tuple(restore_link(k, link) for k, link in enumerate(robot.links)),
+        frames=tuple(frames),
+    )
+
+
 UNREAD = {
     "spring_stiffness": "springs of joints",
     "fluid_added_mass": "added mass of fluids",
@@ -139,6 +201,12 @@ UNREAD = {
     "static": "that the model is static",
 }
 """Elements of SDF with a meaning for dynamics that are not read."""
+
+
+def _find_end(joint: Element, end: str) -> str | None:
+    """Return the name of the parent or the child of a joint of URDF."""
+    element = joint.find(end)
+    return None if element is None else element.get("link")
 
 
 def _note_unread(model: Element) -> tuple[str, ...]:
@@ -291,7 +359,7 @@ def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> 
     if np.array_equal(frames.pose(name), frames.pose(child)):
         written = _connect(robot, name, parent, child, kind, frames)
     else:
-        body = f"{name} (joint)"
+        body = f"{name}{JOINT_BODY}"
         SubElement(robot, "link", name=body)
         written = _connect(robot, name, parent, body, kind, frames, at=name)
         _connect(robot, f"{name} (link)", body, child, "fixed", frames, start=name)

@@ -35,6 +35,7 @@ from asbuilt.description.model import (
     RobotModel,
 )
 from asbuilt.description.rotation import (
+    SCALED,
     compose_placements,
     condense_notes,
     placement,
@@ -44,7 +45,7 @@ from asbuilt.description.rotation import (
 )
 from asbuilt.description.structure.free_base import BaseKind, clear_base_inertias, free_urdf
 from asbuilt.errors import DescriptionError
-from asbuilt.findings import Cure
+from asbuilt.findings import Cure, join_names
 
 MOVING: dict[str, JointKind] = {
     "revolute": "revolute",
@@ -385,8 +386,7 @@ def _read_axis(connection: _Connection, notes: list[str]) -> Array:
         )
     if abs(length - 1.0) > AXIS_TOLERANCE:
         notes.append(
-            f"{connection.place}: the axis {given.tolist()} has length {length:.6g} and is scaled"
-            " to 1"
+            f"{connection.place}: the axis {given.tolist()} has length {length:.6g} {SCALED}"
         )
     return given / length
 
@@ -401,9 +401,10 @@ def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
     if connection.kind == "continuous":
         lower = -np.inf
         upper = np.inf
+    zero = []
     if lower == upper == 0.0:
         # Exporters of CAD programs write zeros for what nobody stated.
-        notes.append(f"{place}: position limits are 0 .. 0, which is taken as not stated")
+        zero.append("position")
         lower = -np.inf
         upper = np.inf
     if lower > upper:
@@ -416,9 +417,11 @@ def _read_limits(connection: _Connection, notes: list[str]) -> JointLimits:
         if value < 0.0:
             raise DescriptionError(f"{place}: {attribute} limit is {value}; it must be positive")
         if value == 0.0:
-            notes.append(f"{place}: {attribute} limit is 0, which is taken as not stated")
+            zero.append(attribute)
             value = np.inf
         bounds[attribute] = value
+    if zero:
+        notes.append(f"{place}: limits of {join_names(zero)} are 0, taken as not stated")
     return JointLimits(
         lower=lower, upper=upper, velocity=bounds["velocity"], torque=bounds["effort"]
     )

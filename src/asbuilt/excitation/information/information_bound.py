@@ -365,8 +365,9 @@ def information_efficiency(
     mean = mean_information(Information.of(model, base), q, qd, qdd)
     best = np.diag(np.linalg.inv(bound.information))
     own = Scaled(mean)
-    variances = np.maximum(own.inverse_diagonal, np.finfo(float).tiny)
-    by_parameter = np.where(own.determined, best / variances, 0.0)
+    # What the motion does not determine has no variance to compare with.
+    by_parameter = np.zeros_like(best)
+    np.divide(best, own.inverse_diagonal, out=by_parameter, where=own.determined)
     return InformationEfficiency(
         base,
         min(bound.efficiency(mean), 1.0) if own.rank == len(mean) else 0.0,

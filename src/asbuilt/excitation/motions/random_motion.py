@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.kinematics import draw_postures_within, find_first_posture
 from asbuilt.errors import MotionError
-from asbuilt.excitation.limits import MotionBounds, check_motion, refuse_open_postures
+from asbuilt.excitation.limits import MotionBounds, check_motion
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
@@ -18,6 +19,9 @@ SHRINKAGE = 0.85
 
 ATTEMPTS = 40
 """How often that is tried."""
+
+CHECKED_RATE = 100.0
+"""Rate at which torque and loops of a random motion are checked [Hz]."""
 
 
 def random_fourier(
@@ -35,19 +39,20 @@ def random_fourier(
 
     Coefficients are normal, alike for all harmonics; each joint's mean position is drawn where its
     amplitude allows. Limits that the description does not give come from
-    `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink.
+    `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink. Where loops do
+    not close everywhere within the limits, it shrinks towards the posture of the description.
 
     Raises
     ------
     MotionError
-        If the robot cannot hold its weight within the torque limits even at small amplitudes.
+        If the robot cannot hold its weight within the torque limits even at small amplitudes, or
+        its loops close nowhere about the posture of the description.
     """
     if n_harmonics < 2 or periods < 1:
         raise MotionError(
             f"a Fourier motion needs at least 2 harmonics and 1 period, got {n_harmonics} and"
             f" {periods}"
         )
-    refuse_open_postures(model)
     generator = np.random.default_rng(rng)
     bounds = MotionBounds.assumed(model, fraction)
     rows = generator.normal(size=(2 * n_harmonics - 1, model.n_joints))
@@ -61,18 +66,20 @@ def random_fourier(
     ]
     scale = np.min([*scales, bounds.jerk / shape.peaks(3)], axis=0)
     place = generator.uniform(size=model.n_joints)
+    home = find_first_posture(model)
 
     def motion(size: float) -> FourierMotion:
         coefficients = size * scale * rows
         free_low = bounds.lower - size * scale * low
         free_high = bounds.upper - size * scale * high
-        coefficients[0] = free_low + place * (free_high - free_low)
+        centre = free_low + place * (free_high - free_low)
+        coefficients[0] = centre if home is None else home + size * (centre - home)
         return shape.with_coefficients(coefficients)
 
     size = 1.0
     for _ in range(ATTEMPTS):
         candidate = motion(size)
-        if _holds_torque(model, candidate, fraction):
+        if _closes(model, candidate) and _holds_torque(model, candidate, fraction):
             return candidate
         size *= SHRINKAGE
     raise _make_torque_error(model)
@@ -98,7 +105,8 @@ def random_point_to_point(
         raise MotionError(f"a point-to-point motion needs at least 2 poses, got {n_poses}")
     generator = np.random.default_rng(rng)
     bounds = MotionBounds.assumed(model, fraction)
-    poses = generator.uniform(bounds.lower, bounds.upper, size=(n_poses, model.n_joints))
+    poses = draw_postures_within(model, bounds.lower, bounds.upper, generator, n_poses)
+    home = find_first_posture(model)
     size = 1.0
     for _ in range(ATTEMPTS):
         motion = PointToPointMotion.within(
@@ -107,24 +115,40 @@ def random_point_to_point(
             acceleration=size * bounds.acceleration,
             dwell=dwell,
         )
+        if home is not None and not _closes(model, motion):
+            # Loops that close at two poses need not close on the way.
+            poses = home + SHRINKAGE * (poses - home)
+            continue
         if _holds_torque(model, motion, fraction):
             return motion
         size *= SHRINKAGE
         if size < SHRINKAGE ** (ATTEMPTS // 2):
-            poses = generator.uniform(bounds.lower, bounds.upper, size=poses.shape)
+            poses = draw_postures_within(model, bounds.lower, bounds.upper, generator, n_poses)
     raise _make_torque_error(model)
+
+
+def _closes(model: RobotModel, motion: Motion) -> bool:
+    """Return whether the loops of the robot, if it has any, close all along a motion."""
+    if model.closure is None:
+        return True
+    q = motion.derivative(motion.sample_times(CHECKED_RATE), 0)
+    return bool(model.closure.postures(q).closed.all())
 
 
 def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
     if not np.any(np.isfinite(MotionBounds.of(model).torque)):
         return True
-    # Rate at which the torque of a random motion is checked [Hz].
-    worst = check_motion(model, motion, 100.0).worst["torque"]
+    worst = check_motion(model, motion, CHECKED_RATE).worst["torque"]
     return worst is None or worst.margin >= 1 - fraction
 
 
 def _make_torque_error(model: RobotModel) -> MotionError:
     limits = ", ".join(f"{limit:g}" for limit in MotionBounds.of(model).torque)
+    if model.closure is not None and not np.any(np.isfinite(MotionBounds.of(model).torque)):
+        return MotionError(
+            f"{model.name}: no random motion was found along which the loops close; check points of"
+            " the loops and the posture of the description"
+        )
     return MotionError(
         f"{model.name}: no random motion within the torque limits ({limits}) was found, however"
         " slow; check torque limits, masses and gravity, or raise `fraction`"

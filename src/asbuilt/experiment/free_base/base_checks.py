@@ -14,10 +14,10 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.dynamics.contact import contact_basis, contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
 from asbuilt.experiment.free_base.feet import estimate_rolling_radii
-from asbuilt.experiment.free_base.measured_forces import check_forces
+from asbuilt.experiment.free_base.measured_forces import check_forces, collect_measured_wrenches
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, join_names
 
@@ -31,7 +31,8 @@ class FreeBaseLimits:
     slips above `slip` [m/s]; one that is open touches where it stands within `height` [m] of where
     it stands when closed. `gravity` [m/s^2] is the least mean by which accelerations that hold
     gravity differ from the rates of the velocity. Stated radii are off by more than a part `radius`
-    from those on which feet roll. At most `samples` of a log are looked at.
+    from those on which feet roll. At most `samples` of a log are looked at, `postures` of them for
+    the equations that contacts leave: some in a part `left` of them.
     """
 
     share: float = 0.5
@@ -43,6 +44,8 @@ class FreeBaseLimits:
     gravity: float = 5.0
     radius: float = 0.3
     samples: int = 20_000
+    postures: int = 200
+    left: float = 0.02
 
 
 LIMITS = FreeBaseLimits()
@@ -57,8 +60,39 @@ def check_free_base(model: RobotModel, recording: Recording) -> tuple[Finding, .
     found = [*_check_velocities(model, part, rates), *_check_accelerations(model, part)]
     found += check_forces(model, part, rates)
     if model.contacts and part.contact is not None:
+        found += _check_equations(model, part)
         found += _check_contacts(model, part, rates)
     return tuple(found)
+
+
+def _check_equations(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Find contacts whose unmeasured forces can be any torque at all, so that none says anything.
+
+    A flat contact has six components: two of them hold all equations of two legs of six joints and
+    a base, four of legs of three joints hold more than there are.
+    """
+    measured = {place.frame for place in collect_measured_wrenches(recording, model)}
+    unknown = [contact.frame not in measured for contact in model.contacts]
+    rows = slice(0, None, -(-recording.n_samples // LIMITS.postures))
+    if recording.contact is None or not any(unknown):
+        return
+    closed = recording.contact[rows] * unknown
+    basis = contact_basis(model, recording.q[rows], closed)
+    taken = np.count_nonzero(np.linalg.norm(basis, axis=1) > 0.5, axis=0)
+    if np.mean(taken < model.n_joints) > LIMITS.left:
+        return
+    flat = [contact.frame for contact in model.contacts if contact.flat]
+    yield Finding(
+        "contacts_hold_everything",
+        "error",
+        f"unmeasured forces at the closed contacts may be any torque of the {model.n_joints}"
+        " coordinates of base and joints, so that no equation is left"
+        + (f": {join_names(flat)} are flat and have three moments each" if flat else ""),
+        Cure(
+            "state feet that touch at a point, or are balls of some radius, as such and not as"
+            " flat, log the forces, or lift feet"
+        ),
+    )
 
 
 def _check_velocities(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:

@@ -151,9 +151,11 @@ def build_recording(
                 f"the rate of {rate:g} Hz was not used: the log has the time column {layout.time!r}"
             )
     elif rate is None:
+        # Columns that have a meaning are no times.
+        others = [name for name in table.columns if name not in layout.columns][:30]
+        listed = f"; columns without a meaning are {', '.join(others)}" if others else ""
         raise RecordingError(
-            f"{table.source} has no time column and no rate is given; its columns are"
-            f" {', '.join(list(table.columns)[:30])}",
+            f"{table.source} has no time column and no rate is given{listed}",
             cure=Cure("give the rate in Hz, here or as rate = ... in a recording sheet"),
             file=table.source,
         )

@@ -89,7 +89,7 @@ def stream_recording(
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     origin: float | None = None
     start: float | None = None
-    mender = LogMender(layout)
+    mender = LogMender(layout, sheet.zero)
     for first, columns in stream.chunks(layout.columns, chunk_samples):
         table = mender.mend(replace(stream.header, columns=columns))
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)

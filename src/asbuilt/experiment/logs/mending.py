@@ -15,7 +15,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import QUANTITIES, Layout
 from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.recording import ENCODERS
+from asbuilt.experiment.recording import ENCODERS, UNWRAPPED
 from asbuilt.findings import Cure
 
 OF_TOPICS = 0.05
@@ -49,42 +49,99 @@ ZERO = 0.02
 
 @dataclass(frozen=True, slots=True)
 class _Counter:
-    """Say where a column that wraps goes on: its period, its last value, and turns to add."""
+    """Say where a column goes on: its period, 0 if it does not wrap, its last value and turns."""
 
     period: float
     last: float
-    turns: float
+    turns: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mended:
+    """Say what was mended: text before and after a count, which adds up over the parts of a log.
+
+    `kind` names what was done; the text of the first part of a log stands for all. `of` says
+    whether the number of all rows follows the count.
+    """
+
+    kind: str
+    before: str
+    count: int
+    after: str
+    of: bool = False
+
+    def with_more(self, other: Mended) -> Mended:
+        """Return the same with the count of a later part."""
+        return replace(self, count=self.count + other.count)
+
+    def write(self, rows: int) -> str:
+        """Return the note on a log of so many rows."""
+        of = f" of {rows}" if self.of else ""
+        return f"{self.before}{self.count}{of}{self.after}"
 
 
 class LogMender:
     """Mend the tables of one log, which may come in consecutive parts.
 
+    The notes of a part count what was mended up to its end, so that those of the last part are
+    those of the log.
+
     Parameters
     ----------
     layout
         Columns of the log.
+    zero
+        Logged position [rad] at which the description has zero, of all joints or of each: a counter
+        that wraps is the nearest turn to it.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, zero: object = None) -> None:
         self._layout = layout
-        self._wide: set[str] = set()
+        self._zero = zero
+        self._wide: set[tuple[int, str]] = set()
         self._counters: dict[str, _Counter] = {}
+        self._jumps: dict[float, dict[str, int]] = {}
         self._latest: float | None = None
+        self._began: float | None = None
+        self._step: float | None = None
+        self._mended: dict[str, Mended] = {}
+        # Rows so far: without those of other topics, and all.
+        self._rows = [0, 0]
 
     def mend(self, table: LogTable) -> LogTable:
         """Return a table with rows of one topic, in the order of time, and steady counters."""
         if table.n_samples < 3:
-            return table
+            return replace(table, notes=(*table.notes, *self._list_notes()))
         table, of_values = self._leave_absurd_values(table)
         joined, of_rows = join_topics(table, self._layout)
-        ordered, of_clock = mend_clock(self._leave_late_rows(joined), self._layout)
+        if self._began is None and self._layout.time is not None and joined.n_samples:
+            self._began = float(joined.columns[self._layout.time][0])
+        later = self._leave_late_rows(joined)
+        self._rows = [self._rows[0] + joined.n_samples, self._rows[1] + table.n_samples]
+        ordered, of_clock = mend_clock(later, self._layout, self._began, self._step)
         if of_clock:
-            self._latest = float(ordered.columns[str(self._layout.time)][-1])
+            times = ordered.columns[str(self._layout.time)]
+            self._latest = float(times[-1])
+            if of_clock[0].kind == "grid":
+                self._latest = None
+                scale = self._layout.scales.get(str(self._layout.time), 1.0)
+                self._step = scale * float(times[-1] - times[0]) / (times.size - 1)
         columns = dict(ordered.columns)
-        notes = [*of_values, *of_rows, *of_clock, *self._sign(columns), *self._unwrap(columns)]
-        return replace(ordered, columns=columns, notes=(*table.notes, *notes))
+        for each in (*of_values, *of_rows, *of_clock, *self._sign(columns)):
+            before = self._mended.get(each.kind)
+            self._mended[each.kind] = each if before is None else before.with_more(each)
+        self._unwrap(columns)
+        return replace(ordered, columns=columns, notes=(*table.notes, *self._list_notes()))
 
-    def _leave_absurd_values(self, table: LogTable) -> tuple[LogTable, list[str]]:
+    def _list_notes(self) -> Iterator[str]:
+        """Yield what was mended so far."""
+        for each in self._mended.values():
+            yield each.write(self._rows[each.kind == "rows"])
+        for period, jumps in self._jumps.items():
+            listed = ", ".join(f"{name} {count} times" for name, count in jumps.items())
+            yield f"{UNWRAPPED} {period:.6g} were unwrapped: {listed}"
+
+    def _leave_absurd_values(self, table: LogTable) -> tuple[LogTable, list[Mended]]:
         """Return a table without values that no quantity has, as loggers write for "none"."""
         columns = dict(table.columns)
         notes = []
@@ -108,11 +165,13 @@ class LogMender:
                         file=table.source,
                     )
                 columns[name] = np.where(absurd, np.nan, columns[name])
-                notes.append(
-                    f"{name} holds {int(absurd.sum())} values beyond {MOST:g}, such as"
-                    f" {values[first]:g} in row {first + 1}, which count as missing"
+                after = (
+                    f" values beyond {MOST:g}, such as {values[first]:g} in row {first + 1}, which"
+                    " count as missing"
                 )
-        return (replace(table, columns=columns), sorted(notes)) if notes else (table, [])
+                notes.append(Mended(f"absurd {name}", f"{name} holds ", int(absurd.sum()), after))
+        notes.sort(key=lambda note: note.kind)
+        return (replace(table, columns=columns), notes) if notes else (table, [])
 
     def _leave_late_rows(self, table: LogTable) -> LogTable:
         """Return a part without rows that belong into the part before, where that was sorted."""
@@ -122,31 +181,35 @@ class LogMender:
         columns = {name: values[later] for name, values in table.columns.items()}
         return replace(table, columns=columns) if later.sum() > 2 else table
 
-    def _sign(self, columns: dict[str, Array]) -> Iterator[str]:
+    def _sign(self, columns: dict[str, Array]) -> Iterator[Mended]:
         """Turn unsigned integers that stand for negative ones into these."""
-        for names in self._list_groups():
-            found = [name for name in names if name in self._wide or _is_unsigned(columns[name])]
-            if not found:
+        for bits, names in self._list_counted():
+            known = any((bits, name) in self._wide for name in names)
+            if not known and not any(_is_unsigned(columns[name], bits) for name in names):
                 continue
-            self._wide |= set(names)
+            self._wide |= {(bits, name) for name in names}
             count = 0
             for name in names:
-                below = columns[name] >= 2**15
+                below = columns[name] >= 2.0 ** (bits - 1)
                 count += int(below.sum())
-                columns[name] = np.where(below, columns[name] - 2.0**16, columns[name])
+                columns[name] = np.where(below, columns[name] - 2.0**bits, columns[name])
             if count:
-                yield (
-                    f"{join(names)} are 16 bits without a sign, which wrap at 65536: {count} values"
-                    " from 32768 on count as negative"
-                )
+                what = f"{join(names)} are {bits} bits without a sign, which wrap at {2**bits}: "
+                after = f" values from {2 ** (bits - 1)} on count as negative"
+                yield Mended(f"sign {names[0]}", what, count, after)
 
-    def _list_groups(self) -> list[tuple[str, ...]]:
-        """Return the columns of each quantity but positions, which may be counters from zero."""
-        wanted = ("torque", "velocity")
-        listed = (self._layout.quantities.get(quantity, ()) for quantity in wanted)
-        return [tuple(name for name in names if name) for names in listed]
+    def _list_counted(self) -> Iterator[tuple[int, tuple[str, ...]]]:
+        """Yield the columns of each quantity that may be integers without a sign, and their bits.
 
-    def _unwrap(self, columns: dict[str, Array]) -> Iterator[str]:
+        Positions of 16 bits are counters, which `_unwrap` makes go on.
+        """
+        for quantity in ("torque", "velocity", "position", "command"):
+            names = tuple(name for name in self._layout.quantities.get(quantity, ()) if name)
+            if quantity in ("torque", "velocity"):
+                yield 16, names
+            yield 32, names
+
+    def _unwrap(self, columns: dict[str, Array]) -> None:
         """Make positions of counters that begin again after a turn go on."""
         groups = [
             [name for name in self._layout.quantities.get(quantity, ()) if name]
@@ -154,21 +217,17 @@ class LogMender:
         ]
         for names in groups:
             period = self._find_period(columns, names)
-            if period is None:
-                continue
-            jumps: dict[str, int] = {}
-            for name in names:
-                columns[name], jumps[name] = self._go_on(name, columns[name], period)
-            wrapped = {name: count for name, count in jumps.items() if count}
-            if wrapped:
-                listed = ", ".join(f"{name} {count} times" for name, count in wrapped.items())
-                yield f"positions that wrap at {period:.6g} were unwrapped: {listed}"
+            for k, name in enumerate(names):
+                columns[name], count = self._go_on(name, columns[name], period, k)
+                if period is not None and count:
+                    jumps = self._jumps.setdefault(period, {})
+                    jumps[name] = jumps.get(name, 0) + count
 
     def _find_period(self, columns: Mapping[str, Array], names: Sequence[str]) -> float | None:
         """Return a turn in the units of columns that wrap, None if none of them does."""
         known = [self._counters[name].period for name in names if name in self._counters]
-        if known:
-            return known[0]
+        if any(known):
+            return next(filter(None, known))
         found = [
             period
             for name in names
@@ -177,23 +236,37 @@ class LogMender:
         ]
         return found[0] if found else None
 
-    def _go_on(self, name: str, values: Array, period: float) -> tuple[Array, int]:
+    def _go_on(
+        self, name: str, values: Array, period: float | None, index: int
+    ) -> tuple[Array, int]:
         """Return a column unwrapped, from where the part before ended, and the number of jumps."""
         known = np.isfinite(values)
         inside = values[known]
         if not inside.size:
             return values, 0
         before = self._counters.get(name)
+        if period is None:
+            self._counters[name] = _Counter(0.0, float(inside[-1]))
+            return values, 0
         first = inside[0] if before is None else before.last
         turns = -np.round(np.diff(inside, prepend=first) / period)
         total = np.cumsum(turns) + (0.0 if before is None else before.turns)
         if before is None:
-            # A turn more or less is the same place: the one nearest to zero is meant.
-            total -= np.round(float(np.median(inside + period * total)) / period)
+            # A turn more or less is the same place: the one nearest to the robot's zero is meant.
+            middle = float(np.median(inside + period * total)) - self._find_zero(name, index)
+            total -= np.round(middle / period)
         self._counters[name] = _Counter(period, float(inside[-1]), float(total[-1]))
         out = np.array(values)
         out[known] = inside + period * total
         return out, int(np.count_nonzero(turns))
+
+    def _find_zero(self, name: str, index: int) -> float:
+        """Return the robot's zero in the unit of a column."""
+        zeros = self._zero if isinstance(self._zero, list | tuple) else [self._zero]
+        zero = zeros[min(index, len(zeros) - 1)] if zeros else None
+        offset = self._layout.offsets.get(name, 0.0)
+        scale = self._layout.scales.get(name, 1.0)
+        return ((float(zero) if isinstance(zero, int | float) else 0.0) - offset) / scale
 
 
 def join(names: Sequence[str]) -> str:
@@ -202,7 +275,7 @@ def join(names: Sequence[str]) -> str:
     return ", ".join(few)
 
 
-def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
+def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[Mended]]:
     """Return the rows that hold positions, with what other topics logged between them.
 
     In a table of several topics each row has the values of one, and the cells of others are empty.
@@ -232,16 +305,16 @@ def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
     columns = {name: values[kept] for name, values in table.columns.items()}
     notes = []
     if count := int(np.count_nonzero(~kept)):
-        notes.append(f"{count} of {kept.size} rows hold other topics and were left out")
+        notes.append(
+            Mended("rows", "", count, " rows hold other topics and were left out", of=True)
+        )
     t = table.columns[layout.time]
     for name in apart:
         own = present[name]
         columns[name] = _interpolate(t[kept], t[own], table.columns[name][own])
     if apart:
-        notes.append(
-            f"{join(apart)} were logged in other rows than the positions, and were interpolated at"
-            f" the {int(kept.sum())} times of {lead}"
-        )
+        what = f"{join(apart)} were logged in other rows than the positions, and were interpolated"
+        notes.append(Mended("apart", f"{what} at the ", int(kept.sum()), f" times of {lead}"))
     return replace(table, columns=columns), notes
 
 
@@ -259,8 +332,13 @@ def _interpolate(at: Array, t: Array, values: Array) -> Array:
     return out
 
 
-def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
+def mend_clock(
+    table: LogTable, layout: Layout, began: float | None = None, step: float | None = None
+) -> tuple[LogTable, list[Mended]]:
     """Return rows in the order of time, one at a time, and stamps without their rounding.
+
+    `began` is the first stamp of a log that comes in parts, and `step` [s] that of the clock behind
+    rounded stamps of an earlier part.
 
     Rows are sorted only if the sorted clock is regular and the positions then go a shorter way, as
     they do not where a clock was set back between two motions.
@@ -270,9 +348,9 @@ def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
     t = _read_clock(table, layout)
     if not np.all(np.isfinite(t)) or not np.any(steps := np.diff(t)):
         return table, []
-    grid = _find_grid(t, table.columns[layout.time])
+    grid = _find_grid(t, table.columns[layout.time], step)
     if grid is not None:
-        return _with_clock(table, layout, *grid)
+        return _with_clock(table, layout, *grid, began)
     backward = int(np.count_nonzero(steps < 0))
     order = np.argsort(t, kind="stable")
     later = np.diff(t[order], prepend=-np.inf) > 0
@@ -287,12 +365,14 @@ def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
         return table, []
     notes = []
     if backward:
-        notes.append(
-            f"{backward} times a row was earlier than the row before; the {t.size} rows were sorted"
-            " by time, in which the clock is regular"
+        after = (
+            " times a row was earlier than the row before; the rows were sorted by time, in which"
+            " the clock is regular"
         )
+        notes.append(Mended("order", "", backward, after))
     if doubled:
-        notes.append(f"{doubled} of {t.size} rows have the time stamp of another and were left out")
+        after = " rows have the time stamp of another and were left out"
+        notes.append(Mended("doubled", "", doubled, after, of=True))
     return replace(table, columns={k: v[kept] for k, v in table.columns.items()}), notes
 
 
@@ -320,7 +400,9 @@ def _measure_way(q: Array, order: Indices) -> float:
     return ordered / logged if logged > 0.0 else 1.0
 
 
-def _find_grid(t: Array, stamps: Array) -> tuple[Array, str] | None:
+def _find_grid(
+    t: Array, stamps: Array, known_step: float | None = None
+) -> tuple[Array, Mended] | None:
     """Return the regular times behind stamps that are rounded, with a note; None if they are not.
 
     Stamps are rounded where many repeat evenly, or where single precision holds all of them and its
@@ -328,12 +410,14 @@ def _find_grid(t: Array, stamps: Array) -> tuple[Array, str] | None:
     """
     steps = np.diff(t)
     changed = np.flatnonzero(steps > 0) + 1
-    if np.any(steps < 0) or changed.size < 8:
+    if np.any(steps < 0) or changed.size < (8 if known_step is None else 1):
         return None
     rounded = float(np.min(steps[changed - 1]))
     # The first and the last stamp may stand for fewer rows than the others.
     rows = int(changed[-1] - changed[0])
-    step = float(t[changed[-1]] - t[changed[0]]) / rows
+    # A short part has too few stamps for a step of its own.
+    alone = known_step is None or changed.size >= 8
+    step = float(t[changed[-1]] - t[changed[0]]) / rows if alone else float(known_step or 0.0)
     with np.errstate(over="ignore"):
         single = bool(np.array_equal(stamps, stamps.astype(np.float32)))
     if single:
@@ -348,34 +432,36 @@ def _find_grid(t: Array, stamps: Array) -> tuple[Array, str] | None:
     middle = 0.5 * float(np.max(away) + np.min(away))
     if float(np.max(np.abs(away - middle))) > GRID * rounded:
         return None
-    note = (
-        f"the time stamps are rounded to {rounded:.3g} s, {repeated} of {t.size} repeat; they were"
-        f" replaced by the regular clock of {1.0 / step:.6g} Hz behind them"
-    )
-    return grid, note
+    before = f"the time stamps are rounded to {rounded:.3g} s, "
+    after = f" repeat; they were replaced by the regular clock of {1.0 / step:.6g} Hz behind them"
+    # Stamps lie to both sides of the grid behind them, so that parts of a log go on as one.
+    return grid + middle, Mended("grid", before, repeated, after, of=True)
 
 
 def _with_clock(
-    table: LogTable, layout: Layout, grid: Array, note: str
-) -> tuple[LogTable, list[str]]:
-    """Return the table with other times [s], which count from the first stamp."""
+    table: LogTable, layout: Layout, grid: Array, note: Mended, began: float | None
+) -> tuple[LogTable, list[Mended]]:
+    """Return the table with other times [s], which count from the first stamp of the log."""
     time = str(layout.time)
     first = table.columns[time][0]
-    columns = {**table.columns, time: first + grid / layout.scales.get(time, 1.0)}
-    if abs(first) * layout.scales.get(time, 1.0) > 1e6:
-        columns[time] = grid / layout.scales.get(time, 1.0)  # a date has no digits left for steps
+    scale = layout.scales.get(time, 1.0)
+    columns = {**table.columns, time: first + grid / scale}
+    if abs(first) * scale > 1e6:
+        # A date has no digits left for steps: times count from the beginning of the log.
+        columns[time] = (first - (first if began is None else began)) + grid / scale
     if layout.nanoseconds is not None:
         columns[layout.nanoseconds] = np.zeros_like(grid)
     return replace(table, columns=columns), [note]
 
 
-def _is_unsigned(values: Array) -> bool:
-    """Return whether integers of 16 bits stand for small numbers of both signs."""
+def _is_unsigned(values: Array, bits: int) -> bool:
+    """Return whether integers of some bits stand for small numbers of both signs."""
     known = values[np.isfinite(values)]
-    if not known.size or known.min() < 0 or not 2**15 <= known.max() < 2**16:
+    half = 2.0 ** (bits - 1)
+    if not known.size or known.min() < 0 or not half <= known.max() < 2.0 * half:
         return False
-    middle = (known > 2**14) & (known < 3 * 2**14)
-    return bool(np.all(known == np.round(known)) and not middle.any() and known.min() < 2**14)
+    middle = (known > 0.5 * half) & (known < 1.5 * half)
+    return bool(np.all(known == np.round(known)) and not middle.any() and known.min() < 0.5 * half)
 
 
 def _list_turns(values: Array, scale: float) -> list[float]:

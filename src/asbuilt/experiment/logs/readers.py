@@ -98,7 +98,7 @@ def read_recording(
         if len(paths) == 1 and not table.known:
             _refuse_lone_role_file(paths[0], table)
     layout = find_table_layout(table, sheet, None if model is None else model.standing, chosen)
-    table = LogMender(layout).mend(table)
+    table = LogMender(layout, sheet.zero).mend(table)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))

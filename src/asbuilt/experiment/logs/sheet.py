@@ -397,6 +397,14 @@ def find_sheet_beside(log: Path) -> Path | None:
     return None
 
 
+def find_sheet_of_another(log: Path) -> Path | None:
+    """Return the sheet of another log of the same kind in the folder of one without any."""
+    if find_sheet_beside(log) is not None or not log.parent.is_dir():
+        return None
+    others = (path for path in sorted(log.parent.glob(f"*{log.suffix}.toml")) if path.is_file())
+    return next((path for path in others if path.with_suffix("").is_file()), None)
+
+
 def _explain_faults(path: Path, error: ValidationError) -> str:
     problems = []
     for item in error.errors():

@@ -8,8 +8,9 @@ from pathlib import PurePath
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.description.plausibility import check_plausibility
+from asbuilt.description.plausibility import check_plausibility, list_corrections
 from asbuilt.description.structure.locking import report_locks
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.base_checks import check_free_base, drop_base_joints
@@ -37,6 +38,7 @@ from asbuilt.experiment.quality.position_checks import (
     check_encoders,
     check_positions,
 )
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.signal_checks import (
     check_channels,
     check_noise_floor,
@@ -45,7 +47,12 @@ from asbuilt.experiment.quality.signal_checks import (
     check_spikes,
 )
 from asbuilt.experiment.quality.torque_checks import check_torques
-from asbuilt.experiment.quality.unit_checks import find_counts
+from asbuilt.experiment.quality.torque_fit import TorqueFit
+from asbuilt.experiment.quality.unit_checks import (
+    find_counts,
+    find_position_unit,
+    report_position_unit,
+)
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, join_names, list_findings, rank_findings, undesigned
 from asbuilt.tables import preformat, wrap_text
@@ -261,7 +268,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += check_encoders(model, beginning)
         findings += check_couplings(model, beginning) if follows else ()
     findings += report_locks(model.locked_joints, model.held_followers, model.assumed_carriers)
-    findings += _report_description(model)
+    reported = {(finding.code, finding.link) for finding in findings}
+    findings += (f for f in _report_description(model) if (f.code, f.link) not in reported)
     findings += map(_report_note, known.first.notes)
     return RecordingCheck(
         robot=model.name,
@@ -314,6 +322,34 @@ def _report_description(model: RobotModel) -> list[Finding]:
     ]
 
 
+def _choose_description(model: RobotModel, motion: SmoothedMotion, scale: Array) -> RobotModel:
+    """Return the robot with whose masses the torques agree best, where CAD's cannot be.
+
+    What an impossible mass explains must not be said of the torques.
+    """
+    possible = (model, *list_corrections(model))
+    if len(possible) == 1:
+        return model
+    return min(possible, key=lambda each: TorqueFit.of(each, motion, scale).cost)
+
+
+def _report_corrected_masses(model: RobotModel, described: RobotModel) -> Iterator[Finding]:
+    """Yield the impossible masses in whose place the torques of the log agree with others."""
+    units = any(each.code == "description_units" for each in check_plausibility(model))
+    for link, meant in zip(model.links, described.links, strict=True):
+        # A unit is a matter of all links, and is reported as one.
+        if units or link.inertia.mass == meant.inertia.mass:
+            continue
+        yield Finding(
+            "implausible_density",
+            "warning",
+            f"link {link.name} has {link.inertia.mass:.4g} kg in the description, denser than any"
+            f" matter, and the torques of the log agree with {meant.inertia.mass:.4g} kg",
+            Cure("correct its mass in the description"),
+            link=link.name,
+        )
+
+
 def _report_note(note: str) -> Finding:
     """Return what reading the recording did; flips that cancel are seldom meant."""
     if note == FLIPPED_TWICE:
@@ -338,6 +374,10 @@ def _check_in_time(
         # Positions in counts make every later comparison wrong.
         yield counts.finding()
         return
+    unit = "" if motion is None else find_position_unit(model, known, motion)
+    if unit:
+        yield report_position_unit(unit)
+        return
     excess = find_impossible_motion(model, known, motion)
     of_motion = list(check_recorded_motion(model, known, motion, excess))
     yield from of_motion
@@ -350,6 +390,8 @@ def _check_in_time(
     if motion is not None and not swapped and (excess is None or excess.unit == "deg"):
         # Degrees are converted here, so that torques can still be compared.
         scale = [DEGREE if excess and joint.is_revolute else 1.0 for joint in model.joints]
-        yield from check_torques(model, known, motion, np.array(scale))
+        described = _choose_description(model, motion, np.array(scale))
+        yield from _report_corrected_masses(model, described)
+        yield from check_torques(described, known, motion, np.array(scale))
     if excess is None:
         yield from check_excitation(model, known, motion)

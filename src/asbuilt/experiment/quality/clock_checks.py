@@ -12,6 +12,11 @@ from asbuilt.findings import Cure, Finding, join_names
 
 _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
+FEW_GAPS = 5
+FEW_LOST = 0.01
+"""Number of gaps, and their share of the time, up to which they are worth no action: segments are
+then long, and nearly all samples used."""
+
 
 def check_clock(recording: FirstPass) -> Iterator[Finding]:
     """Find missing values, wrong units of time, time stamps that repeat, decrease or jump."""
@@ -50,9 +55,11 @@ def check_clock(recording: FirstPass) -> Iterator[Finding]:
     gaps = np.flatnonzero(steps > GAP_STEPS * step)
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
+        # A few lost samples are nobody's worry: the recording is split there.
+        few = gaps.size <= FEW_GAPS and steps[gaps].sum() < FEW_LOST * recording.duration
         yield Finding(
             "clock_gap",
-            "warning",
+            "info" if few else "warning",
             f"the clock has {gaps.size} gap{'s' * (gaps.size > 1)}, the longest"
             f" {steps[longest]:.4g} s after {t[longest]:.6g} s; the usual step is {step:.4g} s",
             Cure("find out why samples are lost if there are many; the recording is split there"),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize, minimize_scalar
 
-from asbuilt.arrays import Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.quality.passes import position_limits
 from asbuilt.experiment.quality.torque_fit import TorqueFit, compare_by_any_masses
 from asbuilt.findings import Cure, Finding, join_names
@@ -133,6 +135,111 @@ def check_conventions(
         ),
         best.fit,
     )
+
+
+STEP = np.radians(10.0)
+"""Zeros [rad] are tried so far apart and the best one is refined: gravity's torques are sines."""
+PASSES = 3
+"""Times that each joint's zero is tried with the others as found: wrists follow the arm."""
+
+
+def check_zeros(
+    fit: TorqueFit, *, of_encoders: Sequence[int] = ()
+) -> tuple[Finding, TorqueFit] | None:
+    """Return a finding, and the fit that it explains, if positions count from another zero.
+
+    One zero that all joints share is a matter of their encoders, as it explains several joints by
+    one number. Zeros of single joints look like masses that CAD has elsewhere; they are asked of
+    `of_encoders` alone, joints whose counters begin again within the motion, as no encoder that was
+    set to the description's zero does.
+    """
+    turning = np.array([joint.is_revolute for joint in fit.model.joints])
+    doubtful = np.any(np.abs(fit.correlation[fit.decides]) < DOUBTFUL)
+    if not (doubtful or len(of_encoders)) or turning.sum() < 2:
+        return None
+
+    def cost(zeros: Array) -> float:
+        shifted = replace(fit, q=fit.q - zeros)
+        return shifted.cost + FALL * _count_joints_beyond(shifted)
+
+    as_logged = np.zeros(turning.size)
+    shared = _find_zero(cost, as_logged, turning)
+    single = as_logged
+    for _ in range(PASSES if len(of_encoders) else 0):
+        for k in of_encoders:
+            single = _find_zero(cost, single, np.arange(turning.size) == k)
+    # Each number must be worth FALL; a joint whose zero shows in no torque keeps the described one.
+    for k in of_encoders:
+        kept = np.where(np.arange(turning.size) == k, 0.0, single)
+        single = kept if cost(kept) < cost(single) + FALL else single
+    single = _refine_zeros(cost, single)
+    costs = [cost(shared) + FALL, cost(single) + FALL * np.count_nonzero(single)]
+    zeros = shared if costs[0] <= costs[1] else single
+    after = replace(fit, q=fit.q - zeros)
+    better = _find_improved_joints(fit, after)
+    if not zeros.any() or min(costs) > cost(as_logged) or better.size < 2 - len(of_encoders):
+        return None
+    before, now = (float(np.mean(np.abs(each.correlation[better]))) for each in (fit, after))
+    by_masses = compare_by_any_masses(fit, after)
+    if now <= CLEAR or by_masses < 0:
+        return None
+    names = [fit.model.joint_names[k] for k in np.flatnonzero(zeros)]
+    degrees = [f"{value:.1f}" for value in np.degrees(zeros[zeros != 0.0])]
+    written = [float(f"{value:.4g}") for value in zeros]
+    zero = written[0] if len(set(written)) == 1 else written
+    return (
+        Finding(
+            "joint_zero",
+            "error" if by_masses > 0 else "warning",
+            f"{join_names(names)} read {join_names(list(dict.fromkeys(degrees)))} deg where the"
+            " description has zero, to some degrees by its masses (mean correlation with the"
+            f" model's torque {now:.3f} instead of {before:.3f})",
+            Cure(
+                f"write zero = {zero} in a recording sheet, or better what a calibration finds",
+                sheet={"zero": zero},
+            ),
+            joint=names[0],
+        ),
+        after,
+    )
+
+
+def _find_zero(cost: Callable[[Array], float], zeros: Array, moved: Mask) -> Array:
+    """Return zeros (n,) whose `moved` joints have the one common zero that costs least."""
+
+    def with_zero(zero: float) -> Array:
+        return np.where(moved, zero, zeros)
+
+    tried = np.arange(-np.pi, np.pi, STEP)
+    best = min(tried, key=lambda zero: cost(with_zero(zero)))
+    bounds = (best - STEP, best + STEP)
+    fine = minimize_scalar(lambda zero: cost(with_zero(zero)), bounds=bounds, method="bounded")
+    found = with_zero(float(fine.x))
+    return found if cost(found) < cost(zeros) else zeros
+
+
+def _refine_zeros(cost: Callable[[Array], float], zeros: Array) -> Array:
+    """Return zeros (n,) with those that are not zero moved together to where they cost least."""
+    moved = np.flatnonzero(zeros)
+    if not moved.size:
+        return zeros
+
+    def with_zeros(values: Array) -> Array:
+        changed = zeros.copy()
+        changed[moved] = values
+        return changed
+
+    # Tens of steps a joint settle to a tenth of a degree, which masses do not reach.
+    def misfit(values: Array) -> float:
+        return cost(with_zeros(values))
+
+    found: Any = minimize(
+        misfit,
+        zeros[moved],
+        method="Nelder-Mead",
+        options={"maxfev": 60 * moved.size, "xatol": 1e-3, "fatol": 1e-3},
+    )
+    return with_zeros(np.asarray(found.x))
 
 
 def _count_joints_beyond(fit: TorqueFit) -> int:

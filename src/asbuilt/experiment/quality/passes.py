@@ -170,11 +170,12 @@ def run_first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         outside = outside.with_more(excess, excess > 0.01, q, rows)
         saturated = saturated.with_more(size, size >= full, tau[not_repeated], rows[not_repeated])
         begin += chunk.n_samples
-    if first is None:
+    if first is None or last is None:
         raise RecordingError("the recording holds no samples")
     not_repeated, valid_torque, valid = np.concatenate(flags, axis=1)
     return FirstPass(
-        first=first,
+        # Notes count over all chunks up to their own: those of the last one are of the whole log.
+        first=replace(first, notes=last.notes),
         n_chunks=len(times),
         t=np.concatenate(times),
         not_repeated=not_repeated,

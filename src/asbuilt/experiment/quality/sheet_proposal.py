@@ -108,6 +108,7 @@ def propose_sheet(
     given, _ = find_sheet(paths[0], chosen.sheet)
     # Fields that the log's own sheet gives are no proposal.
     content = given.model_dump(exclude_unset=True, exclude_none=True)
+    content, chosen = _state_options(content, chosen)
     start = dict(content)
     reasons: list[str] = []
     check: RecordingCheck | None = None
@@ -136,6 +137,30 @@ def propose_sheet(
     if problem is None and check is not None:
         content = _complete(model, paths, chosen, content, head_of_recorded(recording))
     return SheetProposal(content, tuple(reasons), changed, check, problem)
+
+
+def _state_options(
+    content: Mapping[str, Any], options: ReadingOptions
+) -> tuple[dict[str, Any], ReadingOptions]:
+    """Return the sheet with what options state of the log, and the options without it.
+
+    A sheet is complete: with it no option need be given again.
+    """
+    stated = dict(content)
+    left = options
+    if options.rate is not None and "rate" not in stated:
+        stated["rate"] = float(options.rate)
+        left = replace(left, rate=None)
+    if options.gain is not None:
+        stated["gains"] = np.atleast_1d(np.asarray(options.gain, dtype=np.float64)).tolist()
+        left = replace(left, gain=None)
+    if options.torque_source is not None:
+        stated["torque_source"] = options.torque_source
+        left = replace(left, torque_source=None)
+    if options.flip_torque and "sign" not in stated:
+        stated["sign"] = -1
+        left = replace(left, flip_torque=False)
+    return stated, left
 
 
 def head_of_recorded(recording: Recorded) -> Recording:

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import inverse_dynamics
-from asbuilt.experiment.quality.conventions import check_conventions
+from asbuilt.experiment.quality.conventions import check_conventions, check_zeros
 from asbuilt.experiment.quality.gravity_checks import check_gravity, find_friction_sign
 from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.reductions import SmoothedMotion
@@ -22,7 +22,7 @@ from asbuilt.experiment.quality.torque_fit import (
     find_swapped_torques,
     infer_density,
 )
-from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
+from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE, UNWRAPPED
 from asbuilt.findings import Cure, Finding, Severity, join_names
 
 CLEAR = 0.9
@@ -69,7 +69,10 @@ def check_torques(
     # The masses of CAD may prefer a swap that any masses refute.
     if best is not fit and compare_by_any_masses(fit, best) < 0:
         best = fit
-    other = check_conventions(best, believed="zero" in recording.first.stated)
+    stated = "zero" in recording.first.stated
+    other = check_conventions(best, believed=stated)
+    if other is None and not stated:
+        other = check_zeros(best, of_encoders=_list_wrapped_joints(recording))
     if best is not fit:
         yield _report_swapped(fit, best)
     if other is not None:
@@ -79,6 +82,12 @@ def check_torques(
     elif best is fit:
         yield from _find_swapped_without_cad(fit)
     yield from _check_sign_and_scale(recording, best, ratio)
+
+
+def _list_wrapped_joints(recording: FirstPass) -> tuple[int, ...]:
+    """Return the joints of a log whose counters begin again within the motion."""
+    wrapped = any(note.startswith(UNWRAPPED) for note in recording.first.notes)
+    return tuple(range(recording.n_joints)) if wrapped else ()
 
 
 def _check_without_masses(fit: TorqueFit) -> Iterator[Finding]:
@@ -250,8 +259,12 @@ def _check_sign_and_scale(recording: FirstPass, fit: TorqueFit, ratio: float) ->
         )
         return
     # A scale of all joints is one unit; single joints are asked after it.
+    part = None if "torque" in recording.first.stated else find_part_of_limits(model, gain, clear)
+    if part is not None:
+        yield _report_part_of_limits(model, part, evidence)
+        return
     if not PLAUSIBLE[0] < scale < PLAUSIBLE[1]:
-        yield _report_scale(recording, fit, scale, evidence, clear)
+        yield _report_scale(recording, fit, scale, evidence, clear, gain)
         return
     for k in clear:
         if abs(correlation[k]) > CERTAIN and not usual[k]:
@@ -396,8 +409,86 @@ def _is_one_scale(fit: TorqueFit, clear: Sequence[int]) -> bool:
     return bool(max(one, two) < AGREEMENT * min(one, two) and alike)
 
 
+SHARES_OF_LIMITS = {"percent": 0.01, "permille": 0.001}
+"""Units of torque that drives log, as shares of a joint's largest torque."""
+ONE_SHARE = 1.25
+"""Ratio up to which gains of joints, times their limits, are one unit: masses of CAD differ by some
+tenths from joint to joint."""
+
+
+def find_part_of_limits(model: RobotModel, gain: Array, clear: Sequence[int]) -> str | None:
+    """Return the share of the description's limits that torques are in; None if they are in none.
+
+    The factors from the model's torques to the logged ones, (n,), then are in inverse proportion to
+    the limits; that they are so, and of the right size, is no chance where the limits differ.
+    """
+    limits = np.array([joint.limits.torque for joint in model.joints])[list(clear)]
+    factors = np.abs(gain[list(clear)])
+    if len(clear) < 2 or not np.all(np.isfinite(limits) & (limits > 0.0)):
+        return None
+    for name, share in SHARES_OF_LIMITS.items():
+        units = factors * share * limits
+        one = np.max(units) < ONE_SHARE * np.min(units)
+        differ = np.max(factors) > AGREEMENT * np.min(factors)
+        # Masses unlike CAD's, or a rated torque below the limit, change the size by less than two.
+        if one and differ and 0.5 < float(np.median(units)) < 2.0:
+            return name
+    return None
+
+
+def _report_part_of_limits(model: RobotModel, part: str, evidence: str) -> Finding:
+    limits = [joint.limits.torque for joint in model.joints]
+    gains = [float(f"{SHARES_OF_LIMITS[part] * limit:.4g}") for limit in limits]
+    listed = ", ".join(f"{limit:g}" for limit in limits)
+    return Finding(
+        "torque_scale",
+        "warning",
+        f"the torques look like {part} of the limits of torque, {listed} N m: the joints' factors"
+        f" to the model's torques are in inverse proportion to these ({evidence})",
+        Cure(
+            "give the torque per logged unit, a part of the rated torque of each joint: gains ="
+            f" [{', '.join(f'{value:g}' for value in gains)}] in a recording sheet",
+            sheet={"gains": gains} if np.all(np.isfinite(limits)) else {},
+        ),
+    )
+
+
+CURRENT_GAINS = 0.3, 300.0
+"""Torque per current [N m/A] of joints with gears, from a finger's to the base of a large arm."""
+
+
+def _report_current(
+    model: RobotModel, gain: Array, clear: Sequence[int], severity: Severity
+) -> Finding:
+    """Return the finding of currents in an unknown unit, with the gains by the masses of CAD."""
+    found = {k: 1.0 / abs(float(gain[k])) for k in clear}
+    listed = join_names(
+        [f"{value:.2g} N m at {model.joint_names[k]}" for k, value in found.items()]
+    )
+    per_ampere = 1e3 * float(np.median([*found.values()]))
+    low, high = CURRENT_GAINS
+    as_amperes = f" ({per_ampere:.2g} N m/A if they are mA)" if low < per_ampere < high else ""
+    return Finding(
+        "torque_scale",
+        severity,
+        f"the torques are currents without gains: by the masses of {model.name} one logged unit"
+        f" makes {listed}{as_amperes}",
+        Cure(
+            "give the gains in N m per logged unit, one per joint, here or as gains = [...] in a"
+            " recording sheet; a payload of known mass determines them",
+            settings={"torque_source": "current"},
+            call="find_gains",
+        ),
+    )
+
+
 def _report_scale(
-    recording: FirstPass, fit: TorqueFit, scale: float, evidence: str, clear: Sequence[int]
+    recording: FirstPass,
+    fit: TorqueFit,
+    scale: float,
+    evidence: str,
+    clear: Sequence[int],
+    gain: Array,
 ) -> Finding:
     """Return the finding of torques whose scale is not the description's.
 
@@ -426,13 +517,18 @@ def _report_scale(
     # Converted drawings have one mass for many links.
     placeholders = len(masses) > 2 and 2 * len(set(masses)) <= len(masses)
     sure = sure and not placeholders and "torque" not in recording.first.stated
+    if recording.first.torque_source == "current":
+        return _report_current(model, gain, clear, "error" if sure else "warning")
     if recording.first.torque_source == "command":
         guess = "the stiffness of the servo differs"
         cure = Cure("check it, or leave it out, so that it is identified")
     elif 300 < scale < 3000:
         guess = "they look like mN m"
-        cure = Cure('write units = { torque = "mN m" } in a recording sheet')
-    elif scale < 0.3 and (scale > 0.005 or recording.first.torque_source == "current"):
+        cure = Cure(
+            'write units = { torque = "mN m" } in a recording sheet',
+            sheet={"units": {"torque": "mN m"}} if sure else {},
+        )
+    elif 0.005 < scale < 0.3:
         guess = "they look like motor currents without gains"
         cure = Cure(
             "give the gains in N m/A, one per joint, here or as gains = [...] in a recording sheet;"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ ALIKE = 0.05
 also of a factor and a known unit's."""
 DEGREES_WITHIN = 0.2
 """Difference of a factor and a degree, relative to it, up to which `check_velocities` names it."""
+WITHIN = 1.2
+"""Positions, relative to the limits of a joint, up to which a unit is possible."""
 FOLLOW = 0.95
 """Correlation of velocities with the derivative of the positions from which only units differ."""
 KNOWN_VELOCITIES = {
@@ -106,7 +108,10 @@ def find_counts(
     if motion is None:
         return Counts(0, 0, largest, names)
     candidates = [(turn, zero) for turn in COUNTS if turn > np.max(high) for zero in (0, turn // 2)]
-    left = {candidate: _measure_left_over(model, motion, *candidate) for candidate in candidates}
+    left = {
+        (turn, zero): _measure_left_over(model, motion, 2.0 * np.pi / turn, zero)
+        for turn, zero in candidates
+    }
     ranked = sorted(left, key=lambda each: left[each])
     if not ranked or left[ranked[0]] > 1.0 - EXPLAINS:
         return Counts(0, 0, largest, names)
@@ -117,24 +122,90 @@ def find_counts(
     return Counts(best[0], best[1], largest, names)
 
 
-def _measure_left_over(model: RobotModel, motion: SmoothedMotion, turn: int, zero: int) -> float:
-    """Return the share of the torques that the description and friction leave unexplained."""
-    scale = 2.0 * np.pi / turn
+KNOWN_POSITIONS = {
+    "turn": 2.0 * math.pi,
+    "mrad": 1e-3,
+    "0.1 deg": 0.1 * DEGREE,
+    "0.01 deg": 0.01 * DEGREE,
+    "0.001 deg": 0.001 * DEGREE,
+}
+"""Units of positions of motors beside degrees and counts, and what they are in rad."""
+
+
+def find_position_unit(model: RobotModel, recording: FirstPass, motion: SmoothedMotion) -> str:
+    """Return the unit of positions that torques show, "" for rad, degrees and where none does.
+
+    The unit is that with which gravity, inertia and friction explain the torques best, clearly
+    better than radians, degrees and the others, and within the limits of the joints.
+    """
+    if "position" in recording.first.stated or not all(j.is_revolute for j in model.joints):
+        return ""
+    extremes = recording.position_range
+    largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
+    limits = [max(abs(joint.limits.lower), abs(joint.limits.upper)) for joint in model.joints]
+    left = {
+        name: _measure_left_over(model, motion, scale)
+        for name, scale in ({"rad": 1.0, "deg": DEGREE} | KNOWN_POSITIONS).items()
+        if name in ("rad", "deg") or np.all(largest * scale < WITHIN * np.array(limits))
+    }
+    best, second = sorted(left, key=lambda name: left[name])[:2]
+    clear = left[best] < min(1.0 - EXPLAINS, CLEARLY_LESS * left[second])
+    return best if clear and best in KNOWN_POSITIONS else ""
+
+
+def report_position_unit(unit: str) -> Finding:
+    """Return the finding of positions that are in another unit than radians or degrees."""
+    return Finding(
+        "position_units",
+        "error",
+        f"the torques agree with positions in units of {unit}, and not with radians or degrees",
+        Cure(
+            f'write the unit in a recording sheet: units = {{ position = "{unit}" }}',
+            sheet={"units": {"position": unit}},
+        ),
+    )
+
+
+def _measure_left_over(
+    model: RobotModel, motion: SmoothedMotion, scale: float, zero: float = 0.0
+) -> float:
+    """Return the share of the torques that the description and friction leave unexplained.
+
+    Positions are `scale` (logged - `zero`). Gravity and inertia have one factor, which a gain of
+    the torque is; in another unit of positions they have different ones.
+    """
     rows = motion.thinned(MOST_ROWS)
     q = scale * (motion.q[rows] - zero)
     qd = scale * motion.qd[rows]
-    qdd = scale * motion.qdd[rows]
-    left = [parts.left for parts in _fit_parts(model, q, qd, qdd, motion.tau[rows])]
+    torque = inverse_dynamics(model, q, qd, scale * motion.qdd[rows])
+    left = []
+    for k in range(model.n_joints):
+        friction = [qd[:, k], np.sign(qd[:, k])]
+        share = _fit_joint(motion.tau[rows, k], [torque[:, k], *friction])[1]
+        left += [] if np.isnan(share) else [share]
     return float(np.mean(left)) if left else 1.0
+
+
+def _fit_joint(tau: Array, columns: Sequence[Array]) -> tuple[Array, float]:
+    """Return the factors of columns in a torque (N,), and the share left; NaN if one is constant.
+
+    Both are centred, which takes out an offset.
+    """
+    measured = tau - float(np.mean(tau))
+    centred = np.column_stack([column - np.mean(column) for column in columns])
+    power = float(measured @ measured)
+    if power == 0.0 or np.any(np.std(centred, axis=0) == 0.0):
+        return np.zeros(len(columns)), np.nan
+    factors = np.linalg.lstsq(centred, measured, rcond=None)[0]
+    return factors, float(np.sum((measured - centred @ factors) ** 2)) / power
 
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """Hold the factors of gravity and inertia in the torque of a joint, and the share left."""
+    """Hold the factors of gravity and inertia in the torque of a joint."""
 
     load: float
     inertia: float
-    left: float
 
 
 def _fit_parts(model: RobotModel, q: Array, qd: Array, qdd: Array, tau: Array) -> list[_Parts]:
@@ -147,17 +218,11 @@ def _fit_parts(model: RobotModel, q: Array, qd: Array, qdd: Array, tau: Array) -
     inertia = inverse_dynamics(model, q, qd, qdd) - load
     parts = []
     for k in range(model.n_joints):
-        measured = tau[:, k] - float(np.mean(tau[:, k]))
-        columns = np.column_stack([load[:, k], inertia[:, k], qd[:, k], np.sign(qd[:, k])])
-        # Centred, which is the offset o.
-        columns -= columns.mean(axis=0)
-        power = float(measured @ measured)
+        columns = [load[:, k], inertia[:, k], qd[:, k], np.sign(qd[:, k])]
+        factors, left = _fit_joint(tau[:, k], columns)
         # A joint without load or without inertia cannot compare the two.
-        if power == 0.0 or np.any(np.std(columns, axis=0) == 0.0):
-            continue
-        factors = np.linalg.lstsq(columns, measured, rcond=None)[0]
-        left = float(np.sum((measured - columns @ factors) ** 2)) / power
-        parts.append(_Parts(float(factors[0]), float(factors[1]), left))
+        if not np.isnan(left):
+            parts.append(_Parts(float(factors[0]), float(factors[1])))
     return parts
 
 

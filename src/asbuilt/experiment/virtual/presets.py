@@ -13,6 +13,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import rotation_from_rpy
 from asbuilt.dynamics import DriveSet, described_drive, inverse_dynamics, mass_matrix
+from asbuilt.dynamics.kinematics import draw_postures_within
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.virtual.drive_train import (
@@ -77,9 +78,8 @@ def estimate_torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> 
     The torque range is the limit, or without one the largest torque at random states.
     """
     bounds = MotionBounds.assumed(model)
-    low = np.stack([bounds.lower, -bounds.velocity, -bounds.acceleration])
-    high = np.stack([bounds.upper, bounds.velocity, bounds.acceleration])
-    q, qd, qdd = (rng.uniform(low[k], high[k], size=(64, model.n_joints)) for k in range(3))
+    q = draw_postures_within(model, bounds.lower, bounds.upper, rng, 64)
+    qd, qdd = (rng.uniform(-x, x, size=q.shape) for x in (bounds.velocity, bounds.acceleration))
     largest = np.max(np.abs(inverse_dynamics(model, q, qd, qdd)), axis=0)
     inertia = np.mean(np.diagonal(mass_matrix(model, q), axis1=1, axis2=2), axis=0)
     return np.where(np.isfinite(bounds.torque), bounds.torque, np.maximum(largest, 1.0)), inertia

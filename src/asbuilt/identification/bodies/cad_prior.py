@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, pseudo_inertias
 from asbuilt.description.model import RobotModel
+from asbuilt.description.size import find_size_units
 from asbuilt.dynamics import BaseParameters, DriveSet, parameter_names, parameter_values
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
@@ -29,9 +30,9 @@ class PriorRules:
     It then gets the moments of a body a quarter as wide as its reach.
     """
     smallest_reach: float = 0.05
-    """Least size of a link [m]."""
+    """Least size of a link, in the robot's unit of length."""
     negligible: float = 1e-6
-    """Mass [kg] of a link described without mass: consistent, and without torque."""
+    """Mass, in the robot's unit, of a link described without mass: consistent, without torque."""
     guessed_strength: float = 0.1
     """Weight of a link without CAD values; links with CAD values have 1."""
     unscaled: float = 1e-6
@@ -197,19 +198,21 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     if not model.drives_by_design:
         chi[10 * model.n_links :] = 0.0
     masses = np.array([link.inertia.mass if link.inertia_known else 0.0 for link in model.links])
+    units = find_size_units(model)
     reach = np.empty(model.n_links)
     strength = np.ones(model.n_links)
     notes: list[str] = []
     for i, link in enumerate(model.links):
         points = _list_joint_points(model, i)
-        reach[i] = max(RULES.smallest_reach, float(np.max(np.linalg.norm(points, axis=1))))
+        farthest = float(np.max(np.linalg.norm(points, axis=1)))
+        reach[i] = max(RULES.smallest_reach * units.length, farthest)
         if masses[i] > 0:
             mass = masses[i]
             com = link.inertia.com
             spread = _second_moment(link.inertia.inertia_about_com)
         elif link.negligible:
             # A frame without mass must stay a body, else the logarithm of its determinant has none.
-            mass = RULES.negligible
+            mass = RULES.negligible * units.mass
             com = points.mean(axis=0)
             spread = np.zeros((3, 3))
         else:
@@ -260,11 +263,25 @@ def build_cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         reach=reach,
         non_negative=find_non_negative_columns(model.n_links, model.n_joints, drive),
         notes=tuple(notes),
+        drive_scale=_choose_drive_scale(model, drive, chi[10 * model.n_links :]),
         mass_ranges=tuple(
             (tuple(model.link_names.index(name) for name in known.links), known.lower, known.upper)
             for known in model.mass_ranges
         ),
     )
+
+
+def _choose_drive_scale(model: RobotModel, drive: DriveSet, stated: Array) -> Array:
+    """Return the scale of each drive parameter: what is stated, else the robot's unit of it."""
+    units = find_size_units(model)
+    usual = [
+        # A share of the load has no unit.
+        1.0 if unit == "1" else units.torque(revolute=joint.is_revolute)
+        for joint in model.joints
+        for term in drive.terms
+        for unit in term.units(revolute=joint.is_revolute)
+    ]
+    return np.where(np.abs(stated) > 0.0, np.abs(stated), np.array(usual, dtype=np.float64))
 
 
 def _second_moment(inertia: Array) -> Array:

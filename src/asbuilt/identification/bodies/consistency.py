@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from asbuilt.arrays import Array
+from asbuilt.description.size import find_prefix
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError
@@ -25,6 +26,10 @@ from asbuilt.tables import SIGNIFICANT_SIGMAS, format_plus_minus, round_signific
 
 ROUNDING_OF_DRIVES = 1e-9
 """Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
+
+
+INERTIAS, MOMENTS = 6, 9
+"""Ends of inertias and of first moments among the ten parameters of a body; the mass is last."""
 
 
 def check_base_parameters(base: BaseParameters, beta: ArrayLike) -> Array:
@@ -53,18 +58,45 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         If beta has another shape than (p,) or is not finite, or the solver fails.
     """
     values = check_base_parameters(base, beta)
+    units, mass = _find_units(base, values)
+    # Tolerances of the solver are absolute: in units of the robot's size numbers are near one.
+    regrouping = base.regrouping * units / units[base.columns][:, None]
+    return mass * _find_margin(base, regrouping, values / units[base.columns])
+
+
+def _find_units(base: BaseParameters, values: Array) -> tuple[Array, float]:
+    """Return the unit of each standard parameter, and that of mass, for a robot of such values.
+
+    One of each for arms; a thousand times the length is a million times the inertia.
+    """
+    links = np.flatnonzero(base.columns < 10 * base.n_links)
+    place = base.columns[links] % 10
+    sizes = np.abs(values[links])
+    inertia = float(np.max(sizes[place < INERTIAS], initial=0.0))
+    moment = float(np.max(sizes[(place >= INERTIAS) & (place < MOMENTS)], initial=0.0))
+    if not inertia * moment > 0.0:
+        return np.ones(len(base.standard_names)), 1.0
+    length = find_prefix(inertia / moment, 1e3)
+    mass = find_prefix(moment / length, 1e6)
+    body = mass * np.repeat([length**2, length, 1.0], [6, 3, 1])
+    drives = len(base.standard_names) - 10 * base.n_links
+    return np.append(np.tile(body, base.n_links), np.full(drives, mass * length**2)), mass
+
+
+def _find_margin(base: BaseParameters, regrouping: Array, values: Array) -> float:
+    """Return the margin of parameters in units in which they are near one."""
     n_links = base.n_links
     counted = np.array(
         [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
     )
     # Rows of drives alone say nothing of bodies.
-    rows = np.flatnonzero(np.any(base.regrouping[:, counted] != 0, axis=1))
-    shared = np.any(base.regrouping[rows] != 0, axis=0) & ~counted
+    rows = np.flatnonzero(np.any(regrouping[:, counted] != 0, axis=1))
+    shared = np.any(regrouping[rows] != 0, axis=0) & ~counted
     free = np.concatenate([np.flatnonzero(counted), np.flatnonzero(shared)])
     armatures = range(10 * n_links, int(counted.sum()))
     n = len(free)
     fixed = sparse.hstack(
-        [sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))]
+        [sparse.csc_matrix(regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))]
     )
     positive = sparse.hstack(
         [
@@ -108,14 +140,11 @@ def decide_consistency(base: BaseParameters, beta: ArrayLike) -> tuple[float | N
         margin = consistency_margin(base, beta)
     except IdentifiabilityError:
         return None, None
-    return margin, margin_is_consistent(margin, beta)
-
-
-def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
-    """Return whether a margin is non-negative up to the solver's rounding."""
-    largest = float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=1.0))
+    values = check_base_parameters(base, beta)
+    units, mass = _find_units(base, values)
+    largest = float(np.max(np.abs(values / units[base.columns]), initial=1.0))
     # Negative margin, in units of the largest parameter, that is rounding of the solver.
-    return margin >= -1e-8 * largest
+    return margin, margin >= -1e-8 * largest * mass
 
 
 def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:

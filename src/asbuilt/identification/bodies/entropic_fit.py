@@ -133,6 +133,17 @@ class EntropicProblem:
         self.offsets = np.zeros(0) if bounds is None else bounds.offsets
         self.slopes = self.rows @ self.free
         self.held = held
+        self._reduced: tuple[Array, Array, Array] | None = None
+
+    def reduce(self, factors: Array) -> tuple[Array, Array]:
+        """Return the torques of the free coordinates A (m, p, v), and their Gram matrices.
+
+        The same factors are fitted with one weight after another.
+        """
+        if self._reduced is None or self._reduced[0] is not factors:
+            A = factors[:, :-1, :-1] @ self.torque
+            self._reduced = factors, A, _transpose(A) @ A
+        return self._reduced[1:]
 
     def curve(self, hessians: Array, scaling: Array) -> None:
         """Add divergences and drives at W^-1 (m, n_links, 4, 4) to the Hessians (m, v, v)."""
@@ -221,14 +232,13 @@ class _Search:
         m = len(self.start)
         v = problem.free.shape[1]
         self.A, self.error = np.zeros((m, 0, v)), np.zeros((m, 0))
+        self.gram = np.zeros((m, v, v))
         if factors is not None:
-            self.A = factors[:, :-1, :-1] @ problem.torque
+            self.A, self.gram = problem.reduce(factors)
             self.error = (
                 _multiply_vectors(factors[:, :-1, :-1], self.start @ problem.regrouping.T)
                 - factors[:, :-1, -1]
             )
-        # The Gram matrix does not change with the steps.
-        self.gram = _transpose(self.A) @ self.A
         self.y = np.zeros((m, v))
         self.q = self.start @ problem.whitening.T
         self.slack = self.start @ problem.rows.T + problem.offsets

@@ -147,10 +147,10 @@ def find_plausible_parameters(
     tuple or None
         Standard parameters (n_standard,) and their chi-square; None if none are found.
     """
-    factor = factor_distance(information_root, beta)
+    factors = factor_distance(information_root, beta)[None]
 
     def fit(weight: float) -> tuple[Array, float]:
-        (chi,) = path.fit_unbarred(factor[None], weight)
+        (chi,) = path.fit_unbarred(factors, weight)
         return chi, float(np.sum((information_root @ (base.regrouping @ chi - beta)) ** 2))
 
     with suppress(IdentifiabilityError):

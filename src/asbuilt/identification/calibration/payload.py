@@ -23,7 +23,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure
+from asbuilt.findings import Cure, join_names
 from asbuilt.identification.bodies.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
 from asbuilt.identification.bodies.conic_fit import solve_cone_program
 from asbuilt.identification.calibration.gain_uncertainty import (
@@ -45,7 +45,13 @@ from asbuilt.identification.result.torque_prediction import (
     torque_metrics,
 )
 from asbuilt.scaled import Scaled
-from asbuilt.tables import Column, Table, format_plus_minus, round_with_error
+from asbuilt.tables import (
+    SIGNIFICANT_SIGMAS,
+    Column,
+    Table,
+    format_plus_minus,
+    round_with_error,
+)
 
 Arm = Literal["refined", "frozen"]
 
@@ -276,14 +282,7 @@ def identify_payload_samples(
     beta = x[:p]
     estimate = x[p:]
     if not estimate[9] > 0:
-        raise IdentifiabilityError(
-            f"the payload of {result.robot} at {name} has an estimated mass of"
-            f" {estimate[9]:.3g} kg; expected a positive mass",
-            cure=Cure(
-                "check that the recording is loaded, and that torque sign, gains and units agree"
-                " with the arm's result"
-            ),
-        )
+        raise _refuse_mass(result.robot, name, estimate, np.sqrt(np.diag(noise + gains)))
     parameters, projected = _find_nearest_body(estimate, noise + gains)
     values, reported = _derive_reported_values(parameters, noise + gains)
     errors, noise_errors, gain_errors = (
@@ -422,6 +421,40 @@ def _solve_payload(
     solution = solve_factor(factor, len(data), start)
     carried = (solution.inverse_root @ solution.inverse_root.T @ held[:, :-1].T)[p:]
     return solution.x, carried @ carried.T
+
+
+def _refuse_mass(robot: str, frame: str, estimate: Array, errors: Array) -> IdentifiabilityError:
+    """Return why a payload (10,) with these standard errors has no mass.
+
+    A mass that is zero within its error is undetermined, as at a wrist whose position the weight
+    does not change: then it is said what is determined. One that is surely negative is an error of
+    the log or of the arm.
+    """
+    size = f"{format_plus_minus(estimate[9], errors[9])} kg"
+    if -estimate[9] > SIGNIFICANT_SIGMAS * errors[9]:
+        return IdentifiabilityError(
+            f"the payload of {robot} at {frame} has an estimated mass of {size}; expected a"
+            " positive mass",
+            cure=Cure(
+                "check that the recording is loaded, and that torque sign, gains and units agree"
+                " with the arm's result"
+            ),
+        )
+    moments = [
+        f"m{axis} {format_plus_minus(1e3 * moment, 1e3 * error)} g m"
+        for axis, moment, error in zip("xyz", estimate[6:9], errors[6:9], strict=True)
+        if abs(moment) > SIGNIFICANT_SIGMAS * error
+    ]
+    seen = f"its first moments are: {join_names(moments)}" if moments else "nor its first moments"
+    return IdentifiabilityError(
+        f"the recording does not determine the mass of the payload of {robot} at {frame}"
+        f" ({size}); {seen}",
+        cure=Cure(
+            "ask for what a weight adds to the first moments of a link",
+            settings={"moments": True},
+            call="identify_moments",
+        ),
+    )
 
 
 def _check_rank(rank: int) -> None:

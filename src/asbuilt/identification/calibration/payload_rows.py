@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,27 +56,26 @@ class PayloadRows:
         chi = arm.parameters.copy()
         chi[of_link] += shift @ x[p:]
 
-        def with_payload(factor: Array) -> Array:
-            return np.column_stack(
-                [factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]]
-            )
-
-        def without_payload(factor: Array) -> Array:
-            return np.column_stack(
-                [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1]]
-            )
-
         def rows_of(
-            information: SquareRootInformation, complete: Callable[[Array], Array]
+            information: SquareRootInformation, L: Array
         ) -> tuple[list[Array], list[Array]]:
-            blocks = [information.stacked(weights, b) for b in range(information.n_blocks)]
-            joints = [
-                weight * widen_factor(factor, support, information.base.n_base)
-                for weight, support, factor in zip(
-                    weights, information.support, information.joint_factors, strict=True
-                )
-            ]
-            return [*map(complete, blocks)], [*map(complete, joints)]
+            """Return the rows of blocks and of joints, `[W | P | tau] = [columns | tau] L`."""
+            wide = information.base.n_base
+            joints = zip(weights, information.support, information.joint_factors, strict=True)
+            return (
+                [information.stacked(weights, b) @ L for b in range(information.n_blocks)],
+                [
+                    weight * widen_factor(factor, support, wide) @ L
+                    for weight, support, factor in joints
+                ],
+            )
+
+        bare_map = np.zeros((p + 1, p + 11))
+        bare_map[:p, :p] = np.diag(kept)
+        bare_map[-1, -1] = 1.0
+        carried_map = np.zeros((len(columns) + 1, p + 11))
+        carried_map[[*own, -1]] = bare_map
+        carried_map[carried, p:-1] = shift
 
         under = accumulate_stream(
             arm.with_parameters(chi),
@@ -84,10 +83,10 @@ class PayloadRows:
             loaded,
             block_seconds=block_seconds,
         )
-        blocks, joints = rows_of(under, with_payload)
+        blocks, joints = rows_of(under, carried_map)
         if unloaded:
             bare = accumulate_stream(arm, result.base, unloaded, block_seconds=block_seconds)
-            further, of_bare = rows_of(bare, without_payload)
+            further, of_bare = rows_of(bare, bare_map)
             blocks += further
             joints = [np.vstack(both) for both in zip(joints, of_bare, strict=True)]
         return cls(blocks, joints, under.n_samples, under.n_blocks)

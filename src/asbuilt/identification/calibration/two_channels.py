@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,9 +20,11 @@ from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.rows import divide_into_blocks
-from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.information.triangular import GrowingFactor
+from asbuilt.identification.information.rows import RowBlock, divide_into_blocks
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    reduce_rows,
+)
 
 LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
 MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
@@ -251,40 +253,27 @@ def _join_channels(
             for own, extra, scale in zip(links.support, drives.support, own_scale, strict=True)
         ),
     )
-    factors: list[list[Array]] = [[] for _ in support]
-    sums = []
-    times = []
-    for seen, driven in zip(
-        divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
-    ):
-        growing = [GrowingFactor(len(columns) + 1) for columns in support]
-        total = np.zeros(2 * n)
-        for behind, links_again, ahead in zip(
-            seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
-        ):
-            for k in range(n):
-                growing[k].append(behind[k])
-                again = links_again[k][:-1]
-                moved = [] if beta is None or k not in scaled else [beta[links.support[k]] @ again]
-                growing[n + k].append(np.vstack([again, ahead[k][:-1], *moved, ahead[k][-1:]]))
-                total[k] += behind[k][-1].sum()
-                total[n + k] += ahead[k][-1].sum()
-        for kept, grown in zip(factors, growing, strict=True):
-            kept.append(grown.factor())
-        sums.append(total)
-        times.append(seen.time)
     names = (
         *(f"{name} sensor" for name in model.joint_names),
         *(f"{name} motor" for name in model.joint_names),
     )
-    return SquareRootInformation(
-        both,
-        names,
-        support,
-        tuple(np.array(each) for each in factors),
-        np.array(sums),
-        tuple(times),
-    )
+
+    def rows() -> Iterator[RowBlock]:
+        pairs = zip(
+            divide_into_blocks(model, sensors), divide_into_blocks(model, motors), strict=True
+        )
+        for seen, driven in pairs:
+            motor_rows = []
+            both_sides = zip(driven.rows(links), driven.rows(drives), strict=True)
+            for k, (behind, ahead) in enumerate(both_sides):
+                columns = behind[:-1]
+                moved = (
+                    [] if beta is None or k not in scaled else [beta[links.support[k]] @ columns]
+                )
+                motor_rows.append(np.vstack([columns, ahead[:-1], *moved, ahead[-1:]]))
+            yield RowBlock((*seen.rows(links), *motor_rows), seen.time, seen.seconds)
+
+    return reduce_rows(both, names, support, rows())
 
 
 def _fit_scales(

@@ -173,9 +173,10 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
 
 def thin_blocks(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
     """Return the time blocks for fits of drive terms, evenly spread if there are many."""
-    every = list(divide_into_blocks(model, samples))
-    step = max(1, -(-sum(each.n_outputs for each in every) // SEARCH.most_samples))
-    return every[::step]
+    segments = list(divide_into_blocks(model, samples, np.inf))
+    step = -(-sum(each.n_outputs for each in segments) // SEARCH.most_samples)
+    # Of few samples all are used, in as few calls as they have gaps.
+    return segments if step <= 1 else list(divide_into_blocks(model, samples))[::step]
 
 
 def _fit_one(
@@ -307,7 +308,4 @@ class _Remaining:
 
 
 def _stack_rows(plan: RegressorPlan, chosen: Sequence[SampleBlock]) -> list[Array]:
-    chunks = [
-        tuple(rows.copy() for rows in chunk) for each in chosen for chunk in each.chunks(plan)
-    ]
-    return [np.hstack(parts) for parts in zip(*chunks, strict=True)]
+    return [np.hstack(parts) for parts in zip(*(block.rows(plan) for block in chosen), strict=True)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import DriveSet, DriveTerm
+from asbuilt.dynamics import BaseParameters, DriveSet, DriveTerm
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.torque_prediction import parameter_torque
@@ -76,18 +76,24 @@ class FoundEffect:
 class Described:
     """Hold the robot whose effects are searched: model, drive terms, values and torque source.
 
-    `chi` are standard parameters near the recording, in the order of `drive`, `speeds` the
-    velocities recorded, each (N, n), `largest` (n,) the torques that nearly all samples keep,
-    `clock_bound` the share by which velocities let the clock be wrong.
+    `base` are its base parameters with its drive terms, `chi` standard parameters near the
+    recording in their order, `speeds` the velocities recorded, each (N, n), `largest` (n,) the
+    torques that nearly all samples keep, `clock_bound` the share by which velocities let the clock
+    be wrong.
     """
 
     model: RobotModel
-    drive: DriveSet
+    base: BaseParameters
     chi: Array
     source: str
     speeds: tuple[Array, ...]
     largest: Array
     clock_bound: float = np.inf
+
+    @property
+    def drive(self) -> DriveSet:
+        """The drive terms."""
+        return self.base.drive
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +167,9 @@ class Effect(ABC):
     """Whether a model can have it; others are named."""
     of_log: ClassVar[bool] = False
     """Whether the log is wrong rather than the model."""
+    usual: ClassVar[float] = 0.0
+    """Size of each value that any robot may have, whether its log shows one or not; 0: it has none
+    that the log does not show."""
     least: ClassVar[float] = 0.0
     """Size below which it is of no account."""
     positive: ClassVar[bool] = False
@@ -204,13 +213,30 @@ class Effect(ABC):
         torque: float,
         errors: tuple[float, float],
         alternatives: tuple[str, ...] = (),
+        parts: Sequence[str] = (),
     ) -> FoundEffect:
-        """Return what was found of it; `errors` are torque errors without and with it."""
+        """Return what was found of it; `errors` are torque errors without and with it.
+
+        `parts` name its values, where they have names (`name_parts`).
+        """
         size = self.size(values, covariance, revolute=revolute)
         bare = FoundEffect(self.key, joint, *size, in_model, torque, *errors, alternatives, text="")
         where = f"{self.title} at {joint}" if joint else self.title
         text = self.size_text(values, covariance, revolute=revolute)
-        return replace(bare, text=f"{where} {text}: {bare.improvement}")
+        errors_of_parts = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        named = zip(parts, values.tolist(), errors_of_parts, strict=True) if parts else ()
+        listed = ", ".join(filter(None, (self.part_text(*part) for part in named)))
+        return replace(
+            bare, text=f"{where} {text}{f' ({listed})' if listed else ''}: {bare.improvement}"
+        )
+
+    def name_parts(self, joint_names: Sequence[str], joint: int | None) -> tuple[str, ...]:
+        """Return the names of its values at a joint (from 0), if they have any."""
+        return ()
+
+    def part_text(self, name: str, value: float, error: float) -> str:
+        """Return one of its values with its name as text, empty where it is of no account."""
+        return ""
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the size with its standard error and unit as text."""

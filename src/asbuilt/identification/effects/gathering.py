@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -15,8 +15,17 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant
 from asbuilt.identification.effects.groups import find_places
-from asbuilt.identification.information.rows import ROWS, KeptRows, SampleBlock, divide_into_blocks
+from asbuilt.identification.information.equations import MODEL, Equations
+from asbuilt.identification.information.rows import (
+    ROWS,
+    KeptRows,
+    SampleBlock,
+    TimeBlock,
+    divide_into_blocks,
+)
 
+EFFECTS = "effects"
+"""Group of the columns of all candidates."""
 At = tuple[str, int | None]
 """Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
 
@@ -58,59 +67,21 @@ class Candidate:
         return self.term is not None and any(parameter.fitted for parameter in self.term.nonlinear)
 
 
-@dataclass(frozen=True, eq=False)
-class EffectEquations:
-    """Hold the normal equations of `[W_k | E_k | tau_k]` by time block, joint by joint.
-
-    W are the columns of the base parameters (p), E of all candidates (m). Joint k has the
-    parameters `support[k]` and `grams[k]` (B, s_k + 1, s_k + 1). `counts` (B,) are the samples of a
-    block.
-    """
-
-    robot: Described
-    base: BaseParameters
-    candidates: tuple[Candidate, ...]
-    support: tuple[Indices, ...]
-    grams: tuple[Array, ...]
-    counts: Indices
-    n_parameters: int
-
-    @property
-    def n_base(self) -> int:
-        """Number of the model's own parameters."""
-        return self.base.n_base
-
-    @cached_property
-    def of_joints(self) -> tuple[Array, ...]:
-        """Normal equations of each joint over all blocks."""
-        return tuple(gram.sum(axis=0) for gram in self.grams)
-
-    def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
-        """Return the sum over joints, (P + 1, P + 1), of joint k times `weights[k]`^2."""
-        total = np.zeros((self.n_parameters + 1,) * 2)
-        for k, support in enumerate(self.support):
-            gram = self.of_joints[k] if blocks is None else self.grams[k][blocks].sum(axis=0)
-            places = np.append(support, self.n_parameters)
-            total[np.ix_(places, places)] += weights[k] ** 2 * gram
-        return total
-
-
 def gather_equations(
     robot: Described,
-    base: BaseParameters,
     samples: Iterable[Samples],
     effects: Iterable[Effect],
     block_seconds: float,
     kept: KeptRows | None = None,
-) -> EffectEquations:
+) -> tuple[Equations, tuple[Candidate, ...]]:
     """Reduce samples to the normal equations of a model and of effects, in one pass.
+
+    Candidates of the effects are returned, too: where each has its columns.
 
     Parameters
     ----------
     robot
         The robot; nonlinear effects are linearised about its values.
-    base
-        Its base parameters.
     samples
         Samples of one or more recordings.
     effects
@@ -120,6 +91,7 @@ def gather_equations(
     kept
         Rows of the model that are kept for others who ask for the same ones.
     """
+    base = robot.base
     variants = [variant for effect in effects for variant in effect.variants(robot)]
     variants.sort(key=lambda each: not each.local)  # local columns first
     candidates, slots, size = _place_candidates(variants, robot.model.n_joints, base)
@@ -129,30 +101,24 @@ def gather_equations(
     there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
     grams: list[tuple[Array, ...]] = []
     # The torque is one spare row more, after all columns of effects.
-    counts: list[int] = []
+    times: list[TimeBlock] = []
     columns = _Columns(robot, variants)
     with use_one_blas_thread():
         for part in divide_into_blocks(robot.model, samples, block_seconds, kept):
-            block = [np.zeros((len(s) + 1,) * 2) for s in support]
-            for chunk in part.chunks(plan, partial(columns, part)):
-                for k, rows in enumerate(chunk):
-                    # Rows are transposed (parameters and torque by samples), so that this is the
-                    # Gram matrix.
-                    block[k] += rows @ rows.T
-            grams.append(
-                # Slots that a joint does not have hold zeros, and go before the blocks are kept.
-                tuple(gram[np.ix_(kept, kept)] for gram, kept in zip(block, there, strict=True))
-            )
-            counts.append(part.n_outputs)
-    return EffectEquations(
-        robot,
-        base,
-        tuple(candidates),
+            rows = part.rows(plan, partial(columns, part))
+            # Slots that a joint does not have hold zeros, and go before the blocks are kept.
+            own = [rows_of_joint[kept] for rows_of_joint, kept in zip(rows, there, strict=True)]
+            grams.append(tuple(each @ each.T for each in own))
+            times.append(part.time)
+    n_samples = [block.n_samples for block in times]
+    equations = Equations(
+        {MODEL: base.n_base, EFFECTS: size - base.n_base},
         tuple(s[s >= 0] for s in support),
         tuple(map(np.array, zip(*grams, strict=True))),
-        np.array(counts, dtype=np.int64),
-        size,
+        tuple(times),
+        np.tile(np.array(n_samples, dtype=np.float64), (len(support), 1)),
     )
+    return equations, tuple(candidates)
 
 
 def _place_candidates(

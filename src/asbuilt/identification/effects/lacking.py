@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.findings import join_names
-from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
+from asbuilt.identification.effects.gathering import EFFECTS, At, Candidate
 from asbuilt.identification.effects.selection import Selection
 from asbuilt.identification.errors.bias import OmittedBias, derive_estimate_moves, shrink_effects
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.equations import Equations
 from asbuilt.scaled import Scaled
 
 if TYPE_CHECKING:
@@ -24,16 +26,18 @@ if TYPE_CHECKING:
 class Lacking:
     """Hold effects (m columns) that are not parameters of a model.
 
-    `values` (m,) and `covariance` are from one fit with all that is in the model. Effects that are
-    in the model as constants, such as a tilt, have the value 0: only their error counts. `names`
-    (P,) name the parameters in the equations, empty where a column has none.
+    `values` (m,) and `covariance` are from one fit with all that is in the model, `sizes` (m,) what
+    they usually are. Effects that are in the model as constants, such as a tilt, have the value 0:
+    only their error counts. `names` (P,) name the parameters in the equations, empty where a column
+    has none.
     """
 
-    equations: EffectEquations
+    equations: Equations
     names: tuple[str, ...]
     columns: Indices
     values: Array
     covariance: Array
+    sizes: Array
     text: str
 
     @classmethod
@@ -41,6 +45,9 @@ class Lacking:
         cls, selection: Selection, out: Sequence[Candidate], removed: Mapping[At, Array]
     ) -> Lacking | None:
         """Return what is not a parameter of the model: effects taken, and those that are unsure.
+
+        And those that any robot may have, such as a tilt too small or too much like something else
+        to be taken.
 
         `removed` are the values of effects that the equations are without.
         """
@@ -53,23 +60,31 @@ class Lacking:
             if slot not in busy and not trial.candidate.replaces.size:
                 busy.add(slot)
                 candidates.append(trial.candidate)
-        if not candidates:
+        doubted = [
+            selection.acting(candidate)
+            for candidate in selection.candidates
+            if candidate.effect.usual and candidate.slot not in busy
+        ]
+        doubted = [candidate for candidate in doubted if candidate.places.size]
+        if not (candidates or doubted):
             return None
-        values, covariance = selection.values_of(candidates)
-        ends = np.cumsum([candidate.places.size for candidate in candidates])
-        for candidate, part in zip(candidates, np.split(values, ends[:-1]), strict=True):
-            if candidate.at in removed:  # a part is a view of the values
-                part[:] = 0.0 if _is_constant(candidate, selection) else removed[candidate.at]
-        text = _word_candidates(
-            [e for e in candidates if not _is_constant(e, selection)], selection
-        )
+        parts = [_estimate_values(candidates, selection, removed)] if candidates else []
+        parts += [_estimate_doubt(candidate, selection) for candidate in doubted]
+        named = [e for e in candidates if not _is_constant(e, selection)]
+        of_doubted = parts[len(parts) - len(doubted) :]
+        named += [
+            candidate
+            for candidate, (_, covariance, _) in zip(doubted, of_doubted, strict=True)
+            if _is_wide(candidate, covariance)
+        ]
         return cls(
             selection.equations,
             _list_names(selection),
-            np.concatenate([candidate.places for candidate in candidates]),
-            values,
-            covariance,
-            text,
+            np.concatenate([candidate.places for candidate in (*candidates, *doubted)]),
+            np.concatenate([values for values, _, _ in parts]),
+            block_diag(*(covariance for _, covariance, _ in parts)),
+            np.concatenate([sizes for _, _, sizes in parts]),
+            _word_candidates(named, selection),
         )
 
     def bias(self, fit: Fit) -> OmittedBias | None:
@@ -81,9 +96,8 @@ class Lacking:
         """
         if fit.uncertainty.basis.asked == "textbook":
             return None
-        # The largest scale that the value itself supports: an effect within its error shrinks to
-        # zero.
-        mean, spread = shrink_effects(self.values, self.covariance, np.abs(self.values))
+        # An effect within its error shrinks to zero.
+        mean, spread = shrink_effects(self.values, self.covariance, self.sizes)
         constant = np.ix_(self.values == 0.0, self.values == 0.0)
         spread[constant] = self.covariance[constant]  # constants in the model keep their errors
         moves = derive_estimate_moves(fit.information, fit.estimate) @ self._follows(
@@ -123,14 +137,43 @@ class Lacking:
         return follows
 
 
+def _estimate_values(
+    candidates: Sequence[Candidate], selection: Selection, removed: Mapping[At, Array]
+) -> tuple[Array, Array, Array]:
+    """Return values of effects, covariance, and the largest scale that each value supports."""
+    values, covariance = selection.values_of(candidates)
+    ends = np.cumsum([candidate.places.size for candidate in candidates])
+    for candidate, part in zip(candidates, np.split(values, ends[:-1]), strict=True):
+        if candidate.at in removed:  # a part is a view of the values
+            part[:] = 0.0 if _is_constant(candidate, selection) else removed[candidate.at]
+    return values, covariance, np.abs(values)
+
+
+def _estimate_doubt(candidate: Candidate, selection: Selection) -> tuple[Array, Array, Array]:
+    """Return what data say of an effect that any robot may have: values, covariance, usual size.
+
+    CAD says nothing of it, since bodies off CAD imitate it. Without data it is within its usual
+    size of none.
+    """
+    usual = np.full(candidate.places.size, candidate.effect.usual)
+    if not selection.shows(candidate):
+        return np.zeros_like(usual), np.diag(usual**2), usual
+    values, covariance = selection.values_by_data([candidate])
+    return values, covariance, usual
+
+
+def _is_wide(candidate: Candidate, covariance: Array) -> bool:
+    """Return whether an effect may be larger than matters, for all that the data say."""
+    return bool(np.max(np.diag(covariance)) > candidate.effect.least**2)
+
+
 def _is_constant(candidate: Candidate, selection: Selection) -> bool:
     return candidate.effect.removable and candidate.effect.key in selection.applied
 
 
 def _list_names(selection: Selection) -> tuple[str, ...]:
     """Return the names of the model's parameters in the equations, and of terms added to it."""
-    equations = selection.equations
-    names = [*equations.base.names, *[""] * (equations.n_parameters - equations.n_base)]
+    names = [*selection.robot.base.names, *[""] * selection.equations.groups[EFFECTS]]
     for candidate in selection.taken:
         if (
             candidate.term is None
@@ -152,7 +195,7 @@ def _list_names(selection: Selection) -> tuple[str, ...]:
 
 
 def _word_candidates(candidates: Sequence[Candidate], selection: Selection) -> str:
-    names = selection.equations.robot.model.joint_names
+    names = selection.robot.model.joint_names
     joints: dict[str, list[str]] = {}
     for candidate in candidates:
         located = joints.setdefault(candidate.effect.title, [])

@@ -111,6 +111,27 @@ def as_identified(found: FoundEffect, result: IdentificationResult) -> FoundEffe
     )
 
 
+def as_by_encoders(found: FoundEffect, result: IdentificationResult) -> FoundEffect:
+    """Return the armature of a joint with two encoders as these have it, other effects as they are.
+
+    The twist of the drive shows the torque behind the rotor, so that it alone is determined where
+    torques determine its sum with the link: one rotor has one number.
+    """
+    pair = next((each for each in result.encoders if each.joint == found.joint), None)
+    if found.effect != "armature" or pair is None or pair.rotor is None or not pair.rotor_error:
+        return found
+    return EFFECTS[found.effect].found(
+        found.joint,
+        np.array([pair.rotor]),
+        np.array([[pair.rotor_error**2]]),
+        revolute=pair.revolute,
+        in_model=found.in_model,
+        torque=found.torque,
+        errors=(found.error_before, found.error_after),
+        alternatives=found.alternatives,
+    )
+
+
 def describe_stated(
     drive: DriveSet, fit: Fit, result: IdentificationResult
 ) -> Iterator[FoundEffect]:

@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import DriveSet, find_base_parameters
+from asbuilt.dynamics import BaseParameters, DriveSet, find_base_parameters
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
@@ -195,7 +195,7 @@ class _Search:
             if not own.effect.in_model or selection.holds(own):
                 new = replace(first, values=_expand_values(first.values, own, selection))
                 settled, further = self._settle([*removed, new])
-            robot = selection.equations.robot
+            robot = selection.robot
             if settled and own.effect.is_possible(settled[-1].values, own.joint, robot):
                 removed = settled
                 selection = further
@@ -222,7 +222,7 @@ class _Search:
         known = {each.candidate.at: _select_acting(each, selection) for each in removed}
         unseen = {
             each.at: max(selection.smallest_seen(each), each.effect.least)
-            for each in selection.equations.candidates
+            for each in selection.candidates
             if each.effect.shown
         }
         return Effects(turned, drive, found, fitted, Lacking.of(selection, out, known), unseen)
@@ -263,7 +263,7 @@ class _Search:
 
         Raises `UsageError` for effects that this robot cannot have.
         """
-        own = {each.at: each for each in selection.equations.candidates}
+        own = {each.at: each for each in selection.candidates}
         if missing := [EFFECTS[key].title for key in self.stated if (key, None) not in own]:
             raise UsageError(
                 f"{self.model.name} can have no {join_names(missing)}: its gravity is"
@@ -283,7 +283,7 @@ class _Search:
         values = _select_acting(removed, selection)
         covariance = selection.values_of([own])[1]
         square = Scaled(covariance).square(values)
-        possible = own.effect.is_possible(removed.values, None, selection.equations.robot)
+        possible = own.effect.is_possible(removed.values, None, selection.robot)
         return possible and float(chdtrc(len(values), square)) < RULES.level
 
     def _take_out_factor(self, selection: Selection) -> tuple[list[Trial], Selection]:
@@ -304,7 +304,7 @@ class _Search:
         # A factor that predicts other motion worse has only found another imitation.
         before = selection.held_out_error([])
         after = without.held_out_error(without.taken)
-        possible = EFFECTS[key].is_possible(found.values, None, selection.equations.robot)
+        possible = EFFECTS[key].is_possible(found.values, None, selection.robot)
         if not possible or after > before:
             return [], selection
         return [replace(found, errors=(before, after))], without
@@ -414,13 +414,15 @@ class _Search:
                 f"{len(groups)} groups of motion of {model.name} are too few"
             )
         effect = design_effect(seen, fit)
-        robot = _describe_robot(model, self.drive, fit.standard, samples)
-        equations = gather_equations(robot, base, samples, self.wanted, self.seconds, self.kept)
+        robot = _describe_robot(model, base, fit.standard, samples)
+        equations, candidates = gather_equations(
+            robot, samples, self.wanted, self.seconds, self.kept
+        )
         # CAD counts once per independent sample, as the data do.
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
-        selection = Selection(equations, cad, fit.weights, groups, self.applied)
+        selection = Selection(equations, candidates, robot, cad, fit.weights, groups, self.applied)
         # Columns of what is taken out stay free: they take what the linearisation left.
         selection.taken = [selection.candidate(each.candidate.at) for each in removed]
         selection.impossible, selection.held = self.impossible, self.held
@@ -429,6 +431,9 @@ class _Search:
     def _describe_found(self, trial: Trial, selection: Selection) -> FoundEffect:
         own = trial.candidate
         names = self.model.joint_names
+        # A value whose column does not act on this robot has no name either.
+        acts = np.isin(selection.every_place(own), own.places)
+        parts = own.effect.name_parts(names, own.joint)
         return own.effect.found(
             None if own.joint is None else names[own.joint],
             trial.values,
@@ -441,6 +446,9 @@ class _Search:
                 each.effect.key + ("" if each.joint is None else f" at {names[each.joint]}")
                 for each in trial.alternatives
             ),
+            parts=[part for part, acting in zip(parts, acts, strict=True) if acting]
+            if parts
+            else (),
         )
 
 
@@ -465,8 +473,7 @@ def _advance_values(removed: Trial, selection: Selection) -> Trial:
         # The message states the limit in the unit of the effect, degrees for a tilt.
         most, _, unit = effect.size(np.array([effect.farthest]), np.zeros((1, 1)), revolute=True)
         raise IdentifiabilityError(
-            f"the {effect.title} of {selection.equations.robot.model.name} is more than {most:.0f}"
-            f" {unit}",
+            f"the {effect.title} of {selection.robot.model.name} is more than {most:.0f} {unit}",
             cure=Cure("correct gravity in the description"),
         )
     return found
@@ -504,13 +511,13 @@ def _expand_values(values: Array, own: Candidate, selection: Selection) -> Array
 
 
 def _describe_robot(
-    model: RobotModel, drive: DriveSet, chi: Array, samples: Sequence[Samples]
+    model: RobotModel, base: BaseParameters, chi: Array, samples: Sequence[Samples]
 ) -> Described:
     """Return what columns of effects are made of."""
     torque = np.vstack([np.abs(each.tau) for each in samples])
     return Described(
         model,
-        drive,
+        base,
         chi,
         samples[0].torque_source,
         tuple(each.qd for each in samples),

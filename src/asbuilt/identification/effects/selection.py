@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
+from asbuilt.identification.effects.effect import Described
+from asbuilt.identification.effects.gathering import At, Candidate
 from asbuilt.identification.effects.trials import RULES, Prior, Trial, Trials
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.statistics import exceeds
 from asbuilt.scaled import Scaled
 
@@ -19,15 +21,18 @@ class Selection(Trials):
 
     def __init__(
         self,
-        equations: EffectEquations,
+        equations: Equations,
+        candidates: Sequence[Candidate],
+        robot: Described,
         prior: Prior,
         weights: Array,
         groups: Sequence[Indices],
         applied: Collection[str],
     ) -> None:
-        """Take what `Trials` takes, and the keys of effects that may become part of the model."""
-        super().__init__(equations, prior, weights, groups)
-        self.held = equations.robot.model.has_masses
+        """Take what `Trials` takes, the robot, and the keys of effects that models may have."""
+        super().__init__(equations, candidates, prior, weights, groups)
+        self.robot = robot
+        self.held = robot.model.has_masses
         """Whether CAD holds the bodies."""
         self.applied = applied
         self.impossible: Collection[At] = ()
@@ -47,7 +52,7 @@ class Selection(Trials):
             busy = {slot for candidate in self.taken for slot in candidate.busy}
             left = [
                 candidate
-                for candidate in self.equations.candidates
+                for candidate in self.candidates
                 if candidate.slot not in busy
                 # Bodies that CAD lacks imitate an error of the log: the data alone must show one.
                 and candidate.at not in self.impossible
@@ -56,7 +61,7 @@ class Selection(Trials):
             ]
             # Forms and trial values of an effect at a joint count as one question.
             n = len({candidate.at for candidate in left})
-            robot = self.equations.robot
+            robot = self.robot
             sure = [trial for trial in self.trials(left) if trial.is_sure(n, robot)]
             trials = [trial for trial in sure if trial.is_taken(n, robot, self.held)]
             # Only now it shows which others the last effect has made needless.
@@ -145,7 +150,7 @@ class Selection(Trials):
         """Return what of an effect's kind predicts other motion best and surely better, or None."""
         alike = [
             candidate
-            for candidate in self.equations.candidates
+            for candidate in self.candidates
             if candidate.slot == own.slot
             and candidate.at not in self.impossible
             # What is in the model gives way only to what may be in it, too.
@@ -159,7 +164,7 @@ class Selection(Trials):
             [candidate for candidate in self.taken if candidate is not own], alike
         )
         n = self.n_asked
-        robot = self.equations.robot
+        robot = self.robot
         now = next(
             (
                 trial
@@ -181,7 +186,7 @@ class Selection(Trials):
     @property
     def n_asked(self) -> int:
         """Number of effects and joints that are asked for."""
-        return len({candidate.at for candidate in self.equations.candidates})
+        return len({candidate.at for candidate in self.candidates})
 
     def refutes_cad(self) -> bool:
         """Return whether bodies are farther from CAD than its prior lets them be.
@@ -191,7 +196,7 @@ class Selection(Trials):
         Computation 4, 1992, eq. 4.8).
         """
         inside = self._list_inside(self.taken)
-        base = self.equations.base
+        base = self.robot.base
         # Standard parameters below 10 n_links are of bodies, the rest of drives.
         links = np.flatnonzero(base.columns[inside[inside < base.n_base]] < 10 * base.n_links)
         A, P = self._build_normal(self._total, inside)
@@ -209,9 +214,7 @@ class Selection(Trials):
         """
         others = [e for e in self.taken if e is not candidate and e.effect.key in self.applied]
         trials = self._try_with(others, [candidate])
-        return any(
-            trial.is_taken(self.n_asked, self.equations.robot, self.held) for trial in trials
-        )
+        return any(trial.is_taken(self.n_asked, self.robot, self.held) for trial in trials)
 
     def _try_with(self, taken: list[Candidate], candidates: Iterable[Candidate]) -> list[Trial]:
         """Try candidates with other effects in place of the ones taken."""

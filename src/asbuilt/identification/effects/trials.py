@@ -12,7 +12,8 @@ from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.identification.effects.effect import Described
-from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
+from asbuilt.identification.effects.gathering import At, Candidate
+from asbuilt.identification.information.equations import MODEL, Equations
 from asbuilt.identification.statistics import estimate_mean_error
 
 
@@ -53,7 +54,8 @@ class SelectionRules:
     separate: float = 1e-6
     """Squared part of a column outside all others below which it has no trial."""
     acting: float = 1e-18
-    """Squared length of a column, in the largest, below which it does not act on this robot."""
+    """Squared length of a column, in the largest of its effect, below which it does not act on this
+    robot: columns of other effects and of bodies have other units."""
     most: int = 20
     """Effects taken."""
     ridge: float = 1e-9
@@ -160,24 +162,27 @@ class Trials:
 
     def __init__(
         self,
-        equations: EffectEquations,
+        equations: Equations,
+        candidates: Sequence[Candidate],
         prior: Prior,
         weights: Array,
         groups: Sequence[Indices],
     ) -> None:
-        """Take the equations, the prior, weights of the joints (n,), and groups of blocks."""
-        self.equations, self.prior, self.weights = equations, prior, weights
+        """Take equations, candidates, prior, weights of the joints (n,), and groups of blocks."""
+        self.equations, self.candidates = equations, candidates
+        self.prior, self.weights = prior, weights
+        self.n_base = equations.groups[MODEL]
         # A fit is the coefficients (-values, 1) of its residual: every square is a form in this
         # matrix.
         self._total = equations.stacked(weights)
         length = np.diag(self._total)
-        # Relative to the largest column, as units of effects differ.
-        self._size, self._acts = np.sqrt(length), length > RULES.acting * length.max(initial=0.0)
+        self._size = np.sqrt(length)
+        self._acts = length > RULES.acting * _find_largest(candidates, length)
         # The training equations are the total less the group's: leaving out costs no pass.
         self._without = [self._total - equations.stacked(weights, group) for group in groups]
         self._of_joints = [
             [
-                (np.append(support, equations.n_parameters), gram[group].sum(axis=0))
+                (np.append(support, equations.n_columns), gram[group].sum(axis=0))
                 for support, gram in zip(equations.support, equations.grams, strict=True)
             ]
             for group in groups
@@ -186,16 +191,17 @@ class Trials:
             [[gram[-1, -1] for _, gram in joints] for joints in self._of_joints]
         )
         """Squared torque of each held-out group and joint."""
-        every = np.arange(equations.n_parameters + 1)
-        blocks = range(len(equations.counts))
+        every = np.arange(equations.n_columns + 1)
+        blocks = range(equations.n_blocks)
         self._blocks = [(every, equations.stacked(weights, [b])) for b in blocks]
-        self._place = np.full((len(equations.support), equations.n_parameters), -1)
+        self._place = np.full((equations.n_joints, equations.n_columns), -1)
         for place, support in zip(self._place, equations.support, strict=True):
             place[support] = np.arange(len(support))
-        self._n_samples = max(int(equations.counts.sum()), 1)
+        self._n_samples = max(int(equations.lengths.sum()), 1)
         rms = np.sqrt(np.array([gram[-1, -1] for gram in equations.of_joints]) / self._n_samples)
         # A joint without torque would divide by zero; below rounding of the others it has none.
-        least = max(float(rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
+        tiny = np.finfo(np.float64).tiny
+        least = max(float(rms.max(initial=0.0)) * np.finfo(np.float64).eps, tiny)
         self._rms = np.maximum(rms, least)
         self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
         self.taken: list[Candidate] = []
@@ -213,9 +219,13 @@ class Trials:
         # Schur complement of a unit column: 1 - g^T G^+ g.
         return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
 
-    def _is_shown(self, candidate: Candidate) -> bool:
+    def _is_shown(self, candidate: Candidate, least: float = RULES.shown) -> bool:
         """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
-        return bool(np.all(self._apart[self.acting(candidate).places] >= RULES.shown))
+        return bool(np.all(self._apart[self.acting(candidate).places] >= least))
+
+    def shows(self, candidate: Candidate) -> bool:
+        """Return whether data have a value for each parameter of an effect, however unsure."""
+        return self._is_shown(candidate, RULES.separate)
 
     def own(self, at: At) -> Candidate:
         """Return the effect at a joint that is taken."""
@@ -223,15 +233,11 @@ class Trials:
 
     def every_place(self, candidate: Candidate) -> Indices:
         """Return the positions of all parameters of a candidate, whether they act or not."""
-        return next(
-            equation for equation in self.equations.candidates if equation.at == candidate.at
-        ).places
+        return next(equation for equation in self.candidates if equation.at == candidate.at).places
 
     def candidate(self, at: At) -> Candidate:
         """Return the first candidate of an effect at a joint, with what acts of it."""
-        return self.acting(
-            next(candidate for candidate in self.equations.candidates if candidate.at == at)
-        )
+        return self.acting(next(candidate for candidate in self.candidates if candidate.at == at))
 
     def acting(self, candidate: Candidate) -> Candidate:
         """Return a candidate with the parameters of it that act on this robot."""
@@ -273,11 +279,21 @@ class Trials:
         left = np.array([-block[:, 0] - block[:, 1:] @ d for block in blocks])
         return d, _estimate_scatter(whole.schur, left, d)[0]
 
+    def values_by_data(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
+        """Return what `values_of` does, of a fit that does not know CAD."""
+        with_cad = self.prior
+        self.prior = replace(with_cad, information=np.zeros_like(with_cad.information))
+        self._factored.clear()
+        found = self.values_of(candidates)
+        self.prior = with_cad
+        self._factored.clear()
+        return found
+
     def values_in_halves(self, candidate: Candidate) -> list[Array]:
         """Return the values of a candidate next to all others in each half of the blocks."""
         others = [taken for taken in self.taken if taken is not candidate]
         inside = self._list_inside(others)
-        blocks = np.arange(len(self.equations.counts))
+        blocks = np.arange(self.equations.n_blocks)
         found = []
         for half in np.array_split(blocks, 2):
             gram = self.equations.stacked(self.weights, half)
@@ -308,7 +324,7 @@ class Trials:
 
     def _measure_torques(self, candidate: Candidate, values: Array) -> Array:
         """Return the RMS torque (n,) of a candidate with these values."""
-        energy = np.zeros(len(self.equations.support))
+        energy = np.zeros(self.equations.n_joints)
         for k, gram in enumerate(self.equations.of_joints):
             columns = self._place[k, candidate.places]
             at = columns[columns >= 0]
@@ -334,20 +350,20 @@ class Trials:
 
     def _list_inside(self, taken: Sequence[Candidate]) -> Indices:
         left = np.setdiff1d(
-            np.arange(self.equations.n_base),
+            np.arange(self.n_base),
             np.concatenate([np.zeros(0), *(c.replaces for c in taken)]),
         )
         return np.concatenate([left, *(candidate.places for candidate in taken)]).astype(np.int64)
 
     def _fit(self, gram: Array, inside: Indices, columns: Indices = NONE) -> _Fit:
         """Fit the parameters inside to the normal equations of all blocks, or without a group."""
-        P = self.equations.n_parameters
+        P = self.equations.n_columns
         key = (id(gram), inside.tobytes())
         # The right side is W^T tau + P beta_0.
         if key not in self._factored:
             factor = cho_factor(self._build_normal(gram, inside)[0])
             b = gram[inside, -1].copy()
-            model = np.flatnonzero(inside < self.equations.n_base)
+            model = np.flatnonzero(inside < self.n_base)
             b[model] += (self.prior.information @ self.prior.mean)[inside[model]]
             self._factored[key] = factor, cho_solve(factor, b)
         factor, solution = self._factored[key]
@@ -363,7 +379,7 @@ class Trials:
 
     def _build_normal(self, gram: Array, inside: Indices) -> tuple[Array, Array]:
         """Return the normal matrix of the parameters inside, and the prior's part of it."""
-        model = np.flatnonzero(inside < self.equations.n_base)
+        model = np.flatnonzero(inside < self.n_base)
         prior = np.zeros((len(inside),) * 2)
         prior[np.ix_(model, model)] = self.prior.information[np.ix_(inside[model], inside[model])]
         A = gram[np.ix_(inside, inside)] + prior
@@ -380,7 +396,7 @@ class Trials:
 
     def _measure_distance(self, residual: Array) -> float:
         # The residual holds minus the values.
-        away = -residual[: self.equations.n_base] - self.prior.mean
+        away = -residual[: self.n_base] - self.prior.mean
         return float(away @ self.prior.information @ away)
 
     def _try_candidates(
@@ -398,7 +414,7 @@ class Trials:
         columns = np.unique(np.concatenate([candidate.places for candidate, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
         # All other parameters are zero, and stay so.
-        moving = np.zeros(self.equations.n_parameters + 1, dtype=np.bool_)
+        moving = np.zeros(self.equations.n_columns + 1, dtype=np.bool_)
         moving[inside], moving[columns], moving[-1] = True, True, True
         _, scores, slopes = _expand_squares(whole, self._blocks, moving)
         held_out = [
@@ -469,6 +485,17 @@ class Trials:
             if gain >= RULES.sure * len(c):
                 gaining.append((candidate, gain))
         return gaining
+
+
+def _find_largest(candidates: Iterable[Candidate], length: Array) -> Array:
+    """Return the largest squared length (P + 1,) of the columns of each one's effect."""
+    largest = np.zeros_like(length)
+    of_effects: dict[str, list[Indices]] = {}
+    for candidate in candidates:
+        of_effects.setdefault(candidate.effect.key, []).append(candidate.places)
+    for places in map(np.concatenate, of_effects.values()):
+        largest[places] = length[places].max(initial=0.0)
+    return largest
 
 
 def evaluate_worth(gain: float, n_columns: int) -> float:

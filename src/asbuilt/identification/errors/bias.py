@@ -53,6 +53,18 @@ class OmittedBias:
             return ""
         return f"Standard errors include the bias by what the model may lack: {self.effects}."
 
+    def with_further(self, other: OmittedBias | None) -> OmittedBias:
+        """Return the bias with another one, independent of it."""
+        if other is None:
+            return self
+        return OmittedBias(
+            bias=self.bias + other.bias,
+            covariance=self.covariance + other.covariance,
+            free_bias=self.free_bias + other.free_bias,
+            free_covariance=self.free_covariance + other.free_covariance,
+            effects="; ".join(filter(None, (self.effects, other.effects))),
+        )
+
 
 def shrink_effects(effects: Array, covariance: Array, size: Array) -> tuple[Array, Array]:
     """Return mean (m,) and covariance (m, m) of effects of a usual size (m,).

@@ -9,6 +9,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, observation_matrix
+from asbuilt.dynamics.kinematics import draw_postures_within
 from asbuilt.experiment.signal.samples import Samples
 
 RANDOM_STATES = 500
@@ -39,12 +40,12 @@ def build_random_motion_rows(
 
 
 def draw_positions(model: RobotModel, rng: np.random.Generator) -> Array:
-    """Return positions (N, n) that are uniform within the limits."""
+    """Return positions (N, n), uniform within the limits, at which loops close."""
     limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in model.joints]).T
     far = np.array([np.pi if joint.is_revolute else 1.0 for joint in model.joints])
     # Joints without limits count as a whole circle, or two metres of travel.
     low, high = np.where(np.isfinite(limits), limits, [-far, far])
-    return np.asarray(rng.uniform(low, high, (RANDOM_STATES, model.n_joints)))
+    return draw_postures_within(model, low, high, rng, RANDOM_STATES)
 
 
 def measure_recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:

@@ -91,6 +91,12 @@ class TimeBlock:
     stop: float
     n_samples: int
 
+    @classmethod
+    def spanning(cls, blocks: Sequence[TimeBlock]) -> TimeBlock:
+        """Return neighbouring blocks as one."""
+        n_samples = sum(block.n_samples for block in blocks)
+        return cls(blocks[0].source, blocks[0].start, blocks[-1].stop, n_samples)
+
 
 class KeptRows:
     """Keep the filtered rows of samples, so that those who share it walk over a motion once.
@@ -146,9 +152,7 @@ def _evaluate_rows(plan: RegressorPlan, samples: Samples) -> dict[int, tuple[Arr
         if n < 1:
             continue
         whole = SampleBlock(samples, start, stop, 0, n, 0.0)
-        # A chunk is a view of the buffer that the next one overwrites.
-        chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(plan)]
-        found[start] = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
+        found[start] = whole.rows(plan)
     return found
 
 
@@ -223,6 +227,14 @@ class SampleBlock:
         """Filter values of consecutive samples (m, n), giving (n, n_outputs)."""
         parallel = self.samples.parallel
         return parallel.apply(np.ascontiguousarray(values.T)) if parallel else values.T
+
+    def rows(
+        self, plan: RegressorPlan, further: Callable[[slice], Sequence[Array]] | None = None
+    ) -> tuple[Array, ...]:
+        """Return the rows of all chunks together, (p_k + 1, n_outputs) of each joint."""
+        # A chunk is a view of the buffer that the next one overwrites.
+        chunks = [tuple(rows.copy() for rows in chunk) for chunk in self.chunks(plan, further)]
+        return tuple(map(np.hstack, zip(*chunks, strict=True)))
 
     def chunks(
         self, plan: RegressorPlan, further: Callable[[slice], Sequence[Array]] | None = None
@@ -408,12 +420,7 @@ class Rows:
         kept = list[RowBlock]()
         size = 0
         for part in self._divide(self._samples):
-            chunks = [tuple(rows.copy() for rows in chunk) for chunk in part.chunks(self._plan)]
-            block = RowBlock(
-                tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
-                part.time,
-                part.seconds,
-            )
+            block = RowBlock(part.rows(self._plan), part.time, part.seconds)
             for rows, x in zip(block.rows, self._less, strict=False):
                 rows[-1] -= x @ rows[:-1]
             size += sum(rows.nbytes for rows in block.rows)

@@ -150,13 +150,11 @@ class SquareRootInformation:
 
     def together(self) -> SquareRootInformation:
         """Return the information of all blocks as one, which takes the memory of one."""
-        first = self.blocks[0]
-        last = self.blocks[-1]
         return replace(
             self,
             factors=tuple(factor[None] for factor in self.joint_factors),
             torque_sum=self.torque_sum.sum(axis=0, keepdims=True),
-            blocks=(TimeBlock(first.source, first.start, last.stop, self.n_samples),),
+            blocks=(TimeBlock.spanning(self.blocks),),
         )
 
     def less(self, torques: Sequence[Array]) -> SquareRootInformation:
@@ -404,9 +402,8 @@ def _is_successor(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
 
 def _merge_blocks(earlier: _Reduced, later: _Reduced) -> _Reduced:
     pairs = zip(earlier.factors, later.factors, strict=True)
-    n_samples = earlier.time.n_samples + later.time.n_samples
     return _Reduced(
         tuple(triangular_factor(np.vstack(pair)) for pair in pairs),
         earlier.torque_sum + later.torque_sum,
-        replace(earlier.time, stop=later.time.stop, n_samples=n_samples),
+        TimeBlock.spanning((earlier.time, later.time)),
     )

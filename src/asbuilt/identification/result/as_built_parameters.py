@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from asbuilt.arrays import Array
@@ -58,7 +56,6 @@ def find_estimable_root(result: IdentificationResult, covariance: Array) -> Arra
     return np.asarray(directions.T / np.sqrt(np.maximum(variances, least))[:, None] @ seen)
 
 
-@lru_cache(maxsize=8)
 def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> StandardParameters:
     """Return the standard parameters closest to CAD within the standard errors of a result.
 
@@ -67,17 +64,21 @@ def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> 
     the consistent ones with the least torque difference on the data used, joints weighted by
     their noise.
     """
-    root = None
-    if not any(parameter.dropped for parameter in result.parameters):
-        root = scale_covariance(result, with_bias=False).inverse_root.T
-    return find_standard_parameters(
-        result.model,
-        result.base,
-        result.estimates,
-        nearest=nearest,
-        information=_add_up_torque_information(result),
-        uncertainty_root=root,
-    )
+
+    def find() -> StandardParameters:
+        root = None
+        if not any(parameter.dropped for parameter in result.parameters):
+            root = scale_covariance(result, with_bias=False).inverse_root.T
+        return find_standard_parameters(
+            result.model,
+            result.base,
+            result.estimates,
+            nearest=nearest,
+            information=_add_up_torque_information(result),
+            uncertainty_root=root,
+        )
+
+    return result.once((as_built_parameters, nearest), find)
 
 
 def _add_up_torque_information(result: IdentificationResult) -> Array:

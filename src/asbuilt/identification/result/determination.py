@@ -15,6 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.joint_space import project
+from asbuilt.dynamics.kinematics import draw_postures_within
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, join_names
@@ -414,7 +415,7 @@ def _draw_motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]
     bounds = MotionBounds.assumed(model)
     rng = np.random.default_rng(0)
     n = model.n_joints
-    q = rng.uniform(bounds.lower, bounds.upper, size=(LIMITS.draws, n))
+    q = draw_postures_within(model, bounds.lower, bounds.upper, rng, LIMITS.draws)
     speed, acceleration = (rng.uniform(-1.0, 1.0, size=(LIMITS.draws, n)) for _ in range(2))
     still = np.zeros_like(q)
     slow = LIMITS.slow * speed * bounds.velocity

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -212,13 +212,24 @@ def feasible_intervals(
         If the description has no shapes.
     """
     found = [each for text in quantities or _default(result) for each in _parse(result, text)]
-    allowed = _find_region(result, region)
-    if prior is not None or geometry:
+    allowed = result.once((_find_region, region), lambda: _find_region(result, region))
+    stated = prior is not None or geometry
+    if stated:
         near = None if prior is None else tolerance
         allowed = allowed.within(bound_stated(allowed.prior, result.model, near, geometry=geometry))
     chosen = _find_chosen(result)
     cad = _read_cad(result)
-    return tuple(_bound(each, allowed, chosen, cad) for each in found)
+
+    def bound(quantity: _Quantity) -> FeasibleInterval:
+        return _bound(quantity, allowed, chosen, cad)
+
+    if stated:
+        return tuple(map(bound, found))
+    # Verdict, exported file and tables ask for the same masses.
+    return tuple(
+        result.once((region, each.name, each.value.tobytes()), partial(bound, each))
+        for each in found
+    )
 
 
 def describe_condition(result: IdentificationResult) -> str:
@@ -357,7 +368,6 @@ def _divide(
     return ratio, (value[1] + abs(ratio) * divisor[1]) / divisor[0]
 
 
-@lru_cache(maxsize=8)
 def _find_region(result: IdentificationResult, region: Region) -> FeasibleRegion:
     """Return the region of a result, with passive drives and masses that are known."""
     cad = build_cad_prior(result.model, result.base.drive)

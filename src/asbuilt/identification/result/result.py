@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +60,9 @@ FEASIBLE = "asbuilt.identification.result.feasible"
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
+
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,6 +365,27 @@ class IdentificationResult:
         return pl.DataFrame([asdict(each) for each in self.parameters]).with_columns(
             t_value=self.tvalues, lower=lower, upper=upper
         )
+
+    def with_effects(self, effects: tuple[FoundEffect, ...]) -> IdentificationResult:
+        """Return the result with these effects; what was derived from all else stays known."""
+        found = replace(self, effects=effects)
+        vars(found)["_derived"] = self._derived
+        return found
+
+    @cached_property
+    def _derived(self) -> dict[Any, Any]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was derived holds the solver's own objects, which no other process takes.
+        return {name: value for name, value in vars(self).items() if name != "_derived"}
+
+    def once(self, key: Any, derive: Callable[[], T]) -> T:
+        """Return what is derived from the result, its effects apart, and remember it by a key."""
+        if key not in self._derived:
+            self._derived[key] = derive()
+        derived: T = self._derived[key]
+        return derived
 
     def summary(self) -> Any:
         """Summarise the result as text, HTML or CSV: the `Summary` of `summarise`."""

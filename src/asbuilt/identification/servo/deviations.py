@@ -17,8 +17,10 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.command.servo_torque import hold_command
 from asbuilt.experiment.recording import Recording
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.block_fits import (
+    block_variances,
     fit_robust_residual,
     logarithmic_error,
     refine_minimum,
@@ -27,7 +29,6 @@ from asbuilt.identification.servo.block_fits import (
 )
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
-    ServoRows,
     reduce_servo_recordings,
 )
 
@@ -127,7 +128,7 @@ def estimate_deadband(
         motion.rate(recording, late) for motion, recording in zip(motions, recordings, strict=True)
     ]
 
-    def rows(width: float) -> ServoRows:
+    def rows(width: float) -> Equations:
         driven = [
             replace(recording, servo=fill_unknown(recording.servo, deadband=width))
             for recording in recordings
@@ -161,30 +162,30 @@ def estimate_deadband(
     return (width, width * float(np.hypot(error, DEADBAND.accuracy))) if sure else (0.0, 0.0)
 
 
-def _list_widths(plain: ServoRows, joints: Indices) -> Iterator[float]:
+def _list_widths(plain: Equations, joints: Indices) -> Iterator[float]:
     """Yield the widths to try, smallest first."""
-    sizes = [np.sqrt(plain.total(k)[-1, -1] / max(plain.counts[k].sum(), 1)) for k in joints]
+    sizes = [np.sqrt(plain.of_joints[k][-1, -1] / max(plain.counts[k].sum(), 1)) for k in joints]
     width = DEADBAND.smallest * float(np.median(sizes))
     while width < DEADBAND.largest * float(np.median(sizes)):
         yield width
         width *= DEADBAND.ratio
 
 
-def _validate_halves(rows: ServoRows, plain: ServoRows, joints: Indices, usual: Array) -> Array:
+def _validate_halves(rows: Equations, plain: Equations, joints: Indices, usual: Array) -> Array:
     """Return the cost of each joint and block (n joints, B), fitted to the other half."""
-    second = (np.arange(len(rows.times)) // DEADBAND.half) % 2 == 1
-    costs = np.zeros((joints.size, len(rows.times)))
+    second = (np.arange(rows.n_blocks) // DEADBAND.half) % 2 == 1
+    costs = np.zeros((joints.size, rows.n_blocks))
     for row, k in enumerate(joints.tolist()):
-        shrunk = max(rows.total(k)[-1, -1] / plain.total(k)[-1, -1], 1e-300)
+        shrunk = max(rows.of_joints[k][-1, -1] / plain.of_joints[k][-1, -1], 1e-300)
         # Blocks of one half are judged by the fit to the other, in stretches that share a pose.
         for here in (second, ~second):
-            left = rows.variances(k, fit_robust_residual(rows, k, ~here)) / shrunk
+            left = block_variances(rows, k, fit_robust_residual(rows, k, ~here)) / shrunk
             cost = np.nan_to_num(rows.counts[k] * np.log1p(left / usual[k]))
             costs[row, here] = cost[here]
     return costs
 
 
-def _is_better_at_joints(fall: Array, rows: ServoRows) -> bool:
+def _is_better_at_joints(fall: Array, rows: Equations) -> bool:
     """Whether costs (n joints, B) fall significantly in all, and rise at no joint."""
     sigmas = np.array([_count_sigmas(sum_clusters(joint_fall, rows)) for joint_fall in fall])
     return _count_sigmas(sum_clusters(fall.sum(axis=0), rows)) > DEADBAND.sigmas and bool(
@@ -231,7 +232,7 @@ def find_goal_limit(
     recording: Recording,
     servo: PositionServo,
     reached: Array,
-    rows: Callable[[PositionServo], ServoRows],
+    rows: Callable[[PositionServo], Equations],
 ) -> GoalLimit | None:
     """Return the limit under which a recording fits best; None if it shows none.
 
@@ -317,14 +318,14 @@ def _is_visible(recording: Recording, held: Array, rate: Array, joints: Indices)
     return bool(np.any(size > GOAL.visible * np.max(np.abs(error - np.median(error, 0)), axis=0)))
 
 
-def _find_acting_blocks(fall: Array, rows: ServoRows) -> tuple[TimeBlock, ...]:
+def _find_acting_blocks(fall: Array, rows: Equations) -> tuple[TimeBlock, ...]:
     """Return the blocks that make up nine tenths of a fall of the cost (B,)."""
     order = np.argsort(-fall)
     enough = int(np.searchsorted(np.cumsum(fall[order]), 0.9 * np.sum(fall))) + 1
-    return tuple(rows.times[int(b)] for b in sorted(order[:enough].tolist()))
+    return tuple(rows.blocks[int(b)] for b in sorted(order[:enough].tolist()))
 
 
-def _is_significant(fall: Array, rows: ServoRows, joints: Indices) -> bool:
+def _is_significant(fall: Array, rows: Equations, joints: Indices) -> bool:
     """Whether a fall of the cost of blocks (B,) is significant, with one residual per cluster."""
     # Residuals within a cluster are correlated, so that a cluster counts as one.
     share = (
@@ -333,13 +334,13 @@ def _is_significant(fall: Array, rows: ServoRows, joints: Indices) -> bool:
     return float(np.sum(fall)) * min(share, 1.0) > GOAL.significance
 
 
-def _evaluate_costs(rows: ServoRows, joints: Indices, usual: Array) -> Array:
+def _evaluate_costs(rows: Equations, joints: Indices, usual: Array) -> Array:
     """Return the cost of each block (B,)."""
     return np.asarray(
         sum(
             np.nan_to_num(
                 rows.counts[k]
-                * np.log1p(rows.variances(k, fit_robust_residual(rows, k)) / usual[k])
+                * np.log1p(block_variances(rows, k, fit_robust_residual(rows, k)) / usual[k])
             )
             for k in joints.tolist()
         )

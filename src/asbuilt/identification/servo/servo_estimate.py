@@ -18,6 +18,7 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
 from asbuilt.identification.errors.pose_noise import ExpectedScores, with_equation_noise
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.deviations import (
     GoalLimit,
@@ -37,7 +38,6 @@ from asbuilt.identification.servo.servo_fits import (
 from asbuilt.identification.servo.servo_replay import Replay, replay
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
-    ServoRows,
     reduce_servo_recordings,
 )
 
@@ -166,7 +166,7 @@ def estimate_servo(
         plain = replace(recording, servo=fill_unknown(stated, goal_acceleration=np.inf))
         rate = functools.cache(lambda: motion.rate(plain, late))
 
-        def rows(servo: PositionServo) -> ServoRows:
+        def rows(servo: PositionServo) -> Equations:
             return reduce_servo_recordings(
                 [motion], [replace(recording, servo=servo)], late, [rate()]
             )
@@ -212,7 +212,9 @@ def estimate_servo(
             kd_unknown=tuple(np.isnan(np.array(stated.kd)).tolist()),
         ),
         tuple(
-            block for block, ratio in zip(at.rows.times, excess, strict=True) if ratio > UNEXPLAINED
+            block
+            for block, ratio in zip(at.rows.blocks, excess, strict=True)
+            if ratio > UNEXPLAINED
         ),
         goals,
         DelaySlopes.of(at.rows, base, (excess <= UNEXPLAINED).tolist(), at.kp),
@@ -248,7 +250,7 @@ class _Settled:
 
     servo: PositionServo
     error: float
-    rows: ServoRows
+    rows: Equations
     scale: ServoScale | None
     found: DelayFit
     kp: tuple[float, ...]

@@ -21,11 +21,11 @@ from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.pose_noise import DOUBT
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
+from asbuilt.identification.servo.block_fits import block_variances, block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
-from asbuilt.identification.servo.servo_rows import ServoRows
 from asbuilt.scaled import Scaled
 
 Scale = Literal["gravity", "inertia"]
@@ -75,7 +75,7 @@ class ServoScale:
 
 
 def find_scale(
-    rows: ServoRows,
+    rows: Equations,
     base: BaseParameters,
     design: Array,
     kd: Sequence[float],
@@ -118,10 +118,10 @@ def find_scale(
 
 
 def _estimate_own_scale(
-    rows: ServoRows, base: BaseParameters, design: Array, kd: float, k: int
+    rows: Equations, base: BaseParameters, design: Array, kd: float, k: int
 ) -> tuple[float, float, Scale]:
     """Return c of a joint, its variance from time blocks, and what gives it."""
-    support = rows.support[k]
+    support = rows.in_model(k)
     K = base.regrouping[support]
     drives = K[:, 10 * base.n_links :][:, _find_varying_columns(base)]
     # Of the ten of a link gravity acts by first moments and mass; the six inertias do the rest.
@@ -135,9 +135,9 @@ def _estimate_own_scale(
     T[support.size, 0] = np.nan_to_num(kd)
     # A joint has no columns of the drives of others.
     T = T[:, [0, *(1 + np.flatnonzero(np.any(drives != 0.0, axis=0)))]]
-    weight = np.ones(len(rows.times))
+    weight = np.ones(rows.n_blocks)
     for _ in range(SCALE.passes):
-        gram = rows.total(k, weight)
+        gram = rows.of_joint(k, weight)
         normal = T.T @ gram @ T
         x = Scaled(normal).solve(T.T @ gram[:, -1])
         # The residual (u - q) - T x as a combination of the joint's rows.
@@ -184,16 +184,17 @@ class DelaySlopes:
 
     @classmethod
     def of(
-        cls, rows: ServoRows, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
+        cls, rows: Equations, base: BaseParameters, counted: Sequence[bool], kp: Sequence[float]
     ) -> DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
+        supports = [rows.in_model(k) for k in range(rows.n_joints)]
         weight = np.array(counted, dtype=np.float64)
         count = max(float(weight @ rows.lengths), 1.0)
         means = (
-            kp[k] * rows.total(k, weight)[: support.size, support.size + 1] / count
-            for k, support in enumerate(rows.support)
+            kp[k] * rows.of_joint(k, weight)[: own.size, own.size + 1] / count
+            for k, own in enumerate(supports)
         )
-        names = (tuple(base.names[j] for j in support) for support in rows.support)
+        names = (tuple(base.names[j] for j in own) for own in supports)
         return cls(tuple(names), tuple(means))
 
 
@@ -262,7 +263,7 @@ class DelayFit:
 
 
 def fit_delay(
-    rows: ServoRows,
+    rows: Equations,
     base: BaseParameters,
     design: CadPrior,
     kp: Sequence[float],
@@ -278,7 +279,7 @@ def fit_delay(
     independent residuals. Without a replay it is also at least what joints disagree by, the only
     sign of what does not average out. What is taken off has an error too (`DOUBT`).
     """
-    n = len(rows.support)
+    n = rows.n_joints
     p = base.n_standard
     prior = np.eye(p + 1) / DELAY.drives**2
     links = slice(10 * base.n_links)
@@ -290,7 +291,7 @@ def fit_delay(
     start[links], lower[design.non_negative] = design.parameters[links], 0.0
     maps = [_build_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
-    weight = np.ones((n, len(rows.times)))
+    weight = np.ones((n, rows.n_blocks))
     lengths = rows.lengths
     x = start
     scale = np.ones(n)
@@ -301,7 +302,7 @@ def fit_delay(
         for k, (whole, torque) in enumerate(maps):
             J = whole[:, reached[k]]
             at = reached[k]
-            weighted = J.T @ rows.total(k, weight[k])
+            weighted = J.T @ rows.of_joint(k, weight[k])
             normal[np.ix_(at, at)] += weighted @ J
             right[at] += weighted @ torque
             if replayed is not None:
@@ -312,12 +313,12 @@ def fit_delay(
         for k, residual in enumerate(residuals):
             # Noise variances of joints and weights of blocks follow from the residual in turn.
             own = block_weights(rows, k, residual)
-            energy = float(residual @ rows.total(k, own) @ residual)
+            energy = float(residual @ rows.of_joint(k, own) @ residual)
             scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
             weight[k] = own * scale[k]
     # The row of the delay, given everything that is not at a bound.
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
-    scores = np.zeros(len(rows.times))
+    scores = np.zeros(rows.n_blocks)
     along = []
     by_joint = []
     taken = 0.0
@@ -342,7 +343,7 @@ def fit_delay(
         # Without a replay the joints' disagreement is the one sign of what does not average out.
         variance = max(variance, float(np.square(by_joint).sum()))
     variance += (DOUBT * taken) ** 2
-    left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
+    left = np.array([block_variances(rows, k, residual) for k, residual in enumerate(residuals)])
     usual = np.array(
         [np.nanmedian(variances) if np.isfinite(variances).any() else np.inf for variances in left]
     )
@@ -351,10 +352,10 @@ def fit_delay(
 
 
 def _build_coefficients(
-    rows: ServoRows, base: BaseParameters, k: int, kp: float, kd: float
+    rows: Equations, base: BaseParameters, k: int, kp: float, kd: float
 ) -> tuple[Array, Array]:
     """Return a joint's rows in terms of parameters and delay, and its torque, as coefficients."""
-    support = rows.support[k]
+    support = rows.in_model(k)
     J = np.zeros((support.size + 3, base.n_standard + 1))
     J[: support.size, :-1] = base.regrouping[support]
     # Rows are [W_k, qd, du/dt, u - q]: of du/dt and u - q the gains are coefficients.

@@ -24,10 +24,10 @@ from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.identification.errors.pose_noise import ExpectedScores
+from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
-    ServoRows,
     reduce_servo_recordings,
 )
 from asbuilt.identification.trajectories.sensitivity import Trajectories
@@ -159,7 +159,10 @@ def replay(
             return None
         copies.append([_Copy.of(reduced, beta, servo) for reduced in rows])
     every = [copy for pair in copies for copy in pair]
-    names = tuple(tuple(base.names[j] for j in support) for support in every[0].rows.support)
+    names = tuple(
+        tuple(base.names[j] for j in every[0].rows.in_model(k))
+        for k in range(every[0].rows.n_joints)
+    )
     joints = range(model.n_joints)
     return Replay(
         ExpectedScores(names, tuple(_average_scores(every, k, weighted=False) for k in joints)),
@@ -289,16 +292,17 @@ class _Copy:
     `weights` (n, B) belong to the blocks.
     """
 
-    rows: ServoRows
+    rows: Equations
     scores: tuple[Array, ...]
     weights: Array
 
     @classmethod
-    def of(cls, rows: ServoRows, beta: Array, servo: PositionServo) -> _Copy:
+    def of(cls, rows: Equations, beta: Array, servo: PositionServo) -> _Copy:
         """Return the scores `[W_k, qd, du/dt]^T e_k` of the robot with these base parameters."""
         scores = []
         weights = []
-        for k, support in enumerate(rows.support):
+        for k in range(rows.n_joints):
+            support = rows.in_model(k)
             # e = kp (u - q) - kd qd - W beta as a combination of the rows.
             e = np.concatenate([-beta[support], [-servo.kd[k], 0.0, servo.kp[k]]])
             scores.append((rows.grams[k] @ e)[:, :-1])
@@ -308,7 +312,7 @@ class _Copy:
 
 def _average_scores(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
     """Return the mean score of a joint over the samples of all copies (p_k + 2,)."""
-    weights = [c.weights[k] if weighted else np.ones(len(c.rows.times)) for c in copies]
+    weights = [c.weights[k] if weighted else np.ones(c.rows.n_blocks) for c in copies]
     total = sum(float(w @ copy.rows.lengths) for w, copy in zip(weights, copies, strict=True))
     parts = [w @ copy.scores[k] for w, copy in zip(weights, copies, strict=True)]
     return np.asarray(np.sum(parts, axis=0) / max(total, 1e-300))
@@ -320,7 +324,7 @@ def _measure_noise_changes(copies: Sequence[_Copy], k: int) -> Array:
     Empty if the copies have other blocks each, since some rest where others move.
     """
     # Blocks that differ cannot be compared one by one.
-    if len({len(copy.rows.times) for copy in copies}) > 1:
+    if len({copy.rows.n_blocks for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
     sums = np.array([sum_clusters(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
     return np.asarray(np.concatenate(sums - sums.mean(axis=0)))

@@ -26,6 +26,7 @@ from asbuilt.experiment.command.servo_torque import (
 )
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
 from asbuilt.findings import Cure
+from asbuilt.identification.information.equations import MODEL, Equations
 from asbuilt.identification.information.rows import SampleBlock, TimeBlock, divide_into_blocks
 
 
@@ -44,42 +45,9 @@ class BlockRules:
 
 
 BLOCKS = BlockRules()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ServoRows:
-    """Hold Gram matrices of the rows `[W_k, qd, du/dt, u - q]` of each joint and time block.
-
-    Where forces at contacts are projected away, so are the signals, each times its gain: rows
-    `[P W, P kd qd, P kp du/dt, P kp (u - q)]`.
-
-    `grams[k]` has shape (B, p_k + 3, p_k + 3) for B blocks, with p_k = `support[k].size`;
-    `counts` (n, B) are the rows that count.
-    """
-
-    support: tuple[Indices, ...]
-    grams: tuple[Array, ...]
-    counts: Array
-    times: tuple[TimeBlock, ...]
-
-    @property
-    def lengths(self) -> Array:
-        """Samples of each block (B,)."""
-        return np.array([block.n_samples for block in self.times], dtype=np.float64)
-
-    def total(self, joint: int, weight: Array | None = None) -> Array:
-        """Return the sum of the Gram matrices of a joint over all blocks, weighted (B,)."""
-        counted = np.ones(len(self.times)) if weight is None else weight
-        return np.asarray(np.tensordot(counted, self.grams[joint], 1))
-
-    def variances(self, joint: int, residual: Array) -> Array:
-        """Return the mean square in each block of a combination of the rows (B,), NaN if few."""
-        energy = np.einsum("i,bij,j->b", residual, self.grams[joint], residual)
-        count = self.counts[joint]
-        # The mean of few rows is mostly their fit.
-        return np.where(
-            count >= BLOCKS.fewest, np.maximum(energy, 0.0) / np.maximum(count, 1), np.nan
-        )
+VELOCITY = "velocity"
+RATE = "rate"
+"""Groups of the columns of joint velocities, and of rates of the command."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,9 +197,7 @@ class CommandedMotion:
 
     def _reduce_run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
         whole = replace(blocks[0], last=blocks[-1].last)
-        # Chunks are views of a buffer that the next one overwrites.
-        chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(self._plan)]
-        rows = tuple(np.hstack(parts) for parts in zip(*chunks, strict=True))
+        rows = whole.rows(self._plan)
         spans = tuple(
             slice(block.first - whole.first, block.last - whole.first) for block in blocks
         )
@@ -250,8 +216,11 @@ def reduce_servo_recordings(
     recordings: Sequence[Recording],
     delay: float,
     rates: Sequence[Samples | None] | None = None,
-) -> ServoRows:
-    """Reduce recordings whose command acts after `delay` [s].
+) -> Equations:
+    """Reduce recordings whose command acts after `delay` [s] to rows `[W_k, qd, du/dt, u - q]`.
+
+    Where forces at contacts are projected away, so are the signals, each times its gain: rows
+    `[P W, P kd qd, P kp du/dt, P kp (u - q)]`.
 
     `motions` belong to the recordings, each of which has the servo that it is to have. `rates` are
     rates of the command that were made before, by recording. Raises `RecordingError` if no motion
@@ -273,7 +242,17 @@ def reduce_servo_recordings(
         )
     times, grams, counts = zip(*blocks, strict=True)
     joints = tuple(np.array(gram) for gram in zip(*grams, strict=True))
-    return ServoRows(motions[0].support, joints, np.transpose(counts).astype(np.float64), times)
+    plan = motions[0].support
+    p = motions[0].base.n_base
+    n = len(plan)
+    return Equations(
+        {MODEL: p, VELOCITY: n, RATE: n},
+        # A joint has its own velocity and its own command alone.
+        tuple(np.append(own, [p + k, p + n + k]) for k, own in enumerate(plan)),
+        joints,
+        times,
+        np.transpose(counts).astype(np.float64),
+    )
 
 
 def _join_gram(gram: Array, rows: Array, signals: Array) -> Array:

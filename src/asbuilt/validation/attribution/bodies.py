@@ -11,6 +11,7 @@ from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.description.size import find_size_units
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.effects.families.bodies import LinkMass, Payload
 from asbuilt.identification.effects.trials import RULES
@@ -32,9 +33,11 @@ class BodyRules:
     trials: int = 40
     weakest: float = 1e-6
     reach: float = 1.0
-    """Farthest centre of a payload from the frame of the link that carries it [m]."""
+    """Farthest centre of a payload from the frame of the link that carries it, in the robot's unit
+    of length."""
     sizes: tuple[float, ...] = (0.03, 0.1, 0.3)
-    """Sizes of payloads, and distances of their centres from the frame of the link [m]."""
+    """Sizes of payloads, and distances of their centres from the frame of the link, in that unit.
+    """
 
 
 BODIES = BodyRules()
@@ -165,6 +168,7 @@ class _Candidate:
     link: int
     root: Array
     lighter: bool = False
+    reach: float = BODIES.reach
 
     def is_possible(self, fit: _Fit) -> bool:
         """Return whether a payload has mass within reach, or a link less than twice its own.
@@ -174,17 +178,22 @@ class _Candidate:
         # Ten parameters end with the mass.
         z = fit.mean(self.root)
         if self.key == Payload.key:
-            heavy = z[9] > RULES.sure * np.sqrt(fit.covariance(self.root)[9, 9])
-            return bool(heavy and np.linalg.norm(z[6:9]) <= BODIES.reach * z[9])
+            # Rounding can leave the variance of a mass that the data hardly see below zero.
+            variance = max(float(fit.covariance(self.root)[9, 9]), 0.0)
+            heavy = z[9] > RULES.sure * np.sqrt(variance)
+            return bool(heavy and np.linalg.norm(z[6:9]) <= self.reach * z[9])
         mass = float(self.root[9, 0])
         return bool(-mass < z[9] < (0.0 if self.lighter else mass))
 
 
 def _list_candidates(model: RobotModel) -> Iterator[_Candidate]:
     """Yield payloads of some sizes r, with variances of `1, r^2, r^4`, and links made heavier."""
-    for size in BODIES.sizes:
-        link_root = np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
-        yield _Candidate(Payload.key, model.tool_link, link_root)
+    units = find_size_units(model)
+    reach = BODIES.reach * units.length
+    for share in BODIES.sizes:
+        size = share * units.length
+        link_root = units.mass * np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
+        yield _Candidate(Payload.key, model.tool_link, link_root, reach=reach)
     for k, link in enumerate(model.links):
         if link.has_mass:
             link_root = link.inertia.parameters[:, None]

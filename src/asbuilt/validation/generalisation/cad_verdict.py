@@ -37,6 +37,8 @@ class VerdictRule:
 
 
 RULE = VerdictRule()
+FEWEST = 3
+"""Time blocks whose scatter gives a standard error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class JointVerdict:
 
     `sigmas` is the mean over time blocks of CAD's squared error minus that as built, over the sum
     of both, in its standard errors: positive if the model as built is better. None with fewer than
-    three blocks.
+    three blocks, or where the description knows no mass that moves the joint.
     `p_value` is by Student's distribution, `holm` for as many joints.
     """
 
@@ -74,6 +76,8 @@ class PredictionVerdict:
 
         Beyond chance; on the whole also if it is undecided and the error as built is larger.
         """
+        if self.whole.sigmas is None and self.n_blocks >= FEWEST:
+            return False  # CAD gives no torque
         return (
             self.whole.outcome == "worse"
             or (self.whole.outcome == "undecided" and self.whole.as_built > self.whole.cad)
@@ -96,12 +100,13 @@ class PredictionVerdict:
         undecided = [
             joint.joint
             for joint in self.joints
-            if joint.outcome == "undecided" and np.isfinite(joint.as_built)
+            if joint.outcome == "undecided" and joint.sigmas is not None
         ]
         if undecided:
             parts.append(f"no sure difference at {join_names(undecided, 7)}")
         if self.whole.sigmas is None:
-            return f"As built against CAD on {self.source}: too short for a verdict."
+            why = "too short for a verdict" if self.n_blocks < FEWEST else "CAD has no masses"
+            return f"As built against CAD on {self.source}: {why}."
         return f"As built against CAD on {self.source}: {'; '.join(parts)}."
 
     def as_dict(self) -> dict[str, Any]:
@@ -120,7 +125,8 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     degrees of freedom (paired comparison; Diebold & Mariano, J. Business & Economic Statistics 13,
     1995, with blocks in place of a spectral estimate). Differences are those over the sum of both
     squared errors: of few blocks one of fast motion would otherwise be all of the mean, and of its
-    standard error. An order that the RMS errors do not have is undecided.
+    standard error. An order that the RMS errors do not have is undecided, as is a joint of which
+    the description knows no mass: no torque at all is no prediction that could be better.
     """
     cad = validation.measured - validation.predicted_cad
     built = validation.error
@@ -131,10 +137,16 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     by_cad = _average_blocks(cad**2, block)
     as_built = _average_blocks(built**2, block)
     gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
-    # Joints without a torque channel have no error to compare.
+    # Joints without a torque channel have no error to compare; those without a mass in the
+    # description have no torque of CAD.
     seen = np.isfinite(built).all(axis=0)
+    stated = np.any(validation.predicted_cad, axis=0)
+    tested = seen & stated if stated[seen].any() else seen
     # The last column is the mean of all joints, tested once.
-    sigmas, p = _test_gains(np.column_stack([gains, gains[:, seen].mean(axis=1)]))
+    sigmas, p = _test_gains(np.column_stack([gains, gains[:, tested].mean(axis=1)]))
+    unknown = np.append(~stated, not stated[seen].any())
+    sigmas = np.where(unknown, np.nan, sigmas)
+    p = np.where(unknown, 1.0, p)
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
     joints = tuple(
         _make_verdict(
@@ -155,7 +167,7 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
         "all",
         "of CAD's",
         1.0,
-        float(np.sqrt(np.mean(relative[seen] ** 2))),
+        float(np.sqrt(np.mean(relative[tested] ** 2))),
         # The whole is one test, to which Holm adds nothing.
         sigmas[-1],
         p[-1],
@@ -209,7 +221,7 @@ def _average_blocks(values: Array, block: Array) -> Array:
 def _test_gains(gains: Array) -> tuple[Array, Array]:
     """Return mean over standard error, NaN with fewer than three blocks, and its p value."""
     n = len(gains)
-    if n < 3:
+    if n < FEWEST:
         return np.full(gains.shape[1], np.nan), np.ones(gains.shape[1])
     mean = gains.mean(axis=0)
     error = gains.std(axis=0, ddof=1) / np.sqrt(n)

@@ -13,6 +13,7 @@ CAUSES = (
     "clock_wrong",
     "zero_position_wrong",
     "joint_gain_wrong",
+    "sensor_crosstalk",
     "torque_does_not_follow",
     "torque_saturates",
 )
@@ -41,6 +42,7 @@ WEIGHT: tuple[str, ...] = (
     "torque_does_not_follow",
     "zero_position_wrong",
     "joint_gain_wrong",
+    "sensor_crosstalk",
     "torque_saturates",
     "torque_unexplained",
     "consistent_fit_rejected",
@@ -53,7 +55,7 @@ WEIGHT: tuple[str, ...] = (
 )
 """Warnings that change torques or parameters most, in this order; others follow them."""
 MOST_NAMED = 4
-APART = ("note", "effect_found")
+APART = ("note", "effect_found", "sensor_crosstalk")
 """Findings of one code that each say something else."""
 
 

@@ -9,6 +9,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from asbuilt.description.plausibility import (
+    explain_implausible_links,
+    find_wrong_units,
+    list_corrections,
+)
 from asbuilt.findings import Finding, join_names
 from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
@@ -18,7 +23,12 @@ from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError, export_parameters
 
-SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_position_wrong": "zero"}
+SAME_EFFECT = {
+    "clock_wrong": "clock",
+    "joint_gain_wrong": "gain",
+    "sensor_crosstalk": "crosstalk",
+    "zero_position_wrong": "zero",
+}
 """Findings that name an effect which the selection of effects may name too."""
 
 
@@ -102,7 +112,8 @@ def _list_error_reasons(error: VerdictError, measure: Measure) -> Iterator[Reaso
     cad = error.cad
     if found is None:
         return
-    if cad is not None and found > cad:
+    # A hundredth of an error is no difference to act upon.
+    if cad is not None and found > 1.01 * cad:
         yield Reason("cad_predicts_better", "CAD is better", found > RULES.behind_cad * cad)
     if measure == "torque" and found > RULES.weak:
         much = "most" if found > RULES.useless else "much"
@@ -208,6 +219,8 @@ def _make_effect_reason(each: FoundEffect) -> Reason:
     family = EFFECTS[each.effect]
     unit = "" if each.unit == "1" else each.unit
     size = f"{round_significant(each.estimate, 2)} {unit}".rstrip()
+    if family.of_shares:
+        size = family.text_of(each.estimate, None, revolute=True)
     at = "" if each.joint is None else f" at {each.joint}"
     where = "in the log" if family.of_log else "not in the model"
     return Reason("effect_found", f"{family.title} of {size}{at} {where}")
@@ -249,13 +262,20 @@ def _list_consistency_reasons(result: IdentificationResult) -> Iterator[Reason]:
 def _list_body_reasons(result: IdentificationResult) -> Iterator[Reason]:
     """Yield masses that imitate something that is not in the model: of all links, or of one."""
     found = export_parameters(result)
-    links = result.model.links
+    # Masses that cannot be are no measure: those that the file means are.
+    links = next(iter(list_corrections(result.model)), result.model).links
     if found is None:
         return
     masses = found[9 : 10 * len(links) : 10].tolist()
     total = sum(float(link.inertia.mass) for link in links)
     built = float(sum(masses))
-    known = all(link.inertia_known for link in links) and total > 0.0
+    known = all(link.inertia_known for link in result.model.links) and total > 0.0
+    # What the log leaves open stays at CAD, with its unit.
+    exported = result.model.with_parameters(found[: 10 * len(links)])
+    if find_wrong_units(result.model) and (absurd := explain_implausible_links(exported)):
+        text = f"mass and inertia of {join_names(list(absurd))} cannot be of one link"
+        yield Reason("implausible_bodies", text, forbids=True)
+        return
     # Far from CAD on the whole: single links need not be named.
     if known and not 1.0 / RULES.far <= built / total <= RULES.far:
         text = f"{round_significant(built)} kg for {round_significant(total)} of CAD"
@@ -349,6 +369,8 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "torque_scale": "torques have another scale than masses",
         "joint_torque_scale": "torque of another scale{at}",
         "joint_gain_wrong": "a wrong torque gain{at}",
+        "sensor_crosstalk": "cross-talk of torque sensors{at}",
+        "foot_moments": "moments under the feet that no point has",
         "zero_position_wrong": "a wrong zero position{at}",
         "torque_does_not_follow": "torque that hardly follows the motion{at}",
         "torque_saturates": "saturated torque{at}",
@@ -366,6 +388,7 @@ OF_TORQUE = frozenset(
         "torque_scale",
         "joint_torque_scale",
         "joint_gain_wrong",
+        "sensor_crosstalk",
         "torque_unexplained",
         "torque_uncorrelated",
         "cad_predicts_better",

@@ -47,9 +47,7 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     weighted by their noise.
     """
     found = as_built_parameters(result, nearest)
-    robot = with_servo(
-        with_standard_parameters(result.model, result.base.drive, found.parameters), result.servo
-    )
+    robot = build_robot(result, found)
     sources = ", ".join(result.sources)
     notes = (
         *result.model.notes,
@@ -57,6 +55,13 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
         f"identified ({result.method}) from {sources}; {found.verdict}",
     )
     return AsBuilt(found, replace(robot, notes=notes, source=f"identified from {sources}"))
+
+
+def build_robot(result: IdentificationResult, found: StandardParameters) -> RobotModel:
+    """Return the robot of a result with other standard parameters."""
+    return with_servo(
+        with_standard_parameters(result.model, result.base.drive, found.parameters), result.servo
+    )
 
 
 FEASIBLE_NOTE = "of these masses and armatures"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,7 +28,14 @@ from asbuilt.writers.models.as_built import (
     note_load_friction,
 )
 from asbuilt.writers.models.c.c_code import CCode, write_c
-from asbuilt.writers.models.mjcf import describe_rotors, write_mjcf
+from asbuilt.writers.models.mjcf import (
+    STIFF_FRICTION,
+    describe_rotors,
+    mjcf_holds,
+    write_mjcf,
+)
+from asbuilt.writers.models.mujoco_passive import write_passive
+from asbuilt.writers.models.nearest_terms import NearestTerms, find_nearest_terms
 from asbuilt.writers.models.physical import (
     note_implausible_links,
     note_left_out_servo,
@@ -37,7 +45,7 @@ from asbuilt.writers.models.physical import (
 )
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.simulator_format import SIMULATOR_FORMATS, ExportedDrives
-from asbuilt.writers.models.urdf import write_urdf
+from asbuilt.writers.models.urdf import urdf_holds, write_urdf
 
 Place = str | os.PathLike[str]
 ObserverCode = Callable[[IdentificationResult, Any], Callable[[str], CCode]]
@@ -65,6 +73,8 @@ class Export:
         are exact or the result has no cause data.
     beyond
         Torque difference of the two models in random motion, as a sentence.
+    lost
+        What URDF and MJCF lack of the torque of each joint, by kind.
     """
 
     robot: str
@@ -73,6 +83,7 @@ class Export:
     notes: dict[str, tuple[str, ...]]
     cost: NearestModel | None = None
     beyond: str = ""
+    lost: Mapping[str, NearestTerms] = field(default_factory=dict)
 
     def as_document(self) -> dict[str, Any]:
         """Return the export as plain texts and lists."""
@@ -83,6 +94,7 @@ class Export:
             "notes": {kind: list(notes) for kind, notes in self.notes.items()},
             "cost": None if self.cost is None else self.cost.as_document(),
             "beyond": self.beyond,
+            "lost": {kind: each.as_document() for kind, each in self.lost.items()},
         }
 
     def as_text(self) -> str:
@@ -222,13 +234,30 @@ def export_result(
             c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_links :]
         )
         notes["c"] = load
+    lost = dict[str, NearestTerms]()
     if urdf is not None:
         edited, missing = find_urdf_to_edit(result.model, original)
-        files["urdf"], remarks = write_urdf(urdf, in_simulators, original=edited)
-        notes["urdf"] = (*missing, *remarks, *kept, *note_missing_servo(result, "urdf"))
+        lost["urdf"] = nearest_terms = find_nearest_terms(
+            result, built, in_simulators, urdf_holds, ("viscous", "coulomb"), gravity=False
+        )
+        told = nearest_terms.notes("URDF", "C code and the robot file hold everything")
+        files["urdf"], remarks = write_urdf(
+            urdf, nearest_terms.model, original=edited, remarks=told
+        )
+        notes["urdf"] = (*missing, *told, *remarks, *kept, *note_missing_servo(result, "urdf"))
     if mjcf is not None:
-        files["mjcf"], remarks = write_mjcf(mjcf, in_simulators, result.encoders if elastic else ())
+        lost["mjcf"] = nearest_terms = find_nearest_terms(
+            result, built, in_simulators, mjcf_holds, ("viscous", "coulomb", "offset")
+        )
+        passive, told = _write_passive(mjcf, in_simulators, nearest_terms, elastic=elastic)
+        files |= passive
+        files["mjcf"], remarks = write_mjcf(
+            mjcf,
+            replace(nearest_terms.model, notes=(*in_simulators.notes, *told)),
+            result.encoders if elastic else (),
+        )
         notes["mjcf"] = (
+            *told,
             *remarks,
             *kept,
             *note_missing_servo(result, "mjcf"),
@@ -250,6 +279,26 @@ def export_result(
         {kind: remarks for kind, remarks in notes.items() if remarks},
         cost,
         _describe_difference(result, found) if found.substituted else "",
+        lost,
+    )
+
+
+def _write_passive(
+    mjcf: Place, robot: RobotModel, nearest: NearestTerms, *, elastic: bool
+) -> tuple[dict[str, Path], tuple[str, ...]]:
+    """Write what MJCF lacks as a callback of MuJoCo beside it; return the file, and notes.
+
+    A load that several joints share, or one behind a spring, is none of the torques in MuJoCo.
+    """
+    if not nearest.replaced:
+        return {}, nearest.notes("MJCF", "C code and the robot file hold everything")
+    if robot.coupling is not None or elastic:
+        return {}, nearest.notes("MJCF", "C code and the robot file hold them")
+    place = Path(mjcf)
+    path = place.with_name(re.sub(r"\W", "_", place.stem) + "_passive.py")
+    written = write_passive(path, robot, nearest.replaced, mjcf, STIFF_FRICTION)
+    return {"mjcf_passive": written}, nearest.notes(
+        "MJCF", f"{written.name} beside it adds them to MuJoCo: {written.stem}.attach(model)"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import (
@@ -20,7 +20,7 @@ from xml.etree.ElementTree import (
 import numpy as np
 
 from asbuilt.description.formats.mjcf_text import format_mjcf
-from asbuilt.description.model import Joint, RobotModel
+from asbuilt.description.model import PLAIN_TERMS, Joint, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification import EncoderPair, IdentificationResult
@@ -40,6 +40,20 @@ CARRIED = frozenset(
     )
 )
 """Drive terms that MJCF holds, in addition to plain ones and friction written as plain."""
+WRITTEN_AS_PLAIN = frozenset(("asymmetric_coulomb", "smooth_coulomb"))
+
+
+def mjcf_holds(key: str, numbers: Mapping[str, float]) -> bool:
+    """Return whether MJCF holds a drive term with these numbers.
+
+    A balancer of one harmonic is a spring without free length; a cylinder of constant force has
+    no stiffness.
+    """
+    if key == "balancer":
+        return numbers.get("harmonics", 1.0) <= 1.0
+    if key == "cylinder":
+        return bool(numbers.get("rate"))
+    return key in CARRIED or key in PLAIN_TERMS or key in WRITTEN_AS_PLAIN
 
 
 def export_mjcf(model: RobotModel) -> str:
@@ -175,6 +189,9 @@ def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:
         # A constant force has no stiffness that a tendon could hold.
         if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("rate")
     ]
+    balancers = [joint.drive.terms.get("balancer", {}) for joint in plain.joints]
+    held = all(mjcf_holds("balancer", numbers) for numbers in balancers)
+    carried = CARRIED | {"balancer"} if held else CARRIED
     cases = {
         "the offsets of the drives are the bias of the actuators, which mj_inverse leaves out"
         f" (Fo [N m, or N for prismatic joints]: {', '.join(offsets)})": bool(offsets),
@@ -185,7 +202,7 @@ def note_mjcf_limits(model: RobotModel) -> tuple[str, ...]:
     }
     return (
         *(note for note, holds in cases.items() if holds),
-        *note_left_out_drives(plain, CARRIED, "MJCF"),
+        *note_left_out_drives(plain, carried, "MJCF"),
     )
 
 

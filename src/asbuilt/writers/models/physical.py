@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.consistency import find_inconsistencies
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.description.plausibility import explain_implausible_links, find_wrong_units
 from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
@@ -57,31 +57,33 @@ def list_impossibilities(model: RobotModel) -> tuple[str, ...]:
 
 
 def convert_to_plain_friction(model: RobotModel) -> RobotModel:
-    """Return a robot with plain Coulomb friction, for files that hold no other.
+    """Return a robot with plain Coulomb friction, for files that hold no other."""
+    joints = (replace(joint, drive=make_friction_plain(joint.drive)) for joint in model.joints)
+    return replace(model, joints=tuple(joints))
+
+
+def make_friction_plain(drive: DriveValues) -> DriveValues:
+    """Return a drive with plain Coulomb friction.
 
     Asymmetric friction becomes symmetric friction and an offset, smooth friction dry friction.
     """
-    joints = []
-    for joint in model.joints:
-        drive = joint.drive
-        terms = dict(joint.drive.terms)
-        asymmetric = terms.pop("asymmetric_coulomb", None)
-        smooth = terms.pop("smooth_coulomb", None)
-        if asymmetric is not None:
-            forwards = asymmetric["Fcp"]
-            backwards = asymmetric["Fcn"]
-            # Fcp forwards and -Fcn backwards are a mean with the sign of motion, and half the
-            # difference.
-            drive = replace(
-                drive,
-                coulomb=(drive.coulomb or 0.0) + 0.5 * (forwards + backwards),
-                offset=(drive.offset or 0.0) + 0.5 * (forwards - backwards),
-            )
-        if smooth is not None:
-            # Beyond its width smooth friction is dry friction.
-            drive = replace(drive, coulomb=(drive.coulomb or 0.0) + smooth["Fct"])
-        joints.append(replace(joint, drive=replace(drive, terms=terms)))
-    return replace(model, joints=tuple(joints))
+    terms = dict(drive.terms)
+    asymmetric = terms.pop("asymmetric_coulomb", None)
+    smooth = terms.pop("smooth_coulomb", None)
+    if asymmetric is not None:
+        forwards = asymmetric["Fcp"]
+        backwards = asymmetric["Fcn"]
+        # Fcp forwards and -Fcn backwards are a mean with the sign of motion, and half the
+        # difference.
+        drive = replace(
+            drive,
+            coulomb=(drive.coulomb or 0.0) + 0.5 * (forwards + backwards),
+            offset=(drive.offset or 0.0) + 0.5 * (forwards - backwards),
+        )
+    if smooth is not None:
+        # Beyond its width smooth friction is dry friction.
+        drive = replace(drive, coulomb=(drive.coulomb or 0.0) + smooth["Fct"])
+    return replace(drive, terms=terms)
 
 
 def note_left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
@@ -28,6 +29,11 @@ PROPORTIONAL = 1e-9
 """Largest change of a share for which a passive joint counts as one that follows."""
 UNLIMITED = 1e9
 """Value of a required limit that is unknown [rad, m, rad/s, m/s, N m or N]."""
+
+
+def urdf_holds(key: str, numbers: Mapping[str, float]) -> bool:
+    """Return whether URDF holds a drive term: viscous friction and any kind of dry friction."""
+    return key in ("viscous", "coulomb", "asymmetric_coulomb", "smooth_coulomb")
 
 
 def format_urdf(model: RobotModel) -> str:
@@ -156,16 +162,22 @@ def _replace_loops(model: RobotModel) -> RobotModel:
 
 
 def write_urdf(
-    path: str | os.PathLike[str], model: RobotModel, *, original: str | Path | None = None
+    path: str | os.PathLike[str],
+    model: RobotModel,
+    *,
+    original: str | Path | None = None,
+    remarks: Sequence[str] = (),
 ) -> tuple[Path, tuple[str, ...]]:
     """Write `original` with the inertias and friction of the model, or else a new URDF.
 
+    Comments hold the `remarks`.
     Returns the path and notes on what the file cannot hold; raises as `edit_urdf` and `format_urdf`
     do.
     """
     if original is None:
-        return atomic_write(path, format_urdf(model)), note_urdf_limits(model)
-    content, notes = edit_urdf(original, model)
+        commented = replace(model, notes=(*model.notes, *remarks))
+        return atomic_write(path, format_urdf(commented)), note_urdf_limits(model)
+    content, notes = edit_urdf(original, model, remarks)
     return atomic_write(path, content), notes
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,13 +28,15 @@ from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, list_attribute
 TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
-def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, tuple[str, ...]]:
+def edit_urdf(
+    original: str | Path | bytes, model: RobotModel, remarks: Sequence[str] = ()
+) -> tuple[bytes, tuple[str, ...]]:
     """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
-    All other bytes are kept, and a comment says which masses are a choice. The identified inertia
-    of a moving link includes everything fixed to it: links behind fixed joints keep their inertials
-    and the moving link gets the remainder if that is physically consistent; else it gets the whole
-    and theirs are removed, with a note.
+    All other bytes are kept, and comments hold `remarks` and say which masses are a choice.
+    The identified inertia of a moving link includes everything fixed to it: links behind fixed
+    joints keep their inertials and the moving link gets the remainder if that is physically
+    consistent; else it gets the whole and theirs are removed, with a note.
     Inertials are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values that
     the model does not have stay as they are.
 
@@ -101,7 +104,9 @@ def edit_urdf(original: str | Path | bytes, model: RobotModel) -> tuple[bytes, t
                 edits += _list_zero_friction_edits(joints[follower.name], values) if share else []
     # Masses that data cannot tell are a choice, which a reader of the file must know.
     feasible = [note for note in model.notes if note.startswith(FEASIBLE_NOTE)]
-    comments = "".join(f"\n  <!-- {note.replace('--', '- -')} -->" for note in feasible)
+    comments = "".join(
+        f"\n  <!-- {note.replace('--', '- -')} -->" for note in (*feasible, *remarks)
+    )
     # Behind the root's start tag: first thing that a reader sees.
     edited = file.edited([*edits, Edit(file.root.inner, file.root.inner, comments)])
     # Read as other programs do, without straightening: what the user's simulator will compute.

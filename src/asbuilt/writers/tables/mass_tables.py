@@ -8,10 +8,14 @@ from functools import lru_cache
 from typing import Any
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
-from asbuilt.identification import FeasibleInterval, feasible_intervals
+from asbuilt.identification import (
+    FeasibleInterval,
+    as_built_parameters,
+    feasible_intervals,
+)
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Column, Table, round_significant
-from asbuilt.writers.models.as_built import as_built
+from asbuilt.writers.models.as_built import build_robot
 
 MOST_NAMED = 3
 """Confounded parameters that a row names."""
@@ -47,7 +51,7 @@ def _build_mass_document(mass: FeasibleInterval) -> dict[str, Any]:
 def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
     """Return the masses of the links; None if no robot as built can be exported."""
     try:
-        as_built(result)
+        build_robot(result, as_built_parameters(result))
         links = [link.name for link in result.model.links if not link.negligible]
         total, *masses = feasible_intervals(result, ("mass", *(f"mass:{name}" for name in links)))
     except (IdentifiabilityError, DescriptionError):

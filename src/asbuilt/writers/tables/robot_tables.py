@@ -12,6 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
 from asbuilt.description.plausibility import check_plausibility, explain_implausible_links
+from asbuilt.description.rotation import is_about_digits
 from asbuilt.dynamics import BaseParameters, parameter_values
 from asbuilt.findings import Cure, join_names, list_findings
 from asbuilt.tables import Cell, Column, Table, stack_tables, wrap_text
@@ -94,7 +95,7 @@ def tabulate_robot_joints(model: RobotModel) -> Table:
         Column("on link", width=16, of=lambda joint: _name_link(model, joint.parent)),
         Column("axis at", "m", detail=True, of=lambda joint: _format_vector(joint.before[:3, 3])),
         Column("axis along", detail=True, of=lambda joint: _format_vector(joint.before[:3, 2])),
-        Column("range", width=20, of=_format_range),
+        Column("range", width=22, of=_format_range),
         Column("velocity", "1/s", "decimal", ".4g", of="limits.velocity"),
         Column("torque", "N m", "decimal", ".4g", of="limits.torque"),
         Column("Ia", "", "decimal", ".4g", detail=True, of="drive.armature"),
@@ -116,7 +117,7 @@ def _format_range(joint: Joint) -> str:
     if math.isinf(limits.lower) and math.isinf(limits.upper):
         return "-"
     factor, unit = (180.0 / math.pi, "deg") if joint.is_revolute else (1.0, "m")
-    return f"{limits.lower * factor:.6g} .. {limits.upper * factor:.6g} {unit}"
+    return f"{limits.lower * factor:.4g} .. {limits.upper * factor:.4g} {unit}"
 
 
 def _word_further_terms(joint: Joint) -> str:
@@ -189,12 +190,13 @@ def robot_text(
 ) -> str:
     """Return what `asbuilt show` prints; every column, finding and note if `full`."""
     merged = [f"{frame.name} (on {_name_link(model, frame.link)})" for frame in model.frames]
-    known = {"source": model.citation, "read from": model.source, "fixed frames": ", ".join(merged)}
+    known = {"source": model.citation, "read from": model.source}
+    known |= {"fixed frames": ", ".join(merged)} if full else {}
     head = (
         describe_robot_readiness(model),
         f"gravity {_format_vector(model.gravity)} m/s^2 in {model.root_link}",
         *(f"{what}: {text}" for what, text in known.items() if text),
-        *(f"note: {note}" for note in model.notes),
+        *(f"note: {note}" for note in model.notes if full or not is_about_digits(note)),
     )
     tables = stack_tables((tabulate_robot_joints(model), tabulate_robot_links(model)), full)
     findings = list_findings(check_plausibility(model), cure_text, full=full)
@@ -275,4 +277,5 @@ def standard_table(base: BaseParameters) -> Table:
 
 
 def _format_vector(values: Iterable[float]) -> str:
-    return " ".join(f"{value + 0.0:.5g}" for value in values)
+    # Three vectors of three numbers and a name fit 80 columns so; files have all digits.
+    return " ".join(f"{value + 0.0:.3g}" for value in values)

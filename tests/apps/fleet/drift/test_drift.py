@@ -136,8 +136,8 @@ def test_tilt_products_are_those_of_gravity_torques(ledger: Path) -> None:
     again = read_entry(entry.content, name, settings)
     products = entry.tilt[1]
     assert np.array_equal(again.tilt[1], products)
-    day = make_day(entry)
-    assert np.linalg.eigvalsh(day.grams[1]).min() > -1e-6 * np.trace(day.grams[1])
+    gram = make_day(entry).equations.of_joints[1]
+    assert np.linalg.eigvalsh(gram).min() > -1e-6 * np.trace(gram)
     motion = random_fourier(MODEL, rng=150, duration=8.0).sample(100.0)
     tilted = [
         MODEL.with_gravity(np.cross(MODEL.gravity, a)) for a in find_axes_across(MODEL.gravity)
@@ -154,7 +154,10 @@ def test_logs_of_one_day_count_together(ledger: Path) -> None:
     same = [replace(day, date=BEGIN + timedelta(hours=k)) for k, day in enumerate(logs)]
     (together,) = merge_by_day(same)
     assert together.n_logs == len(logs)
-    assert together.grams[0] == pytest.approx(np.sum([day.grams[0] for day in logs], axis=0))
+    one, *others = (day.equations for day in logs)
+    every = one.merge(*others)
+    assert together.equations.of_joints[0] == pytest.approx(every.grams[0].sum(axis=0))
+    assert together.n_samples == every.lengths.sum()
 
 
 @pytest.mark.study

@@ -1,38 +1,39 @@
-"""Inner products of a robot's logs day by day, and the columns in which it may change."""
+"""Equations of a robot's logs day by day, and the columns in which it may change."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from asbuilt.apps.fleet.ledger.entry import Entry
 from asbuilt.apps.fleet.ledger.settings import TypeSettings
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics import BaseParameters
+from asbuilt.identification import MODEL, TILT, Equations
 from asbuilt.validation import torque_units
 
 TILTS = 2
+GAIN = "gain"
+"""Group of the columns of torque gains, and the effect that changes them."""
 UNDETERMINED = 1e-9
 """Weight, in the mean information of a column, of what keeps an undetermined direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Day:
-    """Hold the information of the logs of a day.
+    """Hold the equations of the logs of a day, in base parameters and two base tilts.
 
     Parameters
     ----------
     date, last
         When the first and the last log began.
-    n_logs, n_samples
-        Number of logs and of samples.
-    grams
-        `X_k^T X_k` of each joint k, X_k its columns of base parameters, the torque, and the torques
-        of two base tilts where the ledger has them, (p_k + 1, p_k + 1) or (p_k + 3, p_k + 3).
+    n_logs
+        Number of logs.
+    equations
+        Their equations, as one block.
     covariates
         Means of temperatures that were logged.
     """
@@ -40,26 +41,44 @@ class Day:
     date: datetime
     last: datetime
     n_logs: int
-    n_samples: int
-    grams: tuple[Array, ...]
+    equations: Equations
     covariates: Mapping[str, float]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return self.equations.blocks[0].n_samples
 
 
 def make_day(entry: Entry) -> Day:
-    """Return a log as a day of its own."""
+    """Return a log as a day of its own; without torques of tilts it says nothing of them."""
+    whole = entry.whole
     grams = []
-    for k, factors in enumerate(entry.whole.factors):
-        gram = factors[0].T @ factors[0]
+    for k, factors in enumerate(whole.factors):
+        s = factors.shape[-1] - 1
+        gram = np.zeros((s + TILTS + 1,) * 2)
+        # The torque is the last column here, where the ledger has that of tilts after it.
+        own = [*range(s), s + TILTS]
+        gram[np.ix_(own, own)] = factors[0].T @ factors[0]
         if entry.tilt:
-            above, below = np.split(entry.tilt[k], [len(gram)])
-            gram = np.block([[gram, above], [above.T, below]])
-        grams.append(gram)
+            order = [*own, *range(s, s + TILTS)]
+            gram[order, s : s + TILTS] = entry.tilt[k]
+            gram[s : s + TILTS, order] = entry.tilt[k].T
+        grams.append(gram[None])
+    p = whole.base.n_base
+    equations = Equations(
+        {MODEL: p, TILT: TILTS},
+        tuple(np.append(own, p + np.arange(TILTS)) for own in whole.support),
+        tuple(grams),
+        whole.blocks,
+        np.full((whole.n_joints, 1), float(whole.n_samples)),
+    )
     means = {
         name: float(np.nanmean(values))
         for name, values in entry.covariates.items()
         if np.isfinite(values).any()
     }
-    return Day(entry.date, entry.date, 1, entry.whole.n_samples, tuple(grams), means)
+    return Day(entry.date, entry.date, 1, equations, means)
 
 
 def merge_by_day(logs: Iterable[Day]) -> tuple[Day, ...]:
@@ -82,7 +101,6 @@ def _merge_days(group: Sequence[Day]) -> Day:
         group[0].date,
         group[-1].last,
         sum(day.n_logs for day in group),
-        total,
         sum_days(group),
         means,
     )
@@ -93,7 +111,7 @@ class FleetColumns:
     """Describe the columns of a robot type: p base parameters, n torque gains, two base tilts.
 
     A change x (p + n + 2,) of them changes the torque of joint k by `W_k x_W + tau_k x_gain,k +
-    T_k x_tilt`, to first order.
+    T_k x_tilt`, to first order (`about`).
 
     Parameters
     ----------
@@ -130,74 +148,50 @@ class FleetColumns:
         """Number of columns, p + n + 2."""
         return self.base.n_base + self.n_joints + TILTS
 
-    def map_to(self, joint: int, beta: Array, rows: int) -> Array:
-        """Return L with `[columns | error] = [W_k | tau_k | T_k] L` about the parameters beta.
+    def about(self, equations: Equations, beta: Array) -> Equations:
+        """Return equations of the error about the parameters beta, with gains as columns.
 
-        The error is `tau_k - W_k beta`, last; L has shape (rows, size + 1), rows p_k + 1, or p_k +
-        3 with tilts.
+        The error is `tau_k - W_k beta`. A gain changes the torque of its joint by `W_k beta`: what
+        the model explains of it, to first order.
         """
-        places = self.support[joint]
-        m = len(places)
         p = self.base.n_base
-        L = np.zeros((rows, self.size + 1))
-        L[np.arange(m), places] = 1.0
-        L[:m, p + joint] = beta[places]
-        L[:m, -1] = -beta[places]
-        L[m, -1] = 1.0
-        L[m + 1 :, p + self.n_joints : -1] = np.eye(rows - m - 1, TILTS)
-        return L
+        n = self.n_joints
+        grams = []
+        for own, gram in zip(self.support, equations.grams, strict=True):
+            s = len(own)
+            L = np.zeros((s + TILTS + 1, s + 1 + TILTS + 1))
+            L[:s, :s] = np.eye(s)
+            L[:s, s] = beta[own]
+            L[s:-1, s + 1 : -1] = np.eye(TILTS)
+            L[:s, -1] = -beta[own]
+            L[-1, -1] = 1.0
+            grams.append(L.T @ gram @ L)
+        tilts = p + n + np.arange(TILTS)
+        return replace(
+            equations,
+            groups={MODEL: p, GAIN: n, TILT: TILTS},
+            support=tuple(
+                np.concatenate([own, [p + k], tilts]) for k, own in enumerate(self.support)
+            ),
+            grams=tuple(grams),
+        )
 
-    def information(
-        self,
-        grams: Sequence[Array],
-        beta: Array,
-        weights: Array,
-        basis: Array | None = None,
-    ) -> Array:
-        """Return the Gram matrix of all joints' weighted columns (times `basis`) and the error."""
-        wider = block_diag(np.eye(self.size) if basis is None else basis, np.eye(1))
-        total = np.zeros((wider.shape[1], wider.shape[1]))
-        for k, gram in enumerate(grams):
-            L = self.map_to(k, beta, len(gram)) @ wider
-            total += weights[k] ** 2 * (L.T @ gram @ L)
-        return total
-
-    def energies(self, grams: Sequence[Array], x: Array, beta: Array) -> Array:
-        """Return the sum of squares of a torque at each joint, (n,).
-
-        It is the torque of a change x (size,); a last element of x adds that multiple of the error
-        about beta.
-        """
-        found = np.empty(self.n_joints)
-        for k, gram in enumerate(grams):
-            y = self.map_to(k, beta, len(gram))[:, : len(x)] @ x
-            found[k] = max(float(y @ gram @ y), 0.0)
-        return found
-
-    def fit(self, grams: Sequence[Array], weights: Array, toward: Array) -> Array:
+    def fit(self, equations: Equations, weights: Array, toward: Array) -> Array:
         """Return the base parameters by weighted least squares, undetermined ones `toward`."""
         p = self.base.n_base
-        A = np.zeros((p, p))
-        b = np.zeros(p)
-        for k, gram in enumerate(grams):
-            places = self.support[k]
-            w = weights[k] ** 2
-            m = len(places)
-            A[np.ix_(places, places)] += w * gram[:m, :m]
-            b[places] += w * gram[:m, m]
+        gram = equations.stacked(weights)
+        A = gram[:p, :p]
         size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
         A = A / np.outer(size, size) + UNDETERMINED * np.eye(p)
-        return np.asarray(np.linalg.solve(A, b / size + UNDETERMINED * toward * size) / size)
+        b = gram[:p, -1] / size + UNDETERMINED * toward * size
+        return np.asarray(np.linalg.solve(A, b) / size)
 
-    def residual_energy(self, grams: Sequence[Array], beta: Array) -> Array:
+    def residual_energy(self, equations: Equations, beta: Array) -> Array:
         """Return `|tau_k - W_k beta|^2` of every joint, (n,)."""
-        return self.energies(grams, np.append(np.zeros(self.size), 1.0), beta)
+        return equations.energy(np.append(beta, np.zeros(TILTS)))
 
 
-def sum_days(days: Sequence[Day]) -> tuple[Array, ...]:
-    """Return the Gram matrices of several days together."""
-    found = []
-    for parts in zip(*(day.grams for day in days), strict=True):
-        size = min(map(len, parts))
-        found.append(np.sum([part[:size, :size] for part in parts], axis=0))
-    return tuple(found)
+def sum_days(days: Sequence[Day]) -> Equations:
+    """Return the equations of several days together."""
+    first, *others = (day.equations for day in days)
+    return first.merge(*others).together()

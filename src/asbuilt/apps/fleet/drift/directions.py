@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.apps.fleet.drift.columns import Day, FleetColumns, sum_days
+from asbuilt.apps.fleet.drift.columns import GAIN, Day, FleetColumns, sum_days
 from asbuilt.arrays import Array
 from asbuilt.identification import LINKS, TILT, locate_drive_parameters
 from asbuilt.scaled import Scaled
 
-GAIN = "gain"
 PAYLOAD = "payload"
-"""Keys of effects of a robot, as in `EFFECTS`."""
+"""Key of an effect of a robot, as in `EFFECTS`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,9 +151,10 @@ class Directions:
     def scores(self, days: Sequence[Day], beta: Array) -> tuple[Array, Array]:
         """Return information (d, r, r) and score (d, r) of each day about a robot's parameters."""
         grams = np.array(
-            [self.columns.information(day.grams, beta, self.weights, self.basis) for day in days]
+            [self.columns.about(day.equations, beta).stacked(self.weights) for day in days]
         )
-        return grams[:, :-1, :-1], grams[:, :-1, -1]
+        Q = self.basis
+        return Q.T @ grams[:, :-1, :-1] @ Q, grams[:, :-1, -1] @ Q
 
 
 def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> Directions:
@@ -169,18 +169,18 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     samples = np.array([sum(day.n_samples for day in days) for days in robots], dtype=float)
     zero = np.zeros(columns.base.n_base)
     own = list[Array]()
-    energies = np.array([columns.residual_energy(grams, zero) for grams in totals])
+    energies = np.array([columns.residual_energy(total, zero) for total in totals])
     rms = np.median(np.sqrt(energies / samples[:, None]), axis=0)
     weights = 1.0 / np.maximum(rms, 1e-300)
     floor = 1e-9 / float(weights.min())
     for _ in range(RULES.iterations):
-        own = [columns.fit(grams, weights, zero) for grams in totals]
+        own = [columns.fit(total, weights, zero) for total in totals]
         weights = 1.0 / np.maximum(_estimate_noise(columns, robots, weights, own), floor)
     beta = np.median(own, axis=0)
     n_days = sum(len(days) for days in robots)
     J = np.zeros((columns.size, columns.size))
-    for grams, values in zip(totals, own, strict=True):
-        J += columns.information(grams, values, weights)[:-1, :-1] / n_days
+    for total, values in zip(totals, own, strict=True):
+        J += columns.about(total, values).stacked(weights)[:-1, :-1] / n_days
     J += 1e-12 * np.diag(np.diag(J))
     changes = derive_usual_changes(columns, J, beta)
     _, sizes, right = np.linalg.svd(Scaled(J).root @ changes, full_matrices=False)
@@ -200,7 +200,7 @@ def _estimate_noise(
     spent = columns.base.n_base / columns.n_joints
     for days, toward in zip(robots, betas, strict=True):
         for day in days[:: max(1, len(days) // RULES.days_of_noise)]:
-            own = columns.fit(day.grams, weights, toward)
+            own = columns.fit(day.equations, weights, toward)
             freedom = max(day.n_samples - spent, 0.1 * day.n_samples)
-            found.append(np.sqrt(columns.residual_energy(day.grams, own) / freedom))
+            found.append(np.sqrt(columns.residual_energy(day.equations, own) / freedom))
     return np.asarray(np.median(found, axis=0))

@@ -230,7 +230,11 @@ def scan_type(
             days = examples[robot_id] if robot_id in examples else read(robot_id)
             if days:
                 histories[robot_id] = _build_history(directions, days, names)
-                dates[robot_id] = tuple(replace(day, grams=(), covariates={}) for day in days)
+                # What takes memory goes: the dates stay.
+                dates[robot_id] = tuple(
+                    replace(day, equations=replace(day.equations, grams=()), covariates={})
+                    for day in days
+                )
             if tick is not None:
                 tick(robot_id)
         variation = estimate_variation(list(histories.values()))
@@ -391,6 +395,7 @@ def _measure_variation_torque(
     days = [days[0] for days in robots[:3]]
     total: Array = np.zeros(directions.columns.n_joints)
     for day in days:
+        equations = directions.columns.about(day.equations, directions.beta)
         for mode in modes.T:
-            total += directions.columns.energies(day.grams, mode, directions.beta)
+            total += equations.energy(mode, torque=0.0)
     return tuple(np.sqrt(total / sum(day.n_samples for day in days)).tolist())

@@ -12,7 +12,14 @@ from asbuilt.apps.fleet.drift.columns import Day, FleetColumns, sum_days
 from asbuilt.apps.fleet.drift.directions import PAYLOAD, Directions, Source, list_sources
 from asbuilt.apps.fleet.drift.variation import Variation
 from asbuilt.arrays import Array
-from asbuilt.identification import EFFECTS, LINKS, FoundEffect, evaluate_worth, name_group
+from asbuilt.identification import (
+    EFFECTS,
+    LINKS,
+    Equations,
+    FoundEffect,
+    evaluate_worth,
+    name_group,
+)
 from asbuilt.scaled import Scaled
 from asbuilt.tables import format_plus_minus, round_significant
 
@@ -75,16 +82,20 @@ def explain_change(
     step = _accumulate_stepping(directions, variation.covariance, days, place, beta)
     taken = _select_effects(step, list_sources(columns), inflation)
     _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
-    after = sum_days(days[place:])
-    all_days = sum_days(days)
+    after = columns.about(sum_days(days[place:]), beta)
+    all_days = columns.about(sum_days(days), beta)
+    torque = columns.residual_energy(sum_days(days[place:]), np.zeros(columns.base.n_base)).sum()
     n = sum(day.n_samples for day in days)
     effects = []
     edges = np.cumsum([0, *(each.design.shape[1] for each in taken)])
     x = np.zeros(columns.size)
     for source, part in zip(taken, map(slice, edges, edges[1:]), strict=True):
         own = source.design @ found[part]
-        rms = np.sqrt(columns.energies(all_days, own, beta) / n)
-        errors = tuple(_measure_relative_error(columns, after, each, beta) for each in (x, x + own))
+        rms = np.sqrt(all_days.energy(own, torque=0.0) / n)
+        errors = tuple(
+            float(np.sqrt(after.energy(each).sum() / torque)) if torque > 0.0 else 0.0
+            for each in (x, x + own)
+        )
         x = x + own
         spread = inflation * covariance[part, part]
         size = _word_size(source, found[part], spread, columns, beta, all_days)
@@ -140,7 +151,7 @@ def _accumulate_stepping(
     ridge = 1e-9 * max(float(np.trace(V)) / r, 1.0) * np.eye(r)
     inverse = np.linalg.inv(V + ridge)
     for t, day in enumerate(days):
-        gram = columns.information(day.grams, beta, w)
+        gram = columns.about(day.equations, beta).stacked(w)
         J = gram[:-1, :-1]
         s = gram[:-1, -1]
         JQ = J @ Q
@@ -155,15 +166,6 @@ def _accumulate_stepping(
             C += Q.T @ P
     across = C.T @ Scaled(D).pseudo_inverse
     return _Stepping(A - across @ C, b - across @ d)
-
-
-def _measure_relative_error(
-    columns: FleetColumns, grams: Sequence[Array], x: Array, beta: Array
-) -> float:
-    """Return the torque error about the parameters beta changed by x, relative to the torque."""
-    torque = columns.residual_energy(grams, np.zeros(columns.base.n_base)).sum()
-    left = columns.energies(grams, np.append(-x, 1.0), beta).sum()
-    return float(np.sqrt(left / torque)) if torque > 0.0 else 0.0
 
 
 def _make_effect(
@@ -201,7 +203,7 @@ def _word_size(
     covariance: Array,
     columns: FleetColumns,
     beta: Array,
-    grams: Sequence[Array],
+    days: Equations,
 ) -> tuple[float, float, str, str]:
     """Return size, standard error, unit and text of an effect: of friction the share of before."""
     k = source.joint
@@ -213,7 +215,7 @@ def _word_size(
         size, error, unit = family.size(values, covariance, revolute=revolute)
         text = family.text_of(size, error, revolute=revolute)
     else:
-        size, error, unit = _measure_torque_share(source, values, covariance, columns, beta, grams)
+        size, error, unit = _measure_torque_share(source, values, covariance, columns, beta, days)
         text = f"{format_plus_minus(size, error)} {unit}"
     return size, error, unit, f"+{text}" if size > 0.0 else text
 
@@ -224,14 +226,14 @@ def _measure_torque_share(
     covariance: Array,
     columns: FleetColumns,
     beta: Array,
-    grams: Sequence[Array],
+    days: Equations,
 ) -> tuple[float, float, str]:
     """Return the change of the torque of a drive, in percent of that before, and its error."""
     places = np.flatnonzero(source.design.any(axis=1))
     k = source.joint or 0
     if len(places) == 1:
         return float(values[0]), float(np.sqrt(covariance[0, 0])), columns.base.units[places[0]]
-    local = np.array([np.flatnonzero(columns.support[k] == j)[0] for j in places])
-    row = beta[places] @ grams[k][np.ix_(local, local)]
+    local = np.array([np.flatnonzero(days.support[k] == j)[0] for j in places])
+    row = beta[places] @ days.of_joints[k][np.ix_(local, local)]
     row = 100.0 * row / max(float(row @ beta[places]), 1e-300)
     return float(row @ values), float(np.sqrt(max(row @ covariance @ row, 0.0))), "%"

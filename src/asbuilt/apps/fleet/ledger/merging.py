@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -39,19 +40,6 @@ def merge_blocks(information: SquareRootInformation, most: int) -> SquareRootInf
             np.array([merge_factors(each[first:last]) for first, last in groups])
             for each in information.factors
         )
-    return SquareRootInformation(
-        information.base,
-        information.joint_names,
-        information.support,
-        factors,
-        np.array([information.torque_sum[first:last].sum(axis=0) for first, last in groups]),
-        tuple(
-            TimeBlock(
-                information.blocks[first].source,
-                information.blocks[first].start,
-                information.blocks[last - 1].stop,
-                sum(each.n_samples for each in information.blocks[first:last]),
-            )
-            for first, last in groups
-        ),
-    )
+    sums = [information.torque_sum[first:last].sum(axis=0) for first, last in groups]
+    times = [TimeBlock.spanning(information.blocks[first:last]) for first, last in groups]
+    return replace(information, factors=factors, torque_sum=np.array(sums), blocks=tuple(times))

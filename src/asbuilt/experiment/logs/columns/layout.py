@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.channels import choose_channel
 from asbuilt.experiment.logs.columns.roles import (
     GOALS,
+    PARTS,
     Role,
     find_nanoseconds,
     match_commanded_role,
@@ -139,7 +141,7 @@ def find_layout(
             absent=absent,
         )
     if torque is not None and not has_gains:
-        _refuse_unscaled(source, torque, sheet)
+        _refuse_unscaled(source, torque, sheet, model)
     chosen = {"position": position} | ({} if torque is None else {"torque": torque})
     for (quantity, kind), group in groups.items():
         if not (group is position or group is torque) and quantity != "time" and kind != "unscaled":
@@ -248,9 +250,18 @@ def _leave_out_uncommanded(chosen: Mapping[str, _Group], command: _Group) -> lis
     return [f"joints without a command were left out: {listed}"]
 
 
-def _refuse_unscaled(source: str, torque: _Group, sheet: RecordingSheet) -> None:
-    """Raise if the torques have a unit without a factor to N m, and no gains are given."""
+def _refuse_unscaled(
+    source: str, torque: _Group, sheet: RecordingSheet, model: RobotModel | None
+) -> None:
+    """Raise if the torques have a unit without a factor to N m, and no gains are given.
+
+    The limits of the description are proposed as what percent are of; a check then compares them
+    with the masses.
+    """
     role = torque[0]
+    limits = [] if model is None else [joint.limits.torque for joint in model.joints]
+    stated = len(limits) == len(torque) and all(math.isfinite(limit) for limit in limits)
+    gains = [float(f"{PARTS[role.unit] * limit:.4g}") for limit in limits if role.unit in PARTS]
     if role.kind == "unscaled" and sheet.gains is None and sheet.units.torque is None:
         raise RecordingError(
             f"{source}: the {role.quantity} columns ({role.column}, ...) are in {role.unit},"
@@ -259,6 +270,7 @@ def _refuse_unscaled(source: str, torque: _Group, sheet: RecordingSheet) -> None
                 "give the torque per logged unit of each joint, such as a hundredth of its rated"
                 " torque for percent",
                 settings={"gain": None},
+                sheet={"gains": gains} if gains and stated else {},
             ),
             file=source,
             value=role.unit,

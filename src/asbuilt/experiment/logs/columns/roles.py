@@ -137,10 +137,15 @@ _MEASURED = {
 }
 _PREFIXES = _MEASURED - {"hat", "joint", "joints", "j"}
 """Words before a joint's name that do not belong to it."""
-_PROCESSED = {"raw", "filtered", "filt", "meas", "measured"}
+_PROCESSED = {"raw", "filtered", "filt", "meas", "measured", "present", "actual", "feedback"}
 """Words behind a joint's name that do not belong to it."""
 _MOTOR = {"motor", "motors"}
-_NO_FACTOR = {"percent", "pct", "percentage", "count", "counts", "tick", "ticks"}
+PARTS = {
+    **dict.fromkeys(("%", "percent", "pct", "percentage"), 0.01),
+    **dict.fromkeys(("‰", "permille", "permil", "promille", "permill"), 0.001),
+}
+"""Units that are parts of another quantity, such as the rated torque."""
+_NO_FACTOR = {*PARTS, "count", "counts", "tick", "ticks"}
 """Units that another quantity, such as the rated torque, has to turn into SI."""
 _SENSOR = {"sensor", "sensors"}
 _UNITS: dict[str, float] = {
@@ -152,6 +157,12 @@ _UNITS: dict[str, float] = {
     **dict.fromkeys(("us", "µs"), 1e-6),
     **dict.fromkeys(("knm", "kn m"), 1e3),
     **dict.fromkeys(("ncm", "n cm"), 1e-2),
+    **dict.fromkeys(("nmm", "n mm"), 1e-3),
+    **dict.fromkeys(("kgcm", "kg cm", "kgfcm", "kgf cm", "kgf.cm"), 9.80665e-2),
+    **dict.fromkeys(("kgm", "kgfm", "kgf m", "kgf.m"), 9.80665),
+    **dict.fromkeys(("ozin", "oz in"), 7.0615518e-3),
+    **dict.fromkeys(("lbin", "lb in", "lbf in"), 0.11298483),
+    **dict.fromkeys(("lbft", "lb ft", "ftlb", "ft lb", "lbf ft"), 1.3558179),
     "ns": 1e-9,
 }
 _COUNTED = re.compile(r"(\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?)(?:/(\d+(?:\.\d*)?))?\s+([^\d\s].*)")
@@ -163,13 +174,15 @@ _QUANTITY_OF_UNIT: dict[tuple[str, int], Quantity] = {
     **{(angle, 1): "velocity" for angle in _ANGLES},
     **{(angle, 2): "acceleration" for angle in _ANGLES},
     **{(unit, 0): "torque" for unit in ("nm", "n m", "n*m", "n.m", "mnm", "mn m", "knm", "kn m")},
+    **{(unit, 0): "torque" for unit in ("nmm", "ncm", "kgcm", "kgfcm", "ozin", "lbin", "lbft")},
     ("rpm", 0): "velocity",
     ("a", 0): "current",
     ("ma", 0): "current",
 }
 """Quantities of joints by unit, and by how often it is per second."""
 _UNIT_SUFFIX = re.compile(
-    r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma|rpm)(?:_?(?:p|per)?_?(s[2²]?))?"
+    r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nmm|ncm|nm|kgf?cm|ozin|lbin|lbft|ms|us|ns|sec|s|ma|rpm)"
+    r"(?:_?(?:p|per)?_?(s[2²]?))?"
     r"(?=[_ .]?\d*$)"
 )
 
@@ -227,7 +240,8 @@ def recognise(name: str) -> Role | None:
     words = [each[0].lower() for each in spans]
     quantity, used = _find_quantity(words)
     others = set(words) - {words[k] for k in used}
-    unscaled = "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
+    marked = (mark for mark in ("%", "‰") if mark in name)
+    unscaled = next(marked, "") or next((word for word in words if word in _NO_FACTOR), "")
     no_clock = quantity == "time" and set(words) & _NO_CLOCK
     unwanted = others & (_DESIRED | _OTHER) or (unscaled and others & _EXTERNAL)
     if quantity is None or unwanted or no_clock:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.kinematics import draw_postures_within
 from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding
@@ -153,7 +154,7 @@ def rigid_limit(model: RobotModel, joint: int, stiffness: float) -> float:
     bounds = MotionBounds.assumed(model)
     # A fixed seed: the same description has the same frequency.
     rng = np.random.default_rng(0)
-    q = rng.uniform(bounds.lower, bounds.upper, size=(POSTURES, model.n_joints))
+    q = draw_postures_within(model, bounds.lower, bounds.upper, rng, POSTURES)
     inertia = float(np.mean(mass_matrix(model, q)[:, joint, joint]))
     # From w^2 M / K = OFF.
     return float(np.sqrt(OFF * stiffness / inertia) / (2.0 * np.pi)) if inertia > 0.0 else np.inf

@@ -29,6 +29,8 @@ class Tilt(Effect):
     in_model = True
     least = float(np.deg2rad(0.25))
     """Accuracy of a floor that is called level."""
+    usual = float(np.deg2rad(0.5))
+    """Tables and floors that nobody levelled: of arms in published logs it is 1 to 2 degrees."""
     removable = True
     farthest = 0.35
     """[rad] Walls and ceilings belong into the description."""
