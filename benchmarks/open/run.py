@@ -5,7 +5,7 @@
     python benchmarks/open/run.py --data DIR --download # fetch data, digests checked
     python benchmarks/open/run.py --task lwr4 --tool asbuilt --tool wls
 
-Prints one JSON line for each task and tool, adds it to the file of results at once, with the numbers
+Prints one JSON line for each task and tool, adds it to the file of results at once, the numbers
 of each robot in `robots/` beside it, and writes the page from that file.
 """
 
