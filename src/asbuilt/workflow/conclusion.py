@@ -117,12 +117,9 @@ def conclude_study(
         # Values that have not seen what was held out are stored, for later validation on it.
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
-    lacking = fits.effects.lacking
-    # Bias by effects that are not in the model widens the errors of the result.
-    omitted = None if lacking is None else lacking.bias(fits.final)
-    result = conclude(replace(fits.final, omitted=omitted))
+    result = conclude(fits.final)
     effects = (
-        *(as_identified(effect, result) for effect in named),
+        *(as_identified(effect, fits.final, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
     result = replace(result, effects=bound_effects(result, effects))

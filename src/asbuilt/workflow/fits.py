@@ -30,8 +30,8 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.groups import find_places
+from asbuilt.identification.effects.report import is_sure
 from asbuilt.identification.effects.search import Effects, find_effects
-from asbuilt.identification.effects.trials import RULES
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
@@ -244,12 +244,12 @@ def _fit_all(
         return with_delay_errors(fit, servo)
 
     if options.refine is None or parts is None:
-        final = fitted(used, choice.drive)
-        unsure = _list_unsure(final, effects)
-        if unsure:
+        final = _with_omitted_bias(fitted(used, choice.drive), effects)
+        # One that goes can take another with it: asked until every effect that is left is sure.
+        while unsure := _list_unsure(final, effects):
             effects = effects.without(unsure)
             choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
-            final = fitted(used, choice.drive)
+            final = _with_omitted_bias(fitted(used, choice.drive), effects)
         # A second fit only where the final one sees what validation is to predict.
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
         left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
@@ -273,16 +273,23 @@ def _fit_all(
     if servo is not None:
         late = tuple((delay.source, delay.digest) for delay in prepared.delay)
         prepared = replace(prepared, delay=make_recording_delays(servo, late))
+    final = _with_omitted_bias(final, effects)
     return Fits(model, prepared, final, final, choice, effects, flat, servo, refined)
+
+
+def _with_omitted_bias(fit: Fit, effects: Effects) -> Fit:
+    """Return a fit whose errors have the bias by effects that the model lacks."""
+    lacking = effects.lacking
+    return fit if lacking is None else replace(fit, omitted=lacking.bias(fit))
 
 
 def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
     """Return key and joint of effects that a fit of everything leaves under two standard errors.
 
-    The search is sure of them next to bodies near CAD; the final fit may hold bodies less.
+    The search is sure of them next to bodies near CAD; the final fit may hold bodies less. Values
+    are next to all others, those that the model lacks too.
     """
     unsure = set[tuple[str, str]]()
-    covariance = fit.uncertainty.covariance
     for effect in effects.found:
         term = getattr(EFFECTS[effect.effect], "term", None)
         if not effect.in_model or effect.joint is None or term is None:
@@ -291,9 +298,7 @@ def _list_unsure(fit: Fit, effects: Effects) -> set[tuple[str, str]]:
         if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
             continue
         places = find_places(fit.base, effect.effect, fit.model.joint_names.index(effect.joint))
-        values = fit.estimate.beta[places]
-        square = float(values @ np.linalg.pinv(covariance[np.ix_(places, places)]) @ values)
-        if places.size and square < RULES.two_errors**2 * places.size:
+        if places.size and not is_sure(*fit.next_to_omitted(places)):
             unsure.add((effect.effect, effect.joint))
     return unsure
 
