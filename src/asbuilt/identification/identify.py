@@ -250,11 +250,12 @@ def fit_samples(
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
     expected: ExpectedScores | None = None,
     kept: KeptRows | None = None,
+    kind: str = "",
 ) -> Fit:
     """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
     Scores that are expected of the true parameters are taken away (`expected`). Rows are shared
-    with others by `kept`.
+    with others by `kept`. An estimator that chooses among kinds of fits takes `kind`.
     """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
@@ -293,6 +294,7 @@ def fit_samples(
             loading=loading,
             less=less,
             kept=kept,
+            kind=kind,
         )
 
     data = reduce(seen)

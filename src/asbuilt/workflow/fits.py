@@ -39,6 +39,7 @@ from asbuilt.validation.prediction import Validation, predict_both, predict_fric
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
+from asbuilt.workflow.tested_choice import find_better_kind
 
 if TYPE_CHECKING:
     from asbuilt.identification.servo.servo_estimate import ServoEstimate
@@ -226,7 +227,7 @@ def _fit_all(
     kept = KeptRows()
     model, choice, effects, flat = _add_effects(model, prepared, options, kept)
 
-    def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
+    def fitted(samples: Sequence[Samples], drive: DriveSet, kind: str = "") -> Fit:
         fit = fit_samples(
             model,
             samples,
@@ -239,19 +240,28 @@ def _fit_all(
             fitted_nonlinear=choice.fitted,
             expected=None if servo is None else servo.expected,
             kept=kept,
+            kind=kind,
         )
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)
 
     if options.refine is None or parts is None:
-        final = _with_omitted_bias(fitted(used, choice.drive), effects)
-        # One that goes can take another with it: asked until every effect that is left is sure.
-        while unsure := _list_unsure(final, effects):
-            effects = effects.without(unsure)
-            choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
-            final = _with_omitted_bias(fitted(used, choice.drive), effects)
-        # A second fit only where the final one sees what validation is to predict.
-        validated = fitted(prepared.training, choice.drive) if prepared.whole else final
+        kind = ""
+        while True:
+            final = _with_omitted_bias(fitted(used, choice.drive, kind), effects)
+            # One that goes can take another with it: asked until every effect that is left is sure.
+            while unsure := _list_unsure(final, effects):
+                effects = effects.without(unsure)
+                choice = replace(choice, drive=drop_terms(choice.drive, unsure, model.joint_names))
+                final = _with_omitted_bias(fitted(used, choice.drive, kind), effects)
+            # A second fit only where the final one sees what validation is to predict.
+            validated = fitted(prepared.training, choice.drive, kind) if prepared.whole else final
+            # Once: what was left out decides between kinds of fits, and then has decided.
+            if kind or servo is not None:
+                break
+            kind = find_better_kind(validated, prepared.training, prepared.unseen)
+            if not kind:
+                break
         left_out = _leave_out(final, prepared, options, lambda others: fitted(others, choice.drive))
         return Fits(
             model, prepared, final, validated, choice, effects, flat, servo, None, left_out=left_out
