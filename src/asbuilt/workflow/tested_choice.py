@@ -1,19 +1,21 @@
-"""The choice of an estimate, tested by motion that was left out."""
+"""What a fit chose, tested by motion that was left out: the kind of fit, and its effects."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification import accumulate_stream
+from asbuilt.identification import FoundEffect, SquareRootInformation, accumulate_stream
+from asbuilt.identification.effects.report import list_term_places
 from asbuilt.identification.estimators.held_out_choice import surely_better
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.identification.statistics import exceeds
 from asbuilt.validation.generalisation.coverage import NEAR, measure_repeated_share
+from asbuilt.workflow.prepare import Prepared
 
 FEWEST_BLOCKS = 3
 """Time blocks left out below which differences have no usable standard error."""
@@ -22,50 +24,92 @@ WORTH = 0.03
 robot that no simulator takes."""
 
 
-def find_better_kind(fit: Fit, training: Sequence[Samples], left_out: Sequence[Samples]) -> str:
-    """Return the kind of fit that predicts the motion left out surely better; empty if none does.
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOut:
+    """Hold a fit and the equations of other motion that it has not seen.
 
-    An estimator that chooses among fits of several kinds expects errors on other motion from the
-    training motion alone. Of other motion that was left out, the squared torque error of each time
-    block, as a share of its recording's squared torque, tests the choice: better is a mean paired
-    difference beyond one standard error; of physically inconsistent values, beyond what
-    `surely_better` asks, and by `WORTH`. Recordings that repeat the training motion test nothing:
-    on the LWR4+ least squares predicts a repetition better than a fit toward CAD, and another
-    motion three times worse.
+    A fit expects errors on other motion from its own motion alone. The squared torque error of each
+    time block that was left out, as a share of its recording's squared torque, tests what it chose;
+    better is a mean paired difference beyond one standard error. Recordings that repeat the
+    training motion test nothing: on the LWR4+ least squares predicts a repetition better than a fit
+    toward CAD, and another motion three times worse.
 
     Parameters
     ----------
     fit
-        The fit, which has not seen what was left out.
-    training, left_out
-        Samples of the fit, and those left out.
+        The fit.
+    seen
+        Square-root information of each recording left out.
+    errors
+        Squared errors of the fit on all their time blocks, (B,).
     """
-    if not fit.estimate.rivals:
+
+    fit: Fit
+    seen: Sequence[SquareRootInformation]
+    errors: Array
+
+    @classmethod
+    def of(cls, fit: Fit, prepared: Prepared) -> LeftOut | None:
+        """Return the test of a fit to the training samples; None if too little was left out."""
+        base = fit.base
+        model = fit.model
+        if base.drive.needs_load:
+            model = set_link_parameters(model, base, fit.estimate.beta)
+        seen = [
+            accumulate_stream(model, base, [samples])
+            for samples in prepared.unseen
+            if measure_repeated_share(prepared.training, samples) <= NEAR.repeated
+        ]
+        if sum(each.n_blocks for each in seen) < FEWEST_BLOCKS:
+            return None
+        return cls(fit, seen, measure_block_errors(seen, fit.estimate.beta))
+
+    def find_better_kind(self) -> str:
+        """Return the kind of fit that predicts what was left out surely better; empty: none.
+
+        Physically inconsistent values must be better beyond what `surely_better` asks, and by
+        `WORTH`.
+        """
+        tried = [
+            (measure_block_errors(self.seen, rival.beta), rival)
+            for rival in self.fit.estimate.rivals
+        ]
+        for errors, rival in sorted(tried, key=lambda pair: float(pair[0].sum())):
+            if rival.consistent:
+                better = exceeds(self.errors - errors, 1.0)
+            else:
+                better = errors.sum() < (1.0 - WORTH) ** 2 * self.errors.sum() and exceeds(
+                    self.errors - errors, surely_better(len(errors))
+                )
+            if better:
+                return rival.kind
         return ""
-    other = [each for each in left_out if measure_repeated_share(training, each) <= NEAR.repeated]
-    betas = np.array([fit.estimate.beta, *(rival.beta for rival in fit.estimate.rivals)])
-    blocks = [_measure_block_errors(fit, samples, betas) for samples in other]
-    if sum(map(len, blocks)) < FEWEST_BLOCKS:
-        return ""
-    own, *others = np.concatenate(blocks).T
-    pairs = sorted(zip(others, fit.estimate.rivals, strict=True), key=lambda pair: pair[0].sum())
-    for errors, rival in pairs:
-        needed = 1.0 if rival.consistent else surely_better(len(own))
-        worth = rival.consistent or np.sqrt(errors.sum()) < (1.0 - WORTH) * np.sqrt(own.sum())
-        if worth and exceeds(own - errors, needed):
-            return rival.kind
-    return ""
+
+    def list_harmful(self, found: Iterable[FoundEffect]) -> set[tuple[str, str]]:
+        """Return key and joint of the effect without which the rest is predicted best, if better.
+
+        Without parameters J the others of a fit with the covariance C are
+        `beta - C_J C_JJ^-1 beta_J`.
+        """
+        fit = self.fit
+        beta = fit.estimate.beta
+        root = fit.estimate.solution.inverse_root
+        tried = []
+        for effect, places in list_term_places(found, fit.base, fit.model.joint_names):
+            across = root @ root[places].T
+            without = beta - across @ np.linalg.pinv(across[places]) @ beta[places]
+            gain = self.errors - measure_block_errors(self.seen, without)
+            if exceeds(gain, 1.0):
+                tried.append((float(gain.sum()), (effect.effect, str(effect.joint))))
+        return {max(tried)[1]} if tried else set()
 
 
-def _measure_block_errors(fit: Fit, samples: Samples, betas: Array) -> Array:
-    """Return the squared error of each time block by each beta, (B, m), in the squared torque."""
-    base = fit.base
-    model = fit.model
-    if base.drive.needs_load:
-        model = set_link_parameters(model, base, fit.estimate.beta)
-    seen = accumulate_stream(model, base, [samples])
-    # A recording without torque has no error to share.
-    torque = max(float(seen.torque_energy.sum()), np.finfo(np.float64).tiny)
-    parts = (seen.select([block]) for block in range(seen.n_blocks))
-    errors = [[part.residual_energy(beta).sum() for beta in betas] for part in parts]
-    return np.array(errors) / torque
+def measure_block_errors(seen: Iterable[SquareRootInformation], beta: Array) -> Array:
+    """Return the squared error of each time block in its recording's squared torque, (B,)."""
+    found: list[float] = []
+    for recording in seen:
+        # A recording without torque has no error to share.
+        torque = max(float(recording.torque_energy.sum()), np.finfo(np.float64).tiny)
+        blocks = (recording.select([block]) for block in range(recording.n_blocks))
+        found += [float(block.residual_energy(beta).sum()) / torque for block in blocks]
+    return np.array(found)

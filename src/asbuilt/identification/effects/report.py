@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
@@ -121,6 +122,25 @@ def as_identified(found: FoundEffect, fit: Fit, result: IdentificationResult) ->
     whole = effect.text_of(size, None, revolute=revolute)
     stands_for = f" ({whole} in the model, which lacks other effects that act alike)"
     return replace(known, text=known.text.replace(": torque error", f"{stands_for}: torque error"))
+
+
+def list_term_places(
+    found: Iterable[FoundEffect], base: BaseParameters, joint_names: Sequence[str]
+) -> Iterator[tuple[FoundEffect, Indices]]:
+    """Yield effects of a model that are there or not by the values of drive terms, with places.
+
+    That another form of friction is zero is no question, and forms with nonlinear parameters have
+    values.
+    """
+    for effect in found:
+        term = getattr(EFFECTS[effect.effect], "term", None)
+        if not effect.in_model or effect.joint is None or term is None:
+            continue
+        if term.stands_for or any(parameter.fitted for parameter in term.nonlinear):
+            continue
+        places = find_places(base, effect.effect, joint_names.index(effect.joint))
+        if places.size:
+            yield effect, places
 
 
 def is_sure(values: Array, covariance: Array) -> bool:
