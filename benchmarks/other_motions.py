@@ -35,7 +35,7 @@ from asbuilt.validation.generalisation.coverage import measure_repeated_share
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study, identify
 from drive_terms import SHARED
-from recorded_robots import ROBOTS, SINGLE, Robot, recorded_robots
+from recorded_robots import ROBOTS, SINGLE, Robot, recorded_robots, sets_of
 
 WAYS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -115,12 +115,6 @@ def excess_over(own: Row, other: Row) -> tuple[float, float]:
     n = len(a)
     spread = float(np.sqrt(np.sum((a - ratio * p) ** 2) * n / max(n - 1, 1)) / p.sum())
     return float(np.sqrt(ratio)) - 1.0, 0.5 * spread / float(np.sqrt(ratio))
-
-
-def sets_of(robot: Robot) -> list[tuple[int, ...]]:
-    """Return the recordings that a robot is identified from, set by set."""
-    alone = () if robot.only_sets else tuple((k,) for k in range(len(robot.recordings)))
-    return [*alone, *robot.sets]
 
 
 def measure_set(

@@ -56,7 +56,7 @@ class Robot(NamedTuple):
 
     `sets` are the recordings to identify from together, the others being predicted, in addition to
     each alone unless `only_sets`; `holdout` holds blocks of each recording out instead. `tilt` says
-    that its mounting is estimated in `other_effects`.
+    that its mounting is estimated in `other_effects`, `two_arms` that each log is of another arm.
     """
 
     description: str
@@ -67,6 +67,7 @@ class Robot(NamedTuple):
     options: Mapping[str, Any] = MappingProxyType({})
     only_sets: bool = False
     holdout: str | None = None
+    two_arms: bool = False
     base: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -133,7 +134,7 @@ FURTHER = {
         ((0, 1, 2, 3), (4, 5, 6, 7), (8, 9, 10, 11), (0, 1, 2, 3, 4, 5, 6, 7)),
         only_sets=True,
     ),
-    "Panda": Robot("franka-panda", "panda", ("panda_gaz.csv", "panda_unisa.db3")),
+    "Panda": Robot("franka-panda", "panda", ("panda_gaz.csv", "panda_unisa.db3"), two_arms=True),
     "Z1": Robot("z1/z1.xml", "z1", ("zn_a.csv", "zn_b.csv"), options={"text": Z1_SHEET}),
     "dVRK PSM": Robot("dvrk-psm", "dvrk/psm", ("one.csv", "two.csv"), options={"text": DVRK_SHEET}),
     "dVRK MTM": Robot("dvrk-mtm", "dvrk/mtm", ("one.csv", "two.csv"), options={"text": DVRK_SHEET}),
@@ -188,6 +189,12 @@ SINGLE = {
 """Robots with a single motion, of which blocks are held out."""
 ROBOTS = USUAL | FURTHER
 """Robots with another motion to predict."""
+
+
+def sets_of(robot: Robot) -> list[tuple[int, ...]]:
+    """Return the recordings that a robot is identified from, set by set."""
+    alone = () if robot.only_sets else tuple((k,) for k in range(len(robot.recordings)))
+    return [*alone, *robot.sets]
 
 
 def load_described(robot: Robot, data: Path = SHARED) -> RobotModel:
