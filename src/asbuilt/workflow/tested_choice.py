@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.identification import FoundEffect, SquareRootInformation, accumulate_stream
 from asbuilt.identification.effects.report import list_term_places
 from asbuilt.identification.estimators.held_out_choice import surely_better
 from asbuilt.identification.identify import Fit
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.result.torque_prediction import set_link_parameters
 from asbuilt.identification.statistics import exceeds
 from asbuilt.validation.generalisation.coverage import NEAR, measure_repeated_share
@@ -86,22 +87,31 @@ class LeftOut:
         return ""
 
     def list_harmful(self, found: Iterable[FoundEffect]) -> set[tuple[str, str]]:
-        """Return key and joint of the effect without which the rest is predicted best, if better.
+        """Return key and joint of the effect without which other motion is predicted best.
 
-        Without parameters J the others of a fit with the covariance C are
-        `beta - C_J C_JJ^-1 beta_J`.
+        Empty if every effect is needed, or none is surely harmful.
         """
-        fit = self.fit
-        beta = fit.estimate.beta
-        root = fit.estimate.solution.inverse_root
+        base = self.fit.base
         tried = []
-        for effect, places in list_term_places(found, fit.base, fit.model.joint_names):
-            across = root @ root[places].T
-            without = beta - across @ np.linalg.pinv(across[places]) @ beta[places]
+        for effect, places in list_term_places(found, base, self.fit.model.joint_names):
+            without = drop_parameters(self.fit.estimate, places)
             gain = self.errors - measure_block_errors(self.seen, without)
             if exceeds(gain, 1.0):
                 tried.append((float(gain.sum()), (effect.effect, str(effect.joint))))
         return {max(tried)[1]} if tried else set()
+
+
+def drop_parameters(estimate: Estimate, places: Indices) -> Array:
+    """Return beta (p,) with some parameters at zero, and the others fitted again.
+
+    Without parameters J the others of a fit with the covariance C are `beta - C_J C_JJ^-1 beta_J`:
+    exact for least squares, to second order where bodies are regularised.
+    """
+    root = estimate.solution.inverse_root
+    across = root @ root[places].T
+    return np.asarray(
+        estimate.beta - across @ np.linalg.pinv(across[places]) @ estimate.beta[places]
+    )
 
 
 def measure_block_errors(seen: Iterable[SquareRootInformation], beta: Array) -> Array:
