@@ -45,6 +45,7 @@ LEAVES = (
     "executor",
     "faces",
     "findings",
+    "isolated_reading",
     "isolation",
     "ranges",
     "registry",

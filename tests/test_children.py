@@ -5,13 +5,18 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from asbuilt import children
 from asbuilt.children import Child, ChildEnded, ChildPool
 
 
@@ -92,3 +97,31 @@ def test_a_pool_that_is_closed_gives_up_what_is_under_way() -> None:
     pool.close()
     assert all(each.cancelled() or each.exception() for each in sleeping)
     assert time.monotonic() - began < 20.0
+
+
+def test_folders_of_a_process_that_was_killed_are_removed_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = (
+        "import time; from asbuilt.children import open_scratch; folder = open_scratch();"
+        " print(folder.name, flush=True); time.sleep(60)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    left = Path(process.stdout.readline().strip())
+    (left / "unpacked").write_bytes(bytes(1000))
+    foreign = tmp_path / left.name.replace(children.HOST, "elsewhere")
+    foreign.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    children.remove_scratch()
+    assert left.exists()  # its process runs
+    process.kill()
+    process.wait()
+    children.remove_scratch()
+    assert not left.exists()
+    assert foreign.exists()

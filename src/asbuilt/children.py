@@ -11,11 +11,16 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import glob
 import json
 import math
 import os
 import pickle
+import platform
+import re
+import shutil
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
@@ -23,6 +28,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -53,6 +59,36 @@ LOOK = 0.5
 """Seconds between looks at a child that is limited."""
 SLOWEST = 50.0
 """Multiple of the computing time that a call may wait where the system does not tell it."""
+
+
+HOST = re.sub(r"[^\w-]", "-", platform.node()) or "local"
+"""This machine in the names of temporary files, which several may share."""
+
+
+def open_scratch() -> tempfile.TemporaryDirectory[str]:
+    """Return a folder of temporary files, gone at the end of a `with` statement.
+
+    Its name has machine and process, by which the first of the next process removes the folder of
+    one that was killed.
+    """
+    _remove_scratch_once()
+    prefix = f"asbuilt-{HOST}.{os.getpid()}."
+    return tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True)
+
+
+def remove_scratch() -> None:
+    """Remove the folders that processes of this machine and user left when they were killed."""
+    for path in Path(tempfile.gettempdir()).glob(f"asbuilt-{glob.escape(HOST)}.*.*"):
+        process = path.name.split(".")[-2]
+        with contextlib.suppress(OSError):
+            state = path.lstat()  # a link of another user leads anywhere
+            own = state.st_uid == getattr(os, "getuid", lambda: 0)()
+            left = process.isdigit() and not is_running(int(process))
+            if own and left and stat.S_ISDIR(state.st_mode):
+                shutil.rmtree(path, ignore_errors=True)
+
+
+_remove_scratch_once = cache(remove_scratch)
 
 
 class ChildEnded(Exception):  # noqa: N818 - what happened, which its caller explains
@@ -119,7 +155,7 @@ class Child:
         limits = [memory, seconds, os.getcwd(), disk]
         if not seconds:
             return self._ask(request, [*limits, ""], largest)
-        with tempfile.TemporaryDirectory(prefix="asbuilt-", ignore_cleanup_errors=True) as scratch:
+        with open_scratch() as scratch:
             watch = _Watch(self._process, seconds, disk, Path(scratch))
             try:
                 return self._ask(request, [*limits, scratch], largest)

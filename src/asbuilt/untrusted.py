@@ -7,6 +7,7 @@ import math
 import os
 import re
 import stat
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -23,8 +24,13 @@ TEXT_LIMIT = 2_000_000
 """Bytes of a file that people write; the longest bundled robot has 10 kB."""
 TABLE_LIMIT = 200_000_000
 """Bytes of a table or stored result that is read into memory."""
+LARGEST_NUMBER = 1e75
+"""Largest number of a stored file, whose fourth power is one too; that of a float itself stands for
+no limit."""
 DEEPEST = 64
 """Levels of nesting; files of robots, sheets and results have fewer than 10."""
+MOST_DIGITS = 20
+"""Digits of an integer with its sign: 64 bits."""
 
 _INPUTS: ContextVar[set[tuple[int, int]] | None] = ContextVar("files that were read", default=None)
 """Device and number of each file that the running command has read."""
@@ -214,10 +220,12 @@ def parse_json(text: str | bytes) -> Any:
     ------
     ValueError
         With the reason, also if it is nested deeper than `DEEPEST` or holds a number that is not
-        finite.
+        finite or beyond `LARGEST_NUMBER`.
     """
     try:
-        content = json.loads(text, parse_constant=_parse_finite, parse_float=_parse_finite)
+        content = json.loads(
+            text, parse_constant=_parse_number, parse_float=_parse_number, parse_int=_parse_integer
+        )
     except RecursionError:
         content = None
     if content is None or measure_depth(content) > DEEPEST:
@@ -225,11 +233,19 @@ def parse_json(text: str | bytes) -> Any:
     return content
 
 
-def _parse_finite(text: str) -> float:
+def _parse_number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"it holds the number {text[:20]}, which is not finite")
+    if abs(value) > LARGEST_NUMBER and abs(value) != sys.float_info.max:
+        raise ValueError(f"it holds the number {text[:20]}; at most {LARGEST_NUMBER:g} is read")
     return value
+
+
+def _parse_integer(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"it holds the number {text[:20]}...; at most {MOST_DIGITS} digits")
+    return int(text)
 
 
 def measure_depth(content: Any) -> int:

@@ -5,9 +5,8 @@ Only regular files are replaced, and none that the command reads.
 
 from __future__ import annotations
 
+import errno
 import os
-import platform
-import re
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,13 +15,12 @@ from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 
-from asbuilt.children import is_running
+from asbuilt.children import HOST, is_running
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.untrusted import is_input, shorten_path
 
-_HOST = re.sub(r"[^\w-]", "-", platform.node()) or "local"
-_OWNER = f"{_HOST}.{os.getpid()}"
+_OWNER = f"{HOST}.{os.getpid()}"
 """Machine and process in the names of temporary files."""
 _PENDING: ContextVar[dict[Path, Path] | None] = ContextVar("_PENDING", default=None)
 """Temporary file of each file that is yet to be renamed."""
@@ -183,9 +181,10 @@ def check_writable(folder: Path) -> None:
 
 
 def _make_unwritable_error(place: str, problem: OSError | ValueError) -> UsageError:
+    too_long = getattr(problem, "errno", None) == errno.ENAMETOOLONG
     return UsageError(
         f"cannot write {place}: {getattr(problem, 'strerror', None) or problem}",
-        cure=Cure("choose a folder you may write to"),
+        cure=Cure("give a shorter name" if too_long else "choose a folder you may write to"),
     )
 
 
@@ -193,7 +192,7 @@ def remove_leftovers(folder: Path) -> None:
     """Remove temporary files that processes of this machine left behind when they were killed."""
     for path in folder.glob(".*.part"):
         *_, host, process, _, _ = ["", "", *path.name.split(".")]
-        if host == _HOST and process.isdigit() and not is_running(int(process)):
+        if host == HOST and process.isdigit() and not is_running(int(process)):
             path.unlink(missing_ok=True)
 
 

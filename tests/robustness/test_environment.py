@@ -35,13 +35,22 @@ def test_ascii_output() -> None:
     [
         ("show two-link", "--json >&-"),
         ("-h", ">&-"),
+        ("fleet show /nowhere", "--json | true"),
         ("-h", "0<&- >&- 2>&-"),
         *(
             pytest.param(words, where, marks=pytest.mark.study)
             for words, ways in (
                 (
                     "show two-link",
-                    (">/dev/full", "| head -c 1", ">&-", "2>&-", ">&- 2>&-", "0<&- >&- 2>&-"),
+                    (
+                        ">/dev/full",
+                        "| head -c 1",
+                        "--json | true",
+                        ">&-",
+                        "2>&-",
+                        ">&- 2>&-",
+                        "0<&- >&- 2>&-",
+                    ),
                 ),
                 ("-h", (">/dev/full", "2>&-", ">&- 2>&-", "| head -c 1")),
             )

@@ -25,8 +25,8 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.excitation import read_motion
 from asbuilt.excitation.collision.capsules import build_surroundings
 from asbuilt.experiment import read_recording, read_sheet
-from asbuilt.experiment.logs.formats.isolated import read_guarded
 from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
+from asbuilt.isolated_reading import read_guarded
 from asbuilt.workflow import identify, read_result
 from fleet_logs import MODEL, recording
 from robustness import corpus
@@ -34,7 +34,7 @@ from robustness import corpus
 SEED, QUICK, ALL = 5, 25, 120
 """Files of each kind: in `make test`, in `make studies`."""
 SLOWEST = 20
-"""Seconds after which a reader counts as hung, on a machine that does more than this."""
+"""CPU time [s] after which a reader counts as hung."""
 HOSTILE = ("", "x" * 5000, "a\\u0000b", "../../etc/passwd", "/dev/zero", "nan", "\\n", "[", "<")
 """Texts in place of a name, a path or a unit."""
 SDF = """<sdf version="1.9"><model name="arm"><link name="base"/><frame name="f" attached_to="base">
@@ -191,7 +191,7 @@ def failures(kind: Kind, folder: Path, count: int) -> Iterator[str]:
     place.parent.mkdir(parents=True, exist_ok=True)
     for what, data in damaged(kind.text, random.Random(SEED), count):
         place.write_bytes(data)
-        signal.alarm(SLOWEST)
+        signal.setitimer(signal.ITIMER_PROF, SLOWEST)
         try:
             kind.read(place)
         except AsbuiltError as said:
@@ -202,7 +202,7 @@ def failures(kind: Kind, folder: Path, count: int) -> Iterator[str]:
         except Exception as wrong:
             yield f"{what}: {type(wrong).__name__} {str(wrong)[:300]}"
         finally:
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 NAMES = (

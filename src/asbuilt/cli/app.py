@@ -316,7 +316,8 @@ def _fail(
         message = message[:LONGEST_MESSAGE] + " ..."
     if "--json" in given:
         error = {"kind": kind, "message": message, "hint": hint or None, **values}
-        print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
+        with contextlib.suppress(BrokenPipeError):  # nobody reads it, which the end notices too
+            print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
         _say(fold_text(f"asbuilt: {message}" + (f"; {hint}" if hint else "")))
     return status

@@ -16,6 +16,8 @@ from .formats.xml import read_numbers as read_numbers
 from .formats.xml import read_origin as read_origin
 from .inertia import LinkInertia as LinkInertia
 from .load import load_robot as load_robot
+from .meshes import MeshMeasures as MeshMeasures
+from .meshes import measure_mesh as measure_mesh
 from .model import RobotModel as RobotModel
 from .plausibility import Plausibility as Plausibility
 from .plausibility import add_plausibility as add_plausibility

@@ -374,7 +374,7 @@ def median_rate(t: Array) -> float:
     """Return the inverse of the median positive step of times (N,); NaN if there is none."""
     steps = np.diff(t)
     steps = steps[np.isfinite(steps) & (steps > 0)]
-    return float(1.0 / np.median(steps)) if steps.size else float("nan")
+    return 1.0 / float(np.median(steps)) if steps.size else float("nan")
 
 
 def time_span(t: Array) -> float:
@@ -424,7 +424,9 @@ def find_advancing_rows(t: Array, kept: Mask) -> Mask:
 def _is_signal(tau: Array, q: Array) -> bool:
     """Return whether torques (N,) of a joint at positions (N,) are measured."""
     tau = tau[np.isfinite(tau)]
-    return tau.size > 0 and bool(np.any(tau != tau[0]) or not np.nanmax(q) > np.nanmin(q))
+    moved = q[np.isfinite(q)]
+    still = not moved.size or bool(moved.max() == moved.min())
+    return tau.size > 0 and (still or bool(np.any(tau != tau[0])))
 
 
 def _freeze(value: ArrayLike, name: str, source: str) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import os
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.children import open_scratch
 from asbuilt.description import ROOT, RobotModel, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError
@@ -143,7 +143,7 @@ def write_rrd(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Pa
         import rerun  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise MissingExtraError("rerun-sdk", "rerun", f"writing {path}") from error
-    with tempfile.TemporaryDirectory() as folder:
+    with open_scratch() as folder:
         file = Path(folder) / "timeline.rrd"
         stream = rerun.RecordingStream("asbuilt", recording_id="asbuilt")
         stream.save(file)

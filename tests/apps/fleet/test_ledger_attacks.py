@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import random
@@ -23,6 +24,7 @@ from asbuilt.apps.fleet import (
     FleetOptions,
     Ledger,
     add_logs,
+    fleet_drift,
     fleet_identify,
     fleet_overview,
     open_ledger,
@@ -79,6 +81,13 @@ def with_content(path: Path, content: bytes) -> Path:
     return target
 
 
+def forged(path: Path, frame: pl.DataFrame) -> Path:
+    """Replace an entry by another table."""
+    content = io.BytesIO()
+    frame.write_parquet(content)
+    return with_content(path, content.getvalue())
+
+
 def column(name: str, change: Callable[[Any], Any]) -> Spoil:
     def spoil(frame: pl.DataFrame) -> pl.DataFrame:
         values = [change(each) for each in frame[name].to_list()]
@@ -102,6 +111,20 @@ SPOILT: dict[str, Spoil] = {
     "another joint": column("joint", lambda x: "x"),
     "a covariate of inf": column("covariates", lambda x: [{"name": "t", "value": float("inf")}]),
     "short factors": column("factor", lambda x: x[:-1]),
+    "a date of another age": column("date", lambda x: datetime(9999, 12, 31, tzinfo=UTC)),
+    "more samples than any log": column("n_samples", lambda x: 2**62),
+    "factors whose squares overflow": column("factor", lambda x: [1e200 * each for each in x]),
+    "factors without end": column("factor", lambda x: [1e308] * len(x)),
+    "factors of nothing": column("factor", lambda x: [0.0] * len(x)),
+    "factors of rounding": column("factor", lambda x: [1e-300 * each for each in x]),
+    "torques without end": column("torque_sum", lambda x: 1e308),
+    "tilts without end": column("tilt", lambda x: x and [1e308] * len(x)),
+    "a temperature without end": column("covariates", lambda x: [{"name": "t", "value": 1e308}]),
+    "a block that ends before it starts": column("stop", lambda x: -1e9),
+    "a duration without end": column("duration", lambda x: 1e308),
+    "a rate of nothing": column("rate", lambda x: 1e-300),
+    "a name without end": column("log", lambda x: "x" * 200_000),
+    "a date from anywhere": column("date_from", lambda x: "hearsay"),
     "texts as numbers": lambda frame: frame.with_columns(pl.col("duration").cast(pl.String)),
     "no column": lambda frame: frame.drop("rate"),
     "no rows": lambda frame: frame.head(0),
@@ -111,13 +134,20 @@ SPOILT: dict[str, Spoil] = {
 }
 
 
+def test_a_date_that_python_has_not_is_named_and_skipped(ledger: Path) -> None:
+    path = entry(ledger)
+    frame = pl.read_parquet(path)
+    date = pl.lit(2**61).cast(pl.Datetime("us", "UTC"))
+    target = forged(path, frame.with_columns(date=date))
+    found = fleet_drift(ledger).findings
+    assert [target.name in each.message for each in found if "damaged" in each.code] == [True]
+
+
 @pytest.mark.parametrize("what", SPOILT)
 def test_an_entry_of_a_stranger_is_named_and_skipped(what: str, ledger: Path) -> None:
     path = entry(ledger)
     frame = SPOILT[what](pl.read_parquet(path))
-    frame.write_parquet(path.with_name("x"))
-    target = with_content(path, path.with_name("x").read_bytes())
-    path.with_name("x").unlink()
+    target = forged(path, frame)
     study = fleet_identify(ledger, "R1")
     assert len(study.result.sources) == 1
     (said,) = [each for each in study.findings if each.code == "ledger_file_damaged"]

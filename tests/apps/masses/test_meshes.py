@@ -94,7 +94,7 @@ def test_doubtful_surfaces_are_named(brick, tmp_path):
         ),
         ({"material": -3.0}, r"density is -3.0"),
         ({"unit": "furlong"}, r"length unit 'furlong' is unknown"),
-        ({"path": "none.stl"}, r"none\.stl: the mesh cannot be read"),
+        ({"path": "none.stl"}, r"mesh none\.stl cannot be read: it does not exist"),
         ({"path": "part.step"}, r"meshes are read from .stl"),
     ],
 )
@@ -256,3 +256,11 @@ def test_conventions_must_be_said(tmp_path):
 )
 def test_units(text, value):
     assert np.isclose(parse_unit_factor(text, mass=1, length=2), value, rtol=1e-14)
+
+
+def test_a_table_of_gigabytes_is_one_error(tmp_path):
+    path = tmp_path / "masses.csv"
+    with path.open("wb") as stream:
+        stream.truncate(8_000_000_000)
+    with pytest.raises(DescriptionError, match=r"has 8000 MB; at most 2 MB are read"):
+        read_cad_table(path, about="com", products="tensor")

@@ -83,6 +83,9 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
         ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1,NaN,0,0\n", "line 3, column q_a is empty or not finite"),
         ("t,q_a,q_b,qd_a,qdd_a,qdd_b\n0,1,0,0,0,0\n1,2,0,0,0,0\n", "has no column qd_b"),
         ("t,q_a\n0,1\n1,2\n", "give these or at least 6 positions"),
+        ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1e-9,2,0,0\n", "line 3 comes 1e-09 s after the one before"),
+        ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1e9,2,0,0\n", r"line 3 comes 1e\+09 s after the one before"),
+        ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1,1e300,0,0\n", r"line 3, column q_a is 1e\+300; it must"),
     ],
 )
 def test_bad_files_are_refused_with_the_place(tmp_path: Path, text: str, message: str) -> None:

@@ -8,14 +8,15 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from asbuilt import children
+from asbuilt import isolated_reading as isolated
 from asbuilt.errors import MissingExtraError, RecordingError
 from asbuilt.experiment import LogTable, read_isolated
-from asbuilt.experiment.logs.formats import isolated
-from asbuilt.experiment.logs.formats.isolated import FileKind
+from asbuilt.isolated_reading import FileKind
 
 READERS = '''
 import os, resource, signal, time
@@ -78,6 +79,12 @@ def text(path):
     size = float(path.stat().st_size)
     return LogTable(source=str(path), columns={"size": np.array([size])}, notes=(str(os.getpid()),))
 
+def counts(path, last, then=None):
+    for k in range(last):
+        yield {"k": k, "pid": os.getpid()}, [np.full(3, k)]
+    if then is not None:
+        then(path)
+
 def marks(path):
     limits.__doc__ = "marked"
     return process(path)
@@ -93,7 +100,13 @@ def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
     monkeypatch.syspath_prepend(tmp_path)
     module = __import__(name)
     monkeypatch.setattr(isolated, "_idle", [])
-    yield lambda what, path=log, **kind: read_isolated(getattr(module, what), path, **kind)
+
+    def read(what: str, path: Path = log, **kind: FileKind) -> LogTable:
+        return read_isolated(getattr(module, what), path, **kind)
+
+    read.parts = lambda **settings: isolated.read_parts_apart(module.counts, log, **settings)
+    read.module = module
+    yield read
     isolated._end_idle()
     sys.modules.pop(name)
 
@@ -212,9 +225,9 @@ def test_files_of_a_folder_that_are_not_read_do_not_count(tmp_path: Path) -> Non
     with (tmp_path / "videos" / "front.mp4").open("wb") as film:
         film.truncate(5_000_000_000)
     (tmp_path / "data.parquet").write_bytes(b"0" * 1000)
-    assert isolated._measure_size(tmp_path, (".parquet",)) == 1000.0
+    assert isolated._measure_size(tmp_path, FileKind(reads=(".parquet",))) == 1000.0
     with pytest.raises(RecordingError, match="5000 MB; at most 4000 MB"):
-        isolated._measure_size(tmp_path)
+        isolated._measure_size(tmp_path, FileKind())
 
 
 def test_a_process_that_was_killed_while_idle_is_replaced(read: Callable[..., LogTable]) -> None:
@@ -246,3 +259,30 @@ def test_a_process_is_replaced_after_many_files(
     monkeypatch.setattr(isolated, "MOST_FILES", 2)
     found = [process_of(read("process")) for _ in range(4)]
     assert found[0] == found[1] != found[2] == found[3]
+
+
+def test_a_file_is_read_part_by_part_in_one_process(read: Any) -> None:
+    parts = list(read.parts(last=4))
+    assert [document["k"] for document, _ in parts] == [0, 1, 2, 3]
+    assert [values.tolist() for _, (values,) in parts] == [[k] * 3 for k in range(4)]
+    (process,) = {document["pid"] for document, _ in parts}
+    assert process != os.getpid()
+    assert not is_running(process)
+
+
+def test_parts_that_nobody_asks_for_leave_no_process(read: Any) -> None:
+    parts = read.parts(last=1000)
+    process = next(parts)[0]["pid"]
+    assert is_running(process)
+    parts.close()
+    assert not is_running(process)
+
+
+@pytest.mark.parametrize(
+    ("then", "said"), [("crashes", "crashes its reader"), ("refuses", "no numbers")]
+)
+def test_a_part_that_cannot_be_read_is_one_error(read: Any, then: str, said: str) -> None:
+    parts = read.parts(last=2, then=getattr(read.module, then))
+    assert [next(parts)[0]["k"] for _ in range(2)] == [0, 1]
+    with pytest.raises(RecordingError, match=said):
+        next(parts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,38 @@ def test_hdf5(tmp_path: Path, logged: dict) -> None:
         for name in ("t", "q", "qd", "tau"):
             group[name] = logged[name]
     assert_same(read_recording(tmp_path / "log.h5"), logged)
+
+
+def test_hdf5_takes_no_values_from_other_files(tmp_path: Path, logged: dict) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.h5"
+    for tau, said in (
+        (h5py.ExternalLink("/etc/passwd", "/tau"), "'tau' links to the file '/etc/passwd'"),
+        (None, "'tau' takes its values from other files"),
+    ):
+        with h5py.File(path, "w") as file:
+            file["t"] = logged["t"]
+            file["q"] = logged["q"]
+            if tau is not None:
+                file["tau"] = tau
+            else:
+                file.create_dataset("tau", (9, 2), "f8", external=[("/etc/passwd", 0, 144)])
+        with pytest.raises(RecordingError, match=f"{said}, which is refused; copy the values"):
+            read_recording(path)
+
+
+def test_values_that_no_joint_has_count_as_missing(tmp_path: Path) -> None:
+    t = np.arange(300) / 100
+    q = np.sin(t)
+    tau = np.where(np.arange(300) == 100, 3.4e38, np.cos(t))
+    columns = {"t": t, "q_1": q, "tau_1": tau}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read = read_recording(columns)
+        assert np.flatnonzero(np.isnan(read.tau)).tolist() == [100]
+        assert "tau_1 holds 1 values beyond 1e+12, such as 3.4e+38 in row 101" in read.notes[-1]
+        with pytest.raises(RecordingError, match="most values of q_1 are none of a joint"):
+            read_recording(columns | {"q_1": 1e200 * q})
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])

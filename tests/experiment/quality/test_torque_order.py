@@ -13,8 +13,10 @@ from asbuilt.description import RobotModel, bundled_robot, load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import Recording, VirtualRobot, check_recording, read_recordings
+from asbuilt.experiment.quality import torque_fit
 from asbuilt.experiment.quality.torque_fit import (
     TorqueFit,
+    find_best_assignment,
     find_swapped_torques,
     friction_bases,
 )
@@ -57,6 +59,28 @@ def test_every_swap_is_found_whatever_cad_says(robot: str) -> None:
         assert found is not None
         assert found.joints == pair
         assert found.swapped < 0.2 * found.as_logged
+
+
+@pytest.mark.parametrize("robot", ["ur10e", "puma-560"])
+def test_suspects_hold_the_swap_that_every_pair_finds(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Large robots are asked by suspects alone; a small one, asked so, gives the same answer."""
+    model = bundled_robot(robot)
+    recording = recorded(model)
+    every = [
+        find_swapped_torques(fit_of(model, swapped(recording, *pair)))
+        for pair in combinations(range(model.n_joints), 2)
+    ]
+    monkeypatch.setattr(torque_fit, "EVERY_PAIR", 0)
+    monkeypatch.setattr(torque_fit, "MOST_SUSPECTS", 3)
+    assert find_swapped_torques(fit_of(model, recording)) is None
+    for pair, expected in zip(combinations(range(model.n_joints), 2), every, strict=True):
+        mixed = fit_of(model, swapped(recording, *pair))
+        assert find_swapped_torques(mixed) == expected
+        found = find_best_assignment(mixed)
+        moved = [k for k, j in enumerate(found.torque_of) if j != k]
+        assert moved in ([], list(pair))
 
 
 def test_unexplained_shares_are_those_of_a_dense_fit() -> None:

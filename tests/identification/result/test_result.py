@@ -257,8 +257,8 @@ def test_damaged_results_are_refused(arm):
         return json.dumps(whole | changes)
 
     for bad, words in (
-        ("", "not even JSON"),
-        (text[:1000], "not even JSON"),
+        ("", "not a stored result: Expecting value"),
+        (text[:1000], "not a stored result: Unterminated string"),
         ("[1, 2]", "not a stored result"),
         ('{"format": "something else"}', "not a stored result"),
         (damaged(version=99), "format version 99"),

@@ -11,6 +11,7 @@ from typing import Any
 from asbuilt import Recording, UsageError, writers
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure
+from asbuilt.untrusted import parse_json, read_text
 from asbuilt.writing import atomic_write
 
 SETTINGS = "run.json"
@@ -83,12 +84,14 @@ class RunFolder:
         if not path.is_file():
             return {}
         try:
-            read = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as problem:
+            read = parse_json(read_text(path, "settings of a loop", ResultError))
+        except ResultError:
+            raise
+        except ValueError as problem:
             raise ResultError(f"{path} cannot be read: {problem}", file=str(path)) from None
         if not isinstance(read, dict):
             raise ResultError(f"{path} holds no settings of a loop", file=str(path))
         return read
 
     def _write(self, settings: Mapping[str, Any]) -> None:
-        atomic_write(self.path / SETTINGS, json.dumps(settings, indent=2) + "\n")
+        atomic_write(self.path / SETTINGS, json.dumps(settings, indent=2) + "\n", own=True)

@@ -164,7 +164,7 @@ class StreamedRows:
                 values = [float(each) if each.strip() else np.nan for each in text.split(",")]
             if len(values) != len(self.names):
                 raise ValueError(f"{len(values)} numbers for {len(self.names)} columns")
-        except (ValueError, KeyError, TypeError) as problem:
+        except (ValueError, KeyError, TypeError, RecursionError) as problem:
             self._count_broken(f"{type(problem).__name__} {problem}"[:80])
             return None
         self._bad = 0

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.finite import parse_finite_number
+from asbuilt.description.finite import LARGEST, parse_finite_number
 from asbuilt.description.formats.compiled_mjcf import (
     Actuators,
     collect_warnings,
@@ -150,6 +150,34 @@ def read_mjcf(
     ).closed()
 
 
+COMPILED = {
+    "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
+    "jnt": ("pos", "axis"),
+    "site": ("pos", "quat"),
+}
+"""Arrays of a compiled model that become lengths, rotations and masses."""
+
+
+def _check_numbers(mujoco: ModuleType, compiled: Any, source: str) -> None:
+    """Raise `DescriptionError` with place and value for a number that no robot has."""
+    kinds = mujoco.mjtObj
+    objects = {"body": kinds.mjOBJ_BODY, "jnt": kinds.mjOBJ_JOINT, "site": kinds.mjOBJ_SITE}
+    for what, arrays in COMPILED.items():
+        for array in arrays:
+            values = np.asarray(getattr(compiled, f"{what}_{array}"))
+            wrong = np.argwhere(~(np.abs(values) <= LARGEST))  # NaN is in no range
+            if wrong.size:
+                name = mujoco.mj_id2name(compiled, objects[what], int(wrong[0, 0])) or "world"
+                value = values[tuple(wrong[0])]
+                raise DescriptionError(
+                    f"{source}: {array} of the {OBJECTS[what]} {name!r} is {value:g}; it must be a"
+                    f" number of at most {LARGEST:g}"
+                )
+
+
+OBJECTS = {"body": "body", "jnt": "joint", "site": "site"}
+
+
 def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
     """Return the compiled model and MuJoCo's warnings."""
     try:
@@ -168,6 +196,7 @@ def _compile_model(mujoco: ModuleType, root: Element, source: str) -> tuple[Any,
         raise DescriptionError(
             f"{source}: a number is not finite ({unset}); give it, or leave it out"
         )
+    _check_numbers(mujoco, compiled, source)
     return compiled, warnings
 
 

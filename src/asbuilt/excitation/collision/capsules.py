@@ -21,9 +21,10 @@ from asbuilt.description.formats.xml import (
     read_numbers,
     read_origin,
 )
+from asbuilt.description.meshes import read_mesh_vertices
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
-from asbuilt.errors import DescriptionError, MissingExtraError
+from asbuilt.errors import DescriptionError
 from asbuilt.untrusted import describe_problem, parse_toml, read_text
 
 CLEARANCE = 0.02
@@ -279,22 +280,11 @@ def _find_points(shape: Any, place: str, folder: Path) -> Array | None:
     if file is None:
         return None
     try:
-        import trimesh  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("trimesh", "cad", "fitting capsules to meshes") from None
-    try:
-        mesh: Any = trimesh.load(file, force="mesh")
-        vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    except Exception as problem:  # trimesh raises whatever its parsers raise
+        vertices = read_mesh_vertices(file)
+    except DescriptionError as problem:
         raise DescriptionError(
-            f"{place}: the mesh {file} cannot be read ({problem}); give skeleton:RADIUS or a TOML"
-            " file with capsules"
+            f"{place}: {problem.message}; give skeleton:RADIUS or a TOML file with capsules"
         ) from None
-    if not vertices.size:
-        raise DescriptionError(
-            f"{place}: the mesh {file} has no vertices; give skeleton:RADIUS or a TOML file with"
-            " capsules"
-        )
     scale = np.array(read_numbers(shape, "scale", 3, place)) if shape.get("scale") else np.ones(3)
     return vertices * scale
 

@@ -20,10 +20,16 @@ from asbuilt.errors import MotionError, RecordingError
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.spline import SplineMotion
+from asbuilt.findings import Cure
+from asbuilt.ranges import Range
 from asbuilt.untrusted import TABLE_LIMIT, describe_problem, name_file_in_errors, read_bytes
 
 PREFIXES = ("q_", "qd_", "qdd_")
 """Column names are a prefix and a joint name."""
+STEPS = Range(1e-6, 1e6, "s")
+"""Times from line to line: the fastest controllers take a position every 10 us."""
+VALUES = Range(-1e12, 1e12)
+"""Positions, speeds, accelerations, and times since 1970, in any unit."""
 
 
 class SampledMotion(QuinticMotion):
@@ -88,12 +94,7 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)
     ]
     t = _read_numbers(table, ["t"], source)[:, 0]
-    if t.size < 2 or not np.all(np.diff(t) > 0):
-        row = int(np.argmin(np.diff(t) > 0)) + 3 if t.size > 1 else 2
-        raise MotionError(
-            f"{source}: times must rise from line to line and there must be two; they do not at"
-            f" line {row}"
-        )
+    _check_steps(t, source)
     q, *rates = (
         _read_numbers(table, [prefix + label for label in labels], source) for prefix in given
     )
@@ -107,6 +108,25 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
             spline = SplineMotion.through(q, t, ends="natural")
             rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
         return SampledMotion.of(t, q, rates[0], rates[1], names)
+
+
+def _check_steps(t: Array, source: Path) -> None:
+    """Raise `MotionError` with line and value unless times (N,) rise by steps of a controller."""
+    steps = np.diff(t)
+    if t.size < 2 or not np.all(steps > 0):
+        row = int(np.argmin(steps > 0)) + 3 if t.size > 1 else 2
+        raise MotionError(
+            f"{source}: times must rise from line to line and there must be two; they do not at"
+            f" line {row}"
+        )
+    for k in (int(steps.argmin()), int(steps.argmax())):
+        if not STEPS.holds(float(steps[k])):
+            raise MotionError(
+                f"{source}: line {k + 3} comes {steps[k]:g} s after the one before it; it must be"
+                f" {STEPS}",
+                cure=Cure("give the times in seconds"),
+                value=float(steps[k]),
+            )
 
 
 def _match_labels(labels: Sequence[str], model: RobotModel, source: Path) -> tuple[str, ...]:
@@ -153,6 +173,15 @@ def _read_numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> 
     if bad.size:
         raise MotionError(
             f"{source}: line {bad[0, 0] + 2}, column {columns[bad[0, 1]]} is empty or not finite"
+        )
+    large = np.argwhere(np.abs(values) > VALUES.upper)
+    if large.size:
+        line, column = large[0]
+        raise MotionError(
+            f"{source}: line {line + 2}, column {columns[column]} is {values[line, column]:g}; it"
+            f" must be a number {VALUES}",
+            cure=Cure("give it in SI units"),
+            value=float(values[line, column]),
         )
     return np.asarray(values, dtype=np.float64)
 

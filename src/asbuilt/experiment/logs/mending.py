@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import QUANTITIES, Layout
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.recording import ENCODERS
+from asbuilt.findings import Cure
 
 OF_TOPICS = 0.05
 """Share of the rows from which rows without any needed value are another topic's: a sensor that
@@ -36,6 +38,11 @@ GRID = 0.75
 JUMP = 0.6
 SMALL = 0.15
 """Jump of a counter that wraps, and the largest step that is left then, in turns."""
+MOST = 1e12
+"""Size of a value, in any unit, beyond which it stands for none: loggers write the largest number
+of a type, 3.4e38 or 1.8e308, where a sensor says nothing."""
+LATEST = 1e20
+"""Largest time stamp, in any unit: nanoseconds since 1970 have 19 digits."""
 ZERO = 0.02
 """Distance from one turn, relative to it, up to which the range of a counter is a turn."""
 
@@ -68,13 +75,44 @@ class LogMender:
         """Return a table with rows of one topic, in the order of time, and steady counters."""
         if table.n_samples < 3:
             return table
+        table, of_values = self._leave_absurd_values(table)
         joined, of_rows = join_topics(table, self._layout)
         ordered, of_clock = mend_clock(self._leave_late_rows(joined), self._layout)
         if of_clock:
             self._latest = float(ordered.columns[str(self._layout.time)][-1])
         columns = dict(ordered.columns)
-        notes = [*of_rows, *of_clock, *self._sign(columns), *self._unwrap(columns)]
+        notes = [*of_values, *of_rows, *of_clock, *self._sign(columns), *self._unwrap(columns)]
         return replace(ordered, columns=columns, notes=(*table.notes, *notes))
+
+    def _leave_absurd_values(self, table: LogTable) -> tuple[LogTable, list[str]]:
+        """Return a table without values that no quantity has, as loggers write for "none"."""
+        columns = dict(table.columns)
+        notes = []
+        time = self._layout.time
+        if time is not None and not (np.abs(columns[time]) <= LATEST).all():
+            # `check_recording` says which time stamps are none.
+            columns[time] = np.where(np.abs(columns[time]) <= LATEST, columns[time], np.nan)
+            table = replace(table, columns=columns)
+        for name in {name for names in self._layout.quantities.values() for name in names if name}:
+            if name not in columns:
+                continue
+            values = columns[name]
+            absurd = np.isfinite(values) & ~(np.abs(values) <= MOST)
+            if absurd.any():
+                first = int(np.argmax(absurd))
+                if absurd.mean() > SELDOM:
+                    raise RecordingError(
+                        f"{table.source}: most values of {name} are none of a joint, such as"
+                        f" {values[first]:g} in row {first + 1}; at most {MOST:g} is read",
+                        cure=Cure("name another column in a recording sheet, or export it again"),
+                        file=table.source,
+                    )
+                columns[name] = np.where(absurd, np.nan, columns[name])
+                notes.append(
+                    f"{name} holds {int(absurd.sum())} values beyond {MOST:g}, such as"
+                    f" {values[first]:g} in row {first + 1}, which count as missing"
+                )
+        return (replace(table, columns=columns), sorted(notes)) if notes else (table, [])
 
     def _leave_late_rows(self, table: LogTable) -> LogTable:
         """Return a part without rows that belong into the part before, where that was sorted."""
@@ -209,6 +247,8 @@ def join_topics(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
 
 def _interpolate(at: Array, t: Array, values: Array) -> Array:
     """Return values at other times, NaN in gaps and beyond the ends."""
+    if t.size < 2:
+        return np.full(at.shape, np.nan)
     order = np.argsort(t, kind="stable")
     t = t[order]
     values = values[order]
@@ -228,8 +268,7 @@ def mend_clock(table: LogTable, layout: Layout) -> tuple[LogTable, list[str]]:
     if layout.time is None or table.columns[layout.time].size == 0:
         return table, []
     t = _read_clock(table, layout)
-    steps = np.diff(t)
-    if not np.all(np.isfinite(t)) or not np.any(steps):
+    if not np.all(np.isfinite(t)) or not np.any(steps := np.diff(t)):
         return table, []
     grid = _find_grid(t, table.columns[layout.time])
     if grid is not None:
@@ -270,8 +309,8 @@ def _is_regular(t: Array) -> bool:
     """Return whether the steps of a rising clock are mostly alike."""
     low, high, share = REGULAR
     steps = np.diff(t)
-    relative = steps / float(np.median(steps))
-    return bool(np.mean((relative > low) & (relative < high)) >= share)
+    usual = float(np.median(steps))  # times, not ratios, are compared: a step may be 1e308 s
+    return bool(np.mean((steps > low * usual) & (steps < high * usual)) >= share)
 
 
 def _measure_way(q: Array, order: Indices) -> float:

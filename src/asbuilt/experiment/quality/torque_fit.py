@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.appearance import link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
@@ -53,13 +53,25 @@ def list_swaps(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
     """
     # Each pair once.
     for i, j in combinations(range(len(order)), 2):
-        changed = list(order)
-        changed[i], changed[j] = order[j], order[i]
-        yield tuple(changed)
+        yield _swapped(order, i, j)
+
+
+def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
+    changed = list(order)
+    changed[i] = order[j]
+    changed[j] = order[i]
+    return tuple(changed)
 
 
 BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""
+COUNTS = 0.02
+"""Misfit below which a better fit does not count."""
+EVERY_PAIR = 10
+"""Joints up to which every pair of them is tried by a fit of its own; of more, those pairs that a
+cheaper comparison does not exclude."""
+MOST_SUSPECTS = 10
+"""Pairs of joints of a larger robot that are tried by a fit of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +142,15 @@ class TorqueFit:
         # Unit variance, so that no joint decides by its size.
         spread = _replace_zeros(y.std(axis=0))
         y = y / spread
+        rows = [np.ascontiguousarray(W[:, k]) for k in range(W.shape[1])]
+        # A joint's torque knows the links that it carries, and its own friction, alone.
+        support = tuple(np.flatnonzero(np.any(row != 0.0, axis=0)) for row in rows)
+        rows = [row[:, own] for row, own in zip(rows, support, strict=True)]
         return NormalEquations(
-            W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
-            y.T @ W.transpose(1, 0, 2),
+            W.shape[2],
+            support,
+            tuple(row.T @ row for row in rows),
+            tuple(y.T @ row for row in rows),
             np.mean(y**2, axis=0),
             spread,
             len(self.q),
@@ -266,27 +284,55 @@ class TorqueFit:
     def cost(self) -> float:
         """Sum over joints of the logarithm of the misfit, for the better sign of all torques."""
         # Either sign, as an order is asked before the sign.
-        # 0.02: misfit below which a better fit does not count.
-        return min(float(np.sum(np.log(self.misfit(sign) + 0.02))) for sign in (1, -1))
+        return min(float(np.sum(np.log(self.misfit(sign) + COUNTS))) for sign in (1, -1))
 
     def changes(self) -> Iterator[TorqueFit]:
-        """Yield the fits with two joints swapped: their torques, their motions, or both."""
+        """Yield the fits with two joints swapped: their torques, their motions, or both.
+
+        Of more than `EVERY_PAIR` joints the best swap of torques alone.
+        """
+        if self.model.n_joints > EVERY_PAIR:
+            yield self._with_torques(self._best_swap_of_torques())
+            return
         for order in map(list, list_swaps(tuple(range(self.model.n_joints)))):
-            torque: dict[str, Any] = {
-                "tau": self.tau[:, order],
-                "torque_of": tuple(self.torque_of[k] for k in order),
-            }
             motion: dict[str, Any] = {
                 **{name: getattr(self, name)[:, order] for name in ("q", "qd", "qdd")},
                 "friction": self.friction[order],
                 "motion_of": tuple(self.motion_of[k] for k in order),
             }
             # Torques alone, both, motions alone.
-            yield replace(self, **torque)
-            # More joints would take long.
-            if self.model.n_joints <= 10:
-                yield replace(self, **torque, **motion)
-                yield replace(self, **motion)
+            torques = self._with_torques(order)
+            yield torques
+            yield replace(torques, **motion)
+            yield replace(self, **motion)
+
+    def _with_torques(self, order: Sequence[int]) -> TorqueFit:
+        """Return the comparison whose joint k has the torque of joint `order[k]`."""
+        order = list(order)
+        torque_of = tuple(self.torque_of[k] for k in order)
+        return replace(self, tau=self.tau[:, order], torque_of=torque_of)
+
+    def _best_swap_of_torques(self) -> tuple[int, ...]:
+        """Return the order with two torques swapped whose `cost` is least.
+
+        The cost is a sum over joints, so that the misfit of every torque at every joint gives all
+        swaps.
+        """
+        n = self.model.n_joints
+        x = self._residuals[0]
+        costs = np.empty((2, n, n))
+        for k, basis in enumerate(self.friction):
+            y = self.tau - basis @ (basis.T @ self.tau)
+            size = _replace_zeros(np.sum(x[:, k] ** 2) + np.sum(y**2, axis=0))
+            for sign, cost in zip((1, -1), costs, strict=True):
+                misfit = np.sum((y - sign * x[:, k, None]) ** 2, axis=0) / size
+                cost[k] = np.log(misfit + COUNTS)
+        falls = costs.diagonal(axis1=1, axis2=2)[:, :, None] - costs
+        totals = costs.trace(axis1=1, axis2=2)[:, None, None] - falls - falls.swapaxes(1, 2)
+        return min(
+            list_swaps(tuple(range(n))),
+            key=lambda order: totals[:, *(k for k in range(n) if order[k] != k)].min(),
+        )
 
 
 BETTER = 0.1
@@ -388,8 +434,9 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
         return None
     normal = fit.normal_equations(W)
     logged = tuple(range(n))
+    swaps = list_swaps(logged) if n <= EVERY_PAIR else normal.suspected_swaps()
     # A sum of logarithms that falls by 4: both unexplained shares fall to an eighth.
-    found = choose_decisive_change(logged, list_swaps(logged), normal.cost, 4.0)
+    found = choose_decisive_change(logged, swaps, normal.cost, 4.0)
     if found is None:
         return None
     # The two joints that have moved.
@@ -398,50 +445,103 @@ def find_swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     return TorqueSwap((i, j), float(before), float(after))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+NEGLIGIBLE = 1e-3
+"""Unexplained share below which a better fit does not count."""
+GAIN = 0.5
+"""Factor to which the unexplained share of each torque of a swap must fall."""
+
+
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """The normal equations of each joint's rows with each joint's torque.
 
-    `grams` (n, p, p), `sides` (n, n, p) for torques of unit variance, `power` and `spread` (n,) of
-    the torques, scaled and as logged.
+    Of `n_columns` parameters (p,) joint k has those of `support[k]` (s,), with `grams[k]` (s, s)
+    and `sides[k]` (n, s) for torques of unit variance; `power` and `spread` (n,) are of the
+    torques, scaled and as logged.
     """
 
-    grams: Array
-    sides: Array
+    n_columns: int
+    support: tuple[Indices, ...]
+    grams: tuple[Array, ...]
+    sides: tuple[Array, ...]
     power: Array
     spread: Array
     samples: int
 
     def cost(self, torque_of: tuple[int, ...]) -> float:
         """Return the sum of logarithms of the unexplained shares, if each torque moved gains."""
-        # 1e-3: unexplained share below which a better fit does not count.
-        logged = self.unexplained(tuple(range(len(torque_of)))) + 1e-3
-        shares = self.unexplained(torque_of) + 1e-3
+        logged = self._as_logged + NEGLIGIBLE
+        shares = self.unexplained(torque_of) + NEGLIGIBLE
         for k, j in enumerate(torque_of):
             # A torque that is constant, or noise alone, is explained no better at another joint.
             # Each must gain, so that one good fit does not carry a bad one.
-            if k != j and (self.power[j] == 0.0 or shares[k] > 0.5 * logged[j]):
+            if k != j and (self.power[j] == 0.0 or shares[k] > GAIN * logged[j]):
                 return np.inf
         return float(np.sum(np.log(shares)))
 
+    @cached_property
+    def _as_logged(self) -> Array:
+        return self.unexplained(tuple(range(len(self.power))))
+
     def solve(self, torque_of: tuple[int, ...]) -> Array:
         """Return the parameters (p,) that fit best if joint k has `torque_of[k]`."""
-        order = list(torque_of)
-        scale = 1.0 / self.spread[order]
         # Torques are scaled by the logged column, wherever it is tried.
-        side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
-        return Scaled(np.tensordot(scale**2, self.grams, axes=1)).solve(scale @ side)
+        scale = 1.0 / self.spread[list(torque_of)]
+        side = np.zeros(self.n_columns)
+        for k, (own, j) in enumerate(zip(self.support, torque_of, strict=True)):
+            side[own] += scale[k] * self.sides[k][j]
+        return self._weighted(scale).solve(side)
+
+    def _weighted(self, scale: Array) -> Scaled:
+        """Return the sum of the joints' matrices, rows times `scale` (n,)."""
+        total = np.zeros((self.n_columns, self.n_columns))
+        for own, gram, factor in zip(self.support, self.grams, scale, strict=True):
+            total[np.ix_(own, own)] += factor**2 * gram
+        return Scaled(total)
 
     def unexplained(self, torque_of: tuple[int, ...]) -> Array:
         """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
-        order = list(torque_of)
-        beta = self.solve(torque_of)
-        scale = 1.0 / self.spread[order]
-        side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
-        explained = scale**2 * (self.grams @ beta @ beta)
+        beta = self.solve(torque_of)[:, None]
+        return np.concatenate(
+            [self._left_at(k, np.array([j]), beta) for k, j in enumerate(torque_of)]
+        )
+
+    def _left_at(self, k: int, torques: Indices, betas: Array) -> Array:
+        """Return the share (m,) of each torque that its parameters (p, m) leave at joint k."""
+        own = betas[self.support[k]] / self.spread[torques]
+        energy = np.sum(own * (self.grams[k] @ own - 2.0 * self.sides[k][torques].T), axis=0)
         # |y - W beta|^2 from the normal equations, per sample.
-        residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
-        return np.asarray(np.maximum(residual, 0.0))
+        return np.asarray(np.maximum(self.power[torques] + energy / self.samples, 0.0))
+
+    def suspected_swaps(self) -> list[tuple[int, ...]]:
+        """Return the few orders with two torques swapped that may explain both torques better.
+
+        Each row keeps the weight of the torque logged at its joint. One factor then serves all
+        pairs, and a swap is two other right sides. Torques that truly are swapped are explained up
+        to their noise with any weights, so that their pair is among the best.
+        """
+        n = len(self.power)
+        scale = 1.0 / self.spread
+        weighted = self._weighted(scale)
+        # What torque j at joint k adds to the solution, (p, n) for each k.
+        moved = []
+        for k, own in enumerate(self.support):
+            side = np.zeros((self.n_columns, n))
+            side[own] = self.sides[k].T * (scale[k] ** 2 * self.spread)
+            moved.append(weighted.solve(side))
+        logged = np.sum([moved[k][:, k] for k in range(n)], axis=0)
+        shares = np.empty((n, n))
+        for k in range(n):
+            there = moved[k] - moved[k][:, [k]]
+            back = np.stack([moved[j][:, k] - moved[j][:, j] for j in range(n)], axis=1)
+            shares[k] = self._left_at(k, np.arange(n), logged[:, None] + there + back)
+        # A torque much larger than its row's spoils the fit there, whichever it is: what one of the
+        # two gains makes a pair suspect, and what the other seems to lose is not counted.
+        falls = np.log(shares + NEGLIGIBLE) - np.log(self._as_logged + NEGLIGIBLE)
+        falls = np.minimum(falls, 0.0) + np.minimum(falls.T, 0.0)
+        pairs = np.argwhere(np.triu(falls < np.log(GAIN), 1)).tolist()
+        best = sorted(pairs, key=lambda pair: falls[*pair])[:MOST_SUSPECTS]
+        return [_swapped(tuple(range(n)), i, j) for i, j in best]
 
 
 def replace_links_by_rods(model: RobotModel) -> RobotModel:

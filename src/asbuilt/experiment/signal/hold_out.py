@@ -9,6 +9,7 @@ import numpy as np
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
+from asbuilt.ranges import Range
 
 SHORTEST_DIVIDED = 6.0
 """Length of a recording [s] below which it is cut in two by default: filters leave too little of
@@ -34,6 +35,11 @@ class Last:
     share: float
 
 
+BLOCKS = Range(1e-3, 1e6, "s")
+EVERY = Range(2, 1e6)
+"""What lengths and numbers of blocks may be; a log has at most a million of either."""
+
+
 def parse_rule(rule: str) -> Blocks | Last:
     """Return the rule of `hold_out` that a text stands for.
 
@@ -51,10 +57,10 @@ def parse_rule(rule: str) -> Blocks | Last:
     if kind == "blocks" and len(arguments) == 2:
         seconds = _parse_number(arguments[0].removesuffix("s"), rule, "a block length in seconds")
         every = _parse_number(arguments[1], rule, "every how many blocks one is held out")
-        if seconds <= 0 or every != int(every) or every < 2:
+        if not BLOCKS.holds(seconds) or every != int(every) or not EVERY.holds(every):
             raise UsageError(
-                f"cannot hold out {rule!r}: blocks have a positive length and a whole number of 2"
-                f" or more, as in {FORMS}",
+                f"cannot hold out {rule!r}: blocks have a length {BLOCKS} and a whole number"
+                f" {EVERY}, as in {FORMS}",
                 value=rule,
             )
         return Blocks(seconds, int(every))

@@ -19,7 +19,7 @@ from asbuilt.dynamics import (
     inverse_dynamics,
     parameter_names,
 )
-from asbuilt.errors import UsageError
+from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.recording import Recording
@@ -366,6 +366,13 @@ class VirtualRobot:
                 f" {', '.join(model.joint_names)}",
                 value=motion.n_joints,
                 expected=model.n_joints,
+            )
+        if motion.duration * self.logger.rate < 1.0:
+            raise MotionError(
+                f"the motion takes {motion.duration:g} s, in which a log at {self.logger.rate:g} Hz"
+                " has no two samples",
+                cure=Cure("give a longer motion, or a higher rate"),
+                value=motion.duration,
             )
         generator = np.random.default_rng(rng)
         exact = self.controller is None

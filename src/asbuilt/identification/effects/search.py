@@ -27,10 +27,17 @@ from asbuilt.identification.effects.trials import RULES, Prior, Trial
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
-from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.estimators.least_squares import (
+    ROUGH_WEIGHTS,
+    WEIGHT_CONVERGENCE,
+    fit_least_squares,
+)
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.rows import KeptRows
-from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate_stream,
+)
 from asbuilt.scaled import Scaled
 
 
@@ -53,11 +60,16 @@ class SearchLimits:
     """Samples by which factors are tried."""
     far_off: float = 0.05
     """Fall of the logarithm of the residual, mean over joints, from which on a factor is."""
+    hopeless: float = 0.3
+    """Rise of that logarithm with rough weights, which are within half of that, from which on no
+    factor is fitted further."""
     almost_all: float = 99.5
     """Percentile of the torque that counts as its largest, so that a spike does not."""
 
 
 LIMITS = SearchLimits()
+LEAST_TORQUE = 1e-9
+"""Torque [N m] that no drive resolves, in place of the largest of a joint without any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,23 +315,34 @@ class _Search:
         base = find_base_parameters(self.model, self.drive)
         bound = min(each.clock_bound for each in self.samples)
 
-        def left(samples: Sequence[Samples]) -> float:
-            seen = accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
-            sigma = fit_least_squares(seen, weights="joint", prior=np.zeros(base.n_base)).sigma
-            # The logarithm, so that joints of small torques count as much as others.
-            return float(np.mean(np.log(sigma[np.isfinite(sigma)])))
+        def reduced(samples: Sequence[Samples]) -> SquareRootInformation:
+            return accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
 
-        tried = [
-            (left(each.without(self.model, few, None, np.array([start]))[1]), each.key, start)
+        def left(seen: SquareRootInformation, settled: float = WEIGHT_CONVERGENCE) -> float:
+            fit = fit_least_squares(
+                seen, weights="joint", prior=np.zeros(base.n_base), settled=settled
+            )
+            # The logarithm, so that joints of small torques count as much as others.
+            return float(np.mean(np.log(fit.sigma[np.isfinite(fit.sigma)])))
+
+        starts = [
+            (each, start)
             for each in self.wanted
             # Logged velocities bound the clock: factors beyond are not tried.
             for start in each.starts
             if abs(start) <= bound
         ]
-        if not tried:
+        if not starts:
             return None
-        residual, key, start = min(tried)
-        return None if left(few) - residual < LIMITS.far_off else (key, start)
+        plain = left(reduced(few))
+        tried = []
+        for each, start in starts:
+            seen = reduced(each.without(self.model, few, None, np.array([start]))[1])
+            # Most factors make the log much worse: that shows before the weights have converged.
+            if left(seen, ROUGH_WEIGHTS) < plain + LIMITS.hopeless:
+                tried.append((left(seen), each.key, start))
+        residual, key, start = min(tried, default=(plain, "", 0.0))
+        return None if plain - residual < LIMITS.far_off else (key, start)
 
     def _settle(self, removed: Sequence[Trial]) -> tuple[list[Trial], Selection]:
         """Return effects with values that leave next to nothing, and the selection about these.
@@ -491,7 +514,7 @@ def _describe_robot(
         chi,
         samples[0].torque_source,
         tuple(each.qd for each in samples),
-        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), np.finfo(np.float64).tiny),
+        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), LEAST_TORQUE),
         min(each.clock_bound for each in samples),
     )
 

@@ -30,6 +30,9 @@ from asbuilt.identification.information.triangular import (
 Weighting = Literal["joint"]
 
 WEIGHT_CONVERGENCE = 1e-8
+ROUGH_WEIGHTS = 0.2
+"""Relative change of weights at which a fit is near enough to see whether it is worth finishing:
+some five steps, where all digits take thirty."""
 MOST_ITERATIONS = 50
 NEAR = 0.1
 """Relative change of weights below which steps are extrapolated."""
@@ -47,6 +50,7 @@ def fit_least_squares(
     weights: Weighting | ArrayLike | None = None,
     prior: ArrayLike | None = None,
     undetermined: Literal["toward_prior", "refuse"] = "toward_prior",
+    settled: float = WEIGHT_CONVERGENCE,
 ) -> Estimate:
     """Minimise `sum_k weights_k^2 |tau_k - W_k beta|^2`.
 
@@ -63,6 +67,8 @@ def fit_least_squares(
         parameters scaled to equal torque; NaN counts as 0.
     undetermined
         `"refuse"` raises for undetermined directions.
+    settled
+        Relative change of the weights of `"joint"` at which they have converged.
 
     Raises
     ------
@@ -90,7 +96,7 @@ def fit_least_squares(
         iterations += 1
         x, root = solve_fast(information.stacked(w), rows, toward)
         renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
-        converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
+        converged = bool(np.all(np.abs(renewed - w) <= settled * renewed))
         if converged or iterations > MOST_ITERATIONS:
             break
         # In logarithms, so that an extrapolated weight stays positive.

@@ -236,9 +236,9 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
-            ("trained values", p if self.trained is None else self.trained.shape[-1]),
+            ("trained values", p if self.trained is None else np.shape([self.trained])[-1]),
             ("rows of bias", p if self.bias is None or self.bias.shape == (p, p) else 0),
-            ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
+            ("block errors", p if self.scatter is None else np.shape([self.scatter.moves])[-1]),
         ):
             if count != p:
                 raise ResultError(
@@ -605,17 +605,27 @@ class IdentificationResult:
             ("n_samples", self.n_samples > 0, "positive"),
             ("rate", self.rate > 0, "positive"),
             ("duration", self.duration > 0, "positive"),
+            ("effective_samples", self.effective_samples >= 0, "at least 0"),
             ("rank", 0 <= self.rank <= self.base.n_base, f"from 0 to {self.base.n_base}"),
             ("sigma", bool(np.all(self.sigma > 0)), "positive"),
             ("estimate", _is_finite(self.estimates), "finite"),
             ("std_error", not np.any(errors < 0), "at least 0"),
             ("covariance", _is_finite(self.covariance), "finite"),
             ("covariance", not np.any(np.diag(self.covariance) < 0), "positive semidefinite"),
+            ("covariance", _has_correlations(self.covariance), "positive semidefinite"),
         ):
             if not sound:
                 raise ResultError(
                     f"the stored result is damaged: {name} must be {expected}", cure=AGAIN
                 )
+
+
+def _has_correlations(covariance: Array) -> bool:
+    """Return whether no covariance (p, p) is beyond the product of its standard errors."""
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # Rounding of a matrix in base parameters that another one was turned into.
+    slack = 1e-6 * error.max(initial=0.0) ** 2
+    return bool(np.all(np.abs(covariance) <= (1.0 + 1e-6) * np.outer(error, error) + slack))
 
 
 def _is_finite(values: ArrayLike) -> bool:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import DEEPEST, describe_problem, measure_depth
+from asbuilt.untrusted import describe_problem, parse_json
 
 FORMAT = "asbuilt identification result"
 FORMAT_VERSION = 1
@@ -27,22 +26,11 @@ def parse_stored_document(text: str) -> Mapping[str, Any]:
     """
     expected = Cure("give the result.json that identify wrote")
     try:
-        whole = json.loads(text, parse_constant=_refuse_constant)
-    except RecursionError:
-        raise ResultError(
-            f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
-            cure=expected,
-        ) from None
+        whole = parse_json(text)
     except ValueError as problem:
         raise ResultError(
-            f"this is not a stored result, not even JSON ({describe_problem(problem)})",
-            cure=expected,
+            f"this is not a stored result: {describe_problem(problem)}", cure=expected
         ) from None
-    if measure_depth(whole) > DEEPEST:
-        raise ResultError(
-            f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
-            cure=expected,
-        )
     if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
         raise ResultError(
             f"this JSON is not a stored result: its format is not {FORMAT!r}", cure=expected
@@ -57,7 +45,3 @@ def parse_stored_document(text: str) -> Mapping[str, Any]:
     if missing:
         raise ResultError(f"the stored result is damaged: it has no {missing[0]!r}", cure=AGAIN)
     return whole
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number")

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lapack
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
@@ -19,9 +21,9 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import KeptRows, Rows, divide_into_blocks
 from asbuilt.identification.information.square_root_information import (
-    SquareRootInformation,
     reduce_rows,
 )
 from asbuilt.identification.information.triangular import triangular_factor
@@ -68,6 +70,8 @@ class PlateauRules:
 
 
 RULES = PlateauRules()
+MOST_HELD = 100e6
+"""Memory [bytes] of the normal equations that one walk over the samples makes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +102,16 @@ def find_plateaus(
     base = find_base_parameters(model, drive)
     try:
         fits = _Fits(model, base, training, block_seconds, kept)
-        values = fits.fit()
+        values = fits.whole.beta
     except (AsbuiltError, np.linalg.LinAlgError):
         return ()
     logged = [predict_torque(model, base, values, samples) for samples in training]
+    crowded = [_Crowded.of(training, logged, joint, sign) for joint, sign in _find_crowded(logged)]
+    rests = fits.without_each([each.left_out for each in crowded])
     return tuple(
         found
-        for joint, sign in _find_crowded(logged)
-        if (found := _find_plateau(model, base, training, logged, joint, sign, fits))
+        for each, rest in zip(crowded, rests, strict=True)
+        if (found := _find_plateau(model, base, training, each, rest, fits))
     )
 
 
@@ -165,52 +171,79 @@ def _find_crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
                 yield joint, sign
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Crowded:
+    """Hold a torque, times `sign`, that stays long near its `level`, and what a fit leaves of it.
+
+    `torque` and `error` (N,) are of all recordings; `left_out` are the samples of each near the
+    level.
+    """
+
+    joint: int
+    sign: float
+    level: float
+    torque: Array
+    error: Array
+    left_out: tuple[Mask, ...]
+
+    @classmethod
+    def of(
+        cls, training: Sequence[Samples], logged: Sequence[Prediction], joint: int, sign: float
+    ) -> _Crowded:
+        """Return the torque of a joint as logged and predicted."""
+        torque = [sign * prediction.measured[:, joint] for prediction in logged]
+        level = float(np.percentile(np.concatenate(torque), RULES.highest))
+        error = [prediction.measured - prediction.predicted for prediction in logged]
+        left_out = tuple(
+            # Filtered torques are compared at their own times.
+            np.interp(samples.t, log.t, x) >= RULES.left_out * level
+            for samples, log, x in zip(training, logged, torque, strict=True)
+        )
+        whole = np.concatenate([each[:, joint] for each in error])
+        return cls(joint, sign, level, np.concatenate(torque), whole, left_out)
+
+
 def _find_plateau(
     model: RobotModel,
     base: BaseParameters,
     training: Sequence[Samples],
-    logged: Sequence[Prediction],
-    joint: int,
-    sign: float,
+    crowded: _Crowded,
+    rest: tuple[Sequence[Array], int],
     fits: _Fits,
 ) -> Plateau | None:
-    """Return a plateau if the model that is fitted without it exceeds it, and it does not."""
-    torque = [sign * prediction.measured[:, joint] for prediction in logged]
-    level = float(np.percentile(np.concatenate(torque), RULES.highest))
-    try:
-        values = fits.fit_without(
-            [
-                # Filtered torques are compared at their own times.
-                np.interp(samples.t, log.t, x) >= RULES.left_out * level
-                for samples, log, x in zip(training, logged, torque, strict=True)
-            ]
-        )
-    except (AsbuiltError, np.linalg.LinAlgError):
-        return None
-    implied = np.concatenate(
-        [
-            sign * predict_torque(model, base, values, samples).predicted[:, joint]
-            for samples in training
-        ]
-    )
+    """Return a plateau if the model that is fitted to the rest exceeds it, and it does not."""
+    joint = crowded.joint
+    implied = np.zeros(0)
+    # Few of the joints that stay long near their largest torque saturate: a fit with the weights
+    # of the whole tells, one step of the thirty that weights of its own take.
+    for weights in (fits.whole.weights, None):
+        try:
+            values = fits.fit_rest(*rest, weights)
+        except (AsbuiltError, np.linalg.LinAlgError):
+            return None
+        predicted = [predict_torque(model, base, values, samples) for samples in training]
+        implied = crowded.sign * np.concatenate([each.predicted[:, joint] for each in predicted])
+        if not _saturates(crowded, implied):
+            return None
+    highest = float(implied[implied > crowded.level].max())
+    return Plateau(joint, crowded.sign * crowded.level, crowded.sign * highest)
+
+
+def _saturates(crowded: _Crowded, implied: Array) -> bool:
+    """Return whether a torque is flat where the one implied (N,) asks for more than its level."""
     # Only where the model asks for more than the level.
-    beyond = implied > level
-    x = np.concatenate(torque)[beyond]
+    beyond = implied > crowded.level
+    x = crowded.torque[beyond]
     y = implied[beyond]
-    if x.size < RULES.fewest or y.max() < (1.0 + RULES.exceeds) * level:
-        return None
-    error = np.concatenate(
-        [prediction.measured[:, joint] - prediction.predicted[:, joint] for prediction in logged]
-    )
+    if x.size < RULES.fewest or y.max() < (1.0 + RULES.exceeds) * crowded.level:
+        return False
     # The whole fit explains the torque there: nothing saturates.
-    if np.mean(error[beyond] ** 2) <= RULES.explained**2 * np.mean((y - x) ** 2):
-        return None
+    if np.mean(crowded.error[beyond] ** 2) <= RULES.explained**2 * np.mean((y - x) ** 2):
+        return False
     scatter = float(np.std(y))
     # Slope of the logged torque by the implied one: 1 follows, 0 is flat.
     slope = float(np.mean((x - x.mean()) * (y - y.mean()))) / scatter**2
-    if abs(slope) > RULES.follows or np.std(x) > RULES.flat * scatter:
-        return None
-    return Plateau(joint, sign * level, sign * float(y.max()))
+    return abs(slope) <= RULES.follows and bool(np.std(x) <= RULES.flat * scatter)
 
 
 class _Fits:
@@ -231,41 +264,76 @@ class _Fits:
         self._whole = whole.together()
         self._design = design_values(model, base)
 
-    def fit(self) -> Array:
-        """Return base parameters (p,) of all samples."""
-        return self._estimate(self._whole)
+    @cached_property
+    def whole(self) -> Estimate:
+        """The fit of all samples."""
+        return fit_least_squares(self._whole, weights="joint", prior=self._design)
 
-    def fit_without(self, left_out: Sequence[Mask]) -> Array:
-        """Return base parameters (p,) of filtered samples that have no part of those left out.
+    @cached_property
+    def _grams(self) -> tuple[Array, ...]:
+        """Normal equations of each joint on all samples."""
+        return tuple(factor.T @ factor for factor in self._whole.joint_factors)
 
-        `left_out` (N,) are samples of each recording. Their rows are taken off the normal
-        equations: what they leave is as exact as these, half the digits, enough for a comparison.
+    def without_each(
+        self, left_out: Sequence[Sequence[Mask]]
+    ) -> Iterator[tuple[Sequence[Array], int]]:
+        """Yield each joint's normal equations, and the samples they are of, without each choice.
+
+        A choice are samples (N,) of each recording; filtered samples that have any part in them go.
+        One walk serves as many choices as `MOST_HELD` has room for.
         """
-        grams = [factor.T @ factor for factor in self._whole.joint_factors]
+        size = sum(gram.nbytes for gram in self._grams)
+        at_once = max(1, int(MOST_HELD // size))
+        for first in range(0, len(left_out), at_once):
+            yield from self._without(left_out[first : first + at_once])
+
+    def _without(self, left_out: Sequence[Sequence[Mask]]) -> Iterator[tuple[Sequence[Array], int]]:
         # Recordings by identity: blocks of one share its samples.
-        kept = {id(part): ~mask for part, mask in zip(self._samples(), left_out, strict=True)}
-        n_samples = 0
+        places = {id(samples): place for place, samples in enumerate(self._samples())}
+        grams = [[gram.copy() for gram in self._grams] for _ in left_out]
+        n_samples = [0] * len(left_out)
         for part, block in zip(self._blocks, self._rows, strict=True):
-            rests = part.rests_on(kept[id(part.samples)])
-            n_samples += int(np.count_nonzero(rests))
-            for gram, rows in zip(grams, block.rows, strict=True):
-                # Rows that take any part in what is left out go.
-                gone = rows[:, ~rests]
-                np.subtract(gram, gone @ gone.T, out=gram)
-        factors = tuple(_take_root(gram)[None] for gram in grams)
-        time = replace(self._whole.blocks[0], n_samples=n_samples)
-        return self._estimate(replace(self._whole, factors=factors, blocks=(time,)))
+            place = places[id(part.samples)]
+            for number, choice in enumerate(left_out):
+                rests = part.rests_on(~choice[place])
+                n_samples[number] += int(np.count_nonzero(rests))
+                for gram, rows in zip(grams[number], block.rows, strict=True):
+                    # Rows that take any part in what is left out go.
+                    gone = rows[:, ~rests]
+                    np.subtract(gram, gone @ gone.T, out=gram)
+        return zip(grams, n_samples, strict=True)
 
     def _samples(self) -> list[Samples]:
         """Return the recordings, in order."""
         return list({id(block.samples): block.samples for block in self._blocks}.values())
 
-    def _estimate(self, information: SquareRootInformation) -> Array:
-        return fit_least_squares(information, weights="joint", prior=self._design).beta
+    def fit_rest(
+        self, grams: Sequence[Array], n_samples: int, weights: Array | None = None
+    ) -> Array:
+        """Return base parameters (p,) by normal equations, with weights (n,) or those of its own.
+
+        They are as exact as these, half the digits, enough for a comparison.
+        """
+        factors = tuple(_take_root(gram)[None] for gram in grams)
+        time = replace(self._whole.blocks[0], n_samples=n_samples)
+        rest = replace(self._whole, factors=factors, blocks=(time,))
+        chosen = "joint" if weights is None else weights
+        return fit_least_squares(rest, weights=chosen, prior=self._design).beta
+
+
+INDEPENDENT = 1e-4
+"""Length of what a column of unit length has of its own, from which a Cholesky factor is as good as
+axes: its square is far above rounding."""
 
 
 def _take_root(gram: Array) -> Array:
     """Return a triangular R (q, q) with `R^T R` the normal equations."""
-    # A row of zeros makes the root square.
+    length = np.sqrt(np.diag(gram))
+    # A decomposition into axes takes ten times as long; it is for columns that are not independent.
+    if np.all(length > 0.0):
+        factor, problem = lapack.dpotrf(gram / np.outer(length, length), clean=1)
+        if problem == 0 and np.diag(factor).min() > INDEPENDENT:
+            return np.asarray(factor * length)
     root = Scaled(gram).root
+    # A row of zeros makes the root square.
     return triangular_factor(np.vstack([root, np.zeros((1, len(gram)))]))

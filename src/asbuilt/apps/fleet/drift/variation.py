@@ -230,7 +230,8 @@ def _step_scoring(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
         A = A + total - spent
         n = n + len(s)
     values, axes = np.linalg.eigh((A + A.T) / 2.0)
-    root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    values = np.maximum(values, 1e-12 * values[-1])  # of logs that say nothing they are rounding
+    root = axes / np.sqrt(values)
     change = n * (root @ (root.T @ U @ root - np.eye(r)) @ root.T)
     back = (axes * np.sqrt(values)) @ axes.T / np.sqrt(n)
     new = back @ (V + change) @ back

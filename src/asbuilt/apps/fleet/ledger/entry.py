@@ -1,7 +1,6 @@
 """An entry of a ledger: the information of one log, as one Parquet file.
 
-A row is a joint and a time block; block -1 is the whole log. docs/reference/fleet-ledger.md
-describes the columns.
+A row is a joint and a time block; block -1 is the whole log. `schema` has the columns.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from asbuilt.apps.fleet.ledger.merging import merge_blocks
+from asbuilt.apps.fleet.ledger.schema import SCHEMA, DateSource, check_schema
 from asbuilt.apps.fleet.ledger.settings import (
     FORMAT_VERSION,
     SOFTWARE,
@@ -29,6 +28,7 @@ from asbuilt.apps.fleet.ledger.settings import (
 )
 from asbuilt.apps.fleet.ledger.store import name_entry_folder, unpack_table
 from asbuilt.arrays import Array
+from asbuilt.children import open_scratch
 from asbuilt.errors import AsbuiltError, RecordingError, ResultError
 from asbuilt.experiment import read_isolated
 from asbuilt.findings import Cure
@@ -38,31 +38,6 @@ DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""
 WHOLE = -1
 """Block number of the whole log."""
-DateSource = Literal["given", "sheet", "stamps", "name"]
-SCHEMA: dict[str, Any] = {
-    "robot_id": pl.String,
-    "robot_type": pl.String,
-    "settings": pl.String,
-    "log": pl.String,
-    "source_sha256": pl.String,
-    "date": pl.Datetime("us", "UTC"),
-    "date_from": pl.String,
-    "duration": pl.Float64,
-    "rate": pl.Float64,
-    "block": pl.Int16,
-    "start": pl.Float64,
-    "stop": pl.Float64,
-    "n_samples": pl.Int64,
-    "joint": pl.String,
-    "torque_sum": pl.Float64,
-    "columns": pl.List(pl.Int16),
-    "factor": pl.List(pl.Float64),
-    "tilt": pl.List(pl.Float64),
-    "covariates": pl.List(pl.Struct({"name": pl.String, "value": pl.Float64})),
-    "warnings": pl.List(pl.String),
-    "software": pl.String,
-    "format_version": pl.Int16,
-}
 _NAME = re.compile(
     r"(?P<date>\d{8}T\d{6}Z)-(?P<source>[0-9a-f]{16})-(?P<settings>[0-9a-f]{12})"
     r"-(?P<content>[0-9a-f]{16})\.parquet"
@@ -198,7 +173,7 @@ def read_entry(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
     try:
         frame = _unpack_frame(content)
         check_version(name.path, frame["format_version"][0])
-        _check_schema(frame)
+        check_schema(frame)
         return _rebuild_entry(frame, name, settings)
     except ResultError:
         raise
@@ -263,7 +238,7 @@ def _list_covariates(entry: Entry, first: int, block: int, joint: int) -> list[d
 
 def _unpack_frame(content: bytes) -> pl.DataFrame:
     """Return the table of an entry, unpacked by another process with limits."""
-    with TemporaryDirectory(prefix="asbuilt-") as folder:
+    with open_scratch() as folder:
         file = Path(folder, "entry.parquet")
         file.write_bytes(content)
         try:
@@ -271,26 +246,6 @@ def _unpack_frame(content: bytes) -> pl.DataFrame:
         except RecordingError as problem:
             raise ValueError(problem.message.replace(str(file), "it")) from None
     return pl.read_ipc_stream(io.BytesIO(table.columns["arrow"].tobytes()))
-
-
-def _check_schema(frame: pl.DataFrame) -> None:
-    """Raise `ValueError` unless columns have their types, and numbers are there and finite."""
-    for name, kind in SCHEMA.items():
-        if name == "tilt" and name not in frame.columns:
-            continue
-        column = frame[name]
-        if column.dtype != kind:
-            raise ValueError(f"{name} is of type {column.dtype}, not {kind}")
-        if name not in ("tilt", "covariates") and column.has_nulls():
-            raise ValueError(f"{name} has no value in some rows")
-        values = column.explode() if isinstance(kind, pl.List) else column
-        if values.dtype == pl.Struct:
-            values = values.struct.field("value")
-        if values.dtype == pl.Float64 and not values.drop_nulls().is_finite().all():
-            raise ValueError(f"{name} holds a number that is not finite")
-    for name in ("duration", "rate", "n_samples"):
-        if not (frame[name] > 0).all():
-            raise ValueError(f"{name} is not positive in some rows")
 
 
 def _rebuild_entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entry:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from asbuilt import StudyOptions, prepare
-from asbuilt.apps.fleet.ledger.entry import DateSource
+from asbuilt.apps.fleet.ledger.schema import EARLIEST, LATEST, DateSource
 from asbuilt.apps.fleet.ledger.settings import TypeSettings, name_robot_type
 from asbuilt.description import RobotModel
 from asbuilt.errors import RecordingError, UsageError
@@ -26,9 +26,6 @@ from asbuilt.experiment import (
 from asbuilt.findings import Cure, join_names
 from asbuilt.identification import settle_drive
 
-EARLIEST = datetime(2000, 1, 1, tzinfo=UTC)
-LATEST = datetime(2100, 1, 1, tzinfo=UTC)
-"""Dates that a clock can be trusted for; a counter since power-on is none."""
 _IN_NAME = re.compile(
     r"(?<!\d)(20\d\d)([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])"
     r"(?:[T_ -]?([01]\d|2[0-3])[-_.:h]?([0-5]\d)(?:[-_.:m]?([0-5]\d))?)?(?!\d)"

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description import Link, LinkInertia, RobotModel, close_match
-from asbuilt.errors import DescriptionError, MissingExtraError
+from asbuilt.description import Link, LinkInertia, RobotModel, close_match, measure_mesh
+from asbuilt.errors import DescriptionError
 from asbuilt.ranges import Range
 
 LENGTH = {
@@ -45,7 +44,6 @@ DENSITIES = Range(0.0, 1e5, "kg/m^3", above=True)
 
 PLAUSIBLE_SIZE = (1e-3, 10.0)
 """Length of a part [m] below and above which its unit is doubtful."""
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,54 +152,23 @@ class MeshSolid:
 def read_mesh(path: str | Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> MeshSolid:
     """Read the solid bounded by the mesh of a file, `scale` metres per unit along each axis.
 
-    Raises `DescriptionError` for files that hold no surface and surfaces without volume.
+    Raises `DescriptionError` and `MissingExtraError` as `measure_mesh` does.
     """
-    try:
-        import trimesh
-    except ImportError:
-        raise MissingExtraError("trimesh", "cad", "reading meshes") from None
     path = Path(path)
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise DescriptionError(
-            f"{path}: meshes are read from {', '.join(MESH_SUFFIXES)}, not from"
-            f" {path.suffix or 'a file without suffix'!r}"
-        )
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", skip_materials=True)
-        n_faces = len(mesh.faces)
-    except Exception as error:  # trimesh raises whatever its parsers raise
-        raise DescriptionError(
-            f"{path}: the mesh cannot be read: {type(error).__name__}: {error}"
-        ) from None
-    if n_faces == 0 or not np.all(np.isfinite(mesh.vertices)):
-        raise DescriptionError(f"{path}: the file holds no finite triangles")
+    measured = measure_mesh(path, scale)
     doubts = []
-    mesh.merge_vertices()
-    mesh.apply_transform(np.diag([*scale, 1.0]))
-    with np.errstate(invalid="ignore"):
-        volume = float(mesh.volume)
-    closed = bool(mesh.is_watertight)
-    if not closed:
+    if not measured.closed:
         doubts.append(
             f"{path.name}: the surface is not closed, so volume and mass are not reliable; repair"
             " the mesh"
         )
-    if volume < 0.0:
-        mesh.invert()
-        volume = -volume
+    if measured.inside_out:
         doubts.append(f"{path.name}: the surface was turned inside out and is turned back")
-    if not volume > 0.0:
-        raise DescriptionError(
-            f"{path}: the mesh encloses no volume; export the solid as a closed surface"
-        )
-    size = float(np.max(mesh.extents))
+    size = float(np.max(np.ptp(measured.box, axis=0)))
     if size > PLAUSIBLE_SIZE[1] or size < PLAUSIBLE_SIZE[0]:
         doubts.append(f"{path.name}: the part is {size:.3g} m long; check the unit and the scale")
-    mesh.density = 1.0
-    inertia = LinkInertia.from_com(volume, mesh.center_mass, mesh.moment_inertia)
-    lower, upper = np.asarray(mesh.bounds)
-    corners = np.array(np.meshgrid(*zip(lower, upper, strict=True))).reshape(3, -1).T
-    return MeshSolid(inertia, corners, tuple(doubts), closed)
+    corners = np.array(np.meshgrid(*measured.box.T)).reshape(3, -1).T
+    return MeshSolid(measured.inertia, corners, tuple(doubts), measured.closed)
 
 
 def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotModel:

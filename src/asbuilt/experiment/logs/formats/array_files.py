@@ -6,7 +6,7 @@ import io
 import pickle
 import zipfile
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import LIMITS, FileKind, isolate
+from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -22,6 +22,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     tabulate_variables,
 )
 from asbuilt.findings import Cure
+from asbuilt.isolated_reading import LIMITS, FileKind
 
 
 def read_npz(path: Path) -> LogTable:
@@ -195,36 +196,49 @@ def read_hdf5(path: Path) -> LogTable:
     """
     import h5py  # noqa: PLC0415
 
+    # What a visitor raises is lost in h5py's locks, so that it finds and the loops below refuse.
+    links: dict[str, Any] = {}
+    items: dict[str, Any] = {}
     variables: dict[str, Array] = {}
-
-    def refuse_link(name: str, link: Any) -> None:
-        if isinstance(link, h5py.ExternalLink):
-            raise _make_foreign_error(path, name, f"links to the file {link.filename!r}")
-
-    def visit(name: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-            return
-        if item.is_virtual or item.external:
-            raise _make_foreign_error(path, name, "takes its values from other files")
-        if item.size and item.size * item.dtype.itemsize > LIMITS.memory_for(path.stat().st_size):
-            raise RecordingError(
-                f"{path}: the dataset {name!r} declares {item.size * item.dtype.itemsize:.3g}"
-                " bytes, too many for a file of its size"
-            )
-        parts = {f"{name}/{each}": item[each] for each in item.dtype.names or ()} or {name: item}
-        for each, values in parts.items():
-            if np.issubdtype(values.dtype, np.number):
-                variables[each] = values[()]
-
     with h5py.File(path, "r") as file:
-        file.visititems_links(refuse_link)
-        file.visititems(visit)
+        file.visititems_links(_collect_into(links))
+        file.visititems(_collect_into(items))
+        for name, link in links.items():
+            if isinstance(link, h5py.ExternalLink):
+                raise _make_foreign_error(path, name, f"links to the file {link.filename!r}")
+        for name, item in items.items():
+            if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+                variables |= _read_dataset(path, name, item)
     short = [name.rsplit("/", 1)[-1] for name in variables]
     named = {
         last if short.count(last) == 1 else name: value
         for (name, value), last in zip(variables.items(), short, strict=True)
     }
     return tabulate_variables(str(path), named)
+
+
+def _collect_into(found: dict[str, Any]) -> Callable[[str, Any], None]:
+    """Return a visitor of h5py that notes everything by its name."""
+
+    def visit(name: str, item: Any) -> None:
+        found[name] = item
+
+    return visit
+
+
+def _read_dataset(path: Path, name: str, item: Any) -> dict[str, Array]:
+    """Return the numbers of a dataset, those of its fields by their names."""
+    if item.is_virtual or item.external:
+        raise _make_foreign_error(path, name, "takes its values from other files")
+    if item.size and item.size * item.dtype.itemsize > LIMITS.memory_for(path.stat().st_size):
+        raise RecordingError(
+            f"{path}: the dataset {name!r} declares {item.size * item.dtype.itemsize:.3g} bytes,"
+            " too many for a file of its size"
+        )
+    parts = {f"{name}/{each}": item[each] for each in item.dtype.names or ()} or {name: item}
+    return {
+        each: values[()] for each, values in parts.items() if np.issubdtype(values.dtype, np.number)
+    }
 
 
 def _make_foreign_error(path: Path, name: str, why: str) -> RecordingError:

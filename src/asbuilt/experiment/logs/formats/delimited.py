@@ -15,7 +15,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import LIMITS
+from asbuilt.experiment.logs.formats.isolated import MOST_COLUMNS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -127,12 +127,12 @@ def find_dialect(
     names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
     repeated = [name for name, count in Counter(names).items() if count > 1]
     places = ", ".join(str(k) for k, name in enumerate(names, 1) if name in repeated[:1])
-    if len(names) > LIMITS.columns:
+    if len(names) > MOST_COLUMNS:
         raise RecordingError(
-            f"{path} has {len(names)} columns; at most {LIMITS.columns} are read",
+            f"{path} has {len(names)} columns; at most {MOST_COLUMNS} are read",
             file=str(path),
             value=len(names),
-            upper=LIMITS.columns,
+            upper=MOST_COLUMNS,
         )
     if repeated and not numbered:
         raise RecordingError(

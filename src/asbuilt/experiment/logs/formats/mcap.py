@@ -16,7 +16,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
+from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -40,6 +40,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
 )
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
+from asbuilt.isolated_reading import FileKind
 
 MOST = 1 << 30
 """Bytes of a single record, compressed or not; chunks are a few MB."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import FileKind, isolate, read_isolated
+from asbuilt.experiment.logs.formats.isolated import isolate, read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -21,6 +21,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
 )
 from asbuilt.findings import Cure
+from asbuilt.isolated_reading import Answer, FileKind, read_parts_apart
 from asbuilt.untrusted import check_regular, describe_problem
 
 if TYPE_CHECKING:
@@ -28,9 +29,15 @@ if TYPE_CHECKING:
 else:
     pl = lazy_loader.load("polars")
 
-PARQUET = FileKind("Parquet")
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
+FIRST_READ = 8_000_000
+"""Memory [bytes] of what is read at first, when the beginning may be all that is asked for."""
+MOST_READ = 64_000_000
+"""Memory [bytes] that is read at once. A reading unpacks the pages of its row group before its
+first row too: a long recording in one row group costs the square of its length over this."""
+PARQUET = FileKind("Parquet")
+LONG_PARQUET = replace(PARQUET, largest=LARGEST, in_parts=True)
 
 
 def list_columns(frame: pl.DataFrame) -> dict[str, Array]:
@@ -110,28 +117,46 @@ def read_parquet(path: Path) -> LogTable:
 def _read_chunks(
     path: Path, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, dict[str, Array]]]:
-    """Read chunks in this process, whose damage ends in an error too."""
+    """Read chunks in another process, and check before what they may be."""
     rows, header = _read_declared(path)
     missing = [name for name in columns if name not in header.columns]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
-    # 8e6: memory [bytes] that is read at once: each reading unpacks the pages before its first row
-    # too.
-    chunks = max(1, int(8e6 / (8 * max(len(columns), 1) * chunk_samples)))
-    for begin in range(0, rows, chunks * chunk_samples):
+    parts = read_parts_apart(
+        read_row_ranges,
+        path,
+        LONG_PARQUET,
+        columns=[*columns],
+        rows=rows,
+        chunk_samples=chunk_samples,
+    )
+    for document, values in parts:
+        yield document["first"], dict(zip(columns, values, strict=True))
+
+
+def read_row_ranges(
+    path: Path, columns: Sequence[str], rows: int, chunk_samples: int
+) -> Iterator[Answer]:
+    """Yield the columns of so many rows at a time, in the process that reads the file."""
+    row_bytes = 8 * max(len(columns), 1)
+    at_once = max(chunk_samples, FIRST_READ // (row_bytes * chunk_samples) * chunk_samples)
+    most = max(chunk_samples, MOST_READ // (row_bytes * chunk_samples) * chunk_samples)
+    begin = 0
+    while begin < rows:
         try:
-            frame = (
-                scan_parquet(path)[0].select(columns).slice(begin, chunks * chunk_samples).collect()
-            )
+            frame = scan_parquet(path)[0].select(columns).slice(begin, at_once).collect()
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
             raise RecordingError(
-                f"{path}: rows {begin + 1} to {min(begin + chunks * chunk_samples, rows)} cannot be"
+                f"{path}: rows {begin + 1} to {min(begin + at_once, rows)} cannot be"
                 f" read ({describe_problem(error)})",
                 cure=Cure("record or export it again"),
                 file=str(path),
             ) from None
         for first in range(0, frame.height, chunk_samples):
-            yield begin + first, list_columns(frame.slice(first, chunk_samples))
+            part = list_columns(frame.slice(first, chunk_samples))
+            yield {"first": begin + first}, [part[name] for name in columns]
+        begin += at_once
+        at_once = min(2 * at_once, most)
 
 
 def read_parquet_header(path: Path) -> LogTable:
@@ -162,7 +187,7 @@ def _read_declared(path: Path) -> tuple[int, LogTable]:
 
 @lru_cache(maxsize=64)
 def _read_declared_once(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
-    header = read_isolated(read_parquet_header, path, PARQUET)
+    header = read_isolated(read_parquet_header, path, LONG_PARQUET)
     return int(header.notes[0]), replace(header, notes=())
 
 

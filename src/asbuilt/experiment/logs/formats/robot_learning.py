@@ -14,7 +14,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
+from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -25,6 +25,7 @@ from asbuilt.experiment.logs.formats.log_format import (
 from asbuilt.experiment.logs.formats.servo_calibration import ServoCalibration, find_calibration
 from asbuilt.experiment.logs.sheet import RATES
 from asbuilt.findings import Cure
+from asbuilt.isolated_reading import FileKind
 from asbuilt.untrusted import parse_json, shorten_line
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.isolated import FileKind, isolate
+from asbuilt.experiment.logs.formats.isolated import isolate
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.formats.ros.joint_table import tabulate_joint_messages
 from asbuilt.experiment.logs.formats.ros.messages import (
@@ -22,6 +22,7 @@ from asbuilt.experiment.logs.formats.ros.messages import (
 )
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
+from asbuilt.isolated_reading import FileKind
 
 READ = (".db3", ".mcap", ".zstd", ".bag", ".yaml")
 """Suffixes of the files of a bag."""
