@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
@@ -114,6 +114,19 @@ class Fit:
             return None
         weights = self.estimate.weights
         return fit_least_squares(kept, weights=weights, prior=self.design).beta
+
+    def next_to_omitted(self, places: Indices) -> tuple[Array, Array]:
+        """Return parameters (m,) next to effects that the model lacks, and their covariance (m, m).
+
+        The result's own values have the bias by those effects, and its square in their errors.
+        """
+        values = self.estimate.beta[places]
+        further = [each.covariance for each in (self.nonlinear, self.delay, self.omitted) if each]
+        covariance = sum(further, self.uncertainty.covariance)[np.ix_(places, places)]
+        if self.omitted is None:
+            return values, covariance
+        bias = self.omitted.bias[places]
+        return values - bias, covariance - np.outer(bias, bias)
 
     @property
     def delay_shift(self) -> Array | None:
@@ -237,11 +250,12 @@ def fit_samples(
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
     expected: ExpectedScores | None = None,
     kept: KeptRows | None = None,
+    kind: str = "",
 ) -> Fit:
     """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
     Scores that are expected of the true parameters are taken away (`expected`). Rows are shared
-    with others by `kept`.
+    with others by `kept`. An estimator that chooses among kinds of fits takes `kind`.
     """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
@@ -280,6 +294,7 @@ def fit_samples(
             loading=loading,
             less=less,
             kept=kept,
+            kind=kind,
         )
 
     data = reduce(seen)

@@ -120,14 +120,11 @@ def conclude_study(
         # Values that have not seen what was held out are stored, for later validation on it.
         trained=fits.validated.estimate.beta if fits.refitted else fits.left_out,
     )
-    lacking = fits.effects.lacking
     # Bias by effects that are not in the model widens the errors of the result.
-    omitted = _join_biases(
-        None if lacking is None else lacking.bias(fits.final), _doubt_friction(fits.final)
-    )
+    omitted = _join_biases(fits.final.omitted, _doubt_friction(fits.final))
     result = conclude(replace(fits.final, omitted=omitted))
     effects = (
-        *(as_identified(effect, result) for effect in named),
+        *(as_identified(effect, fits.final, result) for effect in named),
         *describe_stated(options.wanted_effects.drive, fits.final, result),
     )
     bounded = bound_effects(result, effects)

@@ -80,6 +80,12 @@ class Prepared:
     whole: tuple[Samples, ...] = ()
     motions: tuple[tuple[int, ...], ...] = ()
 
+    @property
+    def unseen(self) -> tuple[Samples, ...]:
+        """Samples that no fit to `training` has seen."""
+        # Recordings that are left out in turn are in the training samples.
+        return self.validation if self.motions else (*self.held_out, *self.validation)
+
 
 def prepare(
     model: RobotModel,

@@ -107,7 +107,8 @@ def estimate_auto(data: EstimationData) -> Estimate:
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
     do not converge are left out. Without CAD masses the candidates are `consistent` and the values
-    of step 1. Step 2 is left out if undetermined directions are refused.
+    of step 1. Step 2 is left out if undetermined directions are refused. With `data.kind`
+    a candidate of that kind is chosen.
     """
     estimate = estimate_wls(data)
     reasons = []
@@ -140,18 +141,18 @@ class _Candidates:
     failed: list[str] = field(default_factory=list)
 
     def add(
-        self,
-        name: str,
-        weight: float,
-        held_out: Callable[[], Array],
-        fit: Callable[[], Estimate],
-        certain: bool = True,
+        self, estimate: Estimate, weight: float, held_out: Callable[[], Array], certain: bool = True
     ) -> None:
-        """Add a candidate, or its name to those that failed."""
+        """Add an estimate of all blocks as a candidate, or its name to those that failed."""
+        name = estimate.method
         try:
-            self.known.append(Candidate(name, weight, held_out(), certain, fit))
+            betas = held_out()
         except AsbuiltError:
             self.failed.append(name)
+            return
+        self.known.append(
+            Candidate(name, weight, betas, certain, lambda: estimate, name, estimate.beta)
+        )
 
     @property
     def note(self) -> tuple[str, ...]:
@@ -192,6 +193,7 @@ def _choose_closest_to_cad(
         free,
         candidates,
         masses,
+        data.kind,
         lambda: choose_candidate(
             candidates.known,
             parts,
@@ -200,6 +202,7 @@ def _choose_closest_to_cad(
             prior_information(information, prior),
             motion,
             effect * free_energy / information.n_rows,
+            data.kind,
         ),
     )
 
@@ -286,26 +289,27 @@ def _fit_candidates(
         name = f"entropic (weight {weight:.3g})"
         fit = partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints)
         if weight in rough:
-            # The last row is the fit to all blocks, and no held-out one.
-            candidates.known.append(Candidate(name, weight, rough[weight][:-1] @ K.T, fit=fit))
+            # The last row is the fit to all blocks.
+            *folds, whole = rough[weight] @ K.T
+            candidates.known.append(
+                Candidate(name, weight, np.array(folds), fit=fit, kind="entropic", beta=whole)
+            )
         else:
             candidates.failed.append(name)
     conic = ConicProblem(prior, K, bound_generously(prior))
     candidates.add(
-        "consistent",
+        consistent,
         WEAKEST_BELIEF,
         lambda: np.array(
             [K @ conic.fit(training.stacked(of_joints)) for training in select_trainings()]
         ),
-        lambda: consistent,
     )
     candidates.add(
-        free.method,
+        free,
         0.0,
         lambda: np.array(
             [_with_drive_rows(training, of_joints, prior).x for training in select_trainings()]
         ),
-        lambda: free,
         # Least squares needs a reason to be chosen unless its values could be those of a robot.
         certain=not free.undetermined and _is_consistent(information.base, free),
     )
@@ -343,6 +347,7 @@ def _choose_converging(
     free: Estimate,
     candidates: _Candidates,
     masses: bool,
+    kind: str,
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
@@ -370,11 +375,15 @@ def _choose_converging(
         error += f", least {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", {choice.sentence(len(choice.candidates) - 1)}"
+    if kind == chosen.kind:
+        why = f"{chosen.name} predicts the motion left out better than what was chosen without it"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
     notes = (choice.note, *candidates.note, *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
+        fit = replace(fit, rivals=choice.rivals)
         return _join_notes(information, fit, free), why, notes
+    free = replace(free, rivals=choice.rivals)
     if _is_consistent(information.base, free):
         return free, why, notes
     finding = Finding(
