@@ -53,20 +53,13 @@ from asbuilt.identification.result.torque_prediction import (
     set_link_parameters,
 )
 
+# Say when friction that depends on load has settled: own choice, tested on virtual robots.
+#
+# `LOAD_MOST` fits are made; `LOAD_CONVERGENCE` is the fraction by which a fit must lower some
+# joint's squared error for another one to follow.
 
-@dataclass(frozen=True, slots=True)
-class LoadIterations:
-    """Say when friction that depends on load has settled: own choice, tested on virtual robots.
-
-    `most` fits are made; `convergence` is the fraction by which a fit must lower some joint's
-    squared error for another one to follow.
-    """
-
-    most: int = 6
-    convergence: float = 1e-4
-
-
-LOAD = LoadIterations()
+LOAD_MOST = 6
+LOAD_CONVERGENCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -373,11 +366,11 @@ def _settle_own_load(
     """
     beta = estimate_wls(data).beta
     least = data.information.residual_energy(beta)
-    for _ in range(LOAD.most):
+    for _ in range(LOAD_MOST):
         data = reduce(set_link_parameters(data.model, data.base, beta))
         beta = estimate_wls(data).beta
         energy = data.information.residual_energy(beta)
-        if np.all(energy > (1.0 - LOAD.convergence) * least):
+        if np.all(energy > (1.0 - LOAD_CONVERGENCE) * least):
             break
         least = np.minimum(energy, least)
     return data

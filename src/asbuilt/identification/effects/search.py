@@ -40,34 +40,28 @@ from asbuilt.identification.information.square_root_information import (
 )
 from asbuilt.scaled import Scaled
 
+# Say what is searched.
 
-@dataclass(frozen=True, slots=True)
-class SearchLimits:
-    """Say what is searched."""
-
-    samples: int = 30_000
-    """Samples of long recordings that are searched, in spans of `span` seconds."""
-    span: float = 10.0
-    blocks: int = 30
-    """Time blocks of a recording, each of `shortest` to `longest` seconds."""
-    shortest: float = 1.0
-    longest: float = 5.0
-    fewest_groups: int = 3
-    """Groups of different motion below which held-out errors have no usable standard error."""
-    rounds: int = 8
-    """Passes for effects that are taken out."""
-    tried: int = 3000
-    """Samples by which factors are tried."""
-    far_off: float = 0.05
-    """Fall of the logarithm of the residual, mean over joints, from which on a factor is."""
-    hopeless: float = 0.3
-    """Rise of that logarithm with rough weights, which are within half of that, from which on no
-    factor is fitted further."""
-    almost_all: float = 99.5
-    """Percentile of the torque that counts as its largest, so that a spike does not."""
+# Samples of long recordings that are searched, in spans of `SEARCH_SPAN` seconds
+SEARCH_SAMPLES = 30_000
+SEARCH_SPAN = 10.0
+# Time blocks of a recording, each of `SEARCH_SHORTEST` to `SEARCH_LONGEST` seconds
+SEARCH_BLOCKS = 30
+SEARCH_SHORTEST = 1.0
+SEARCH_LONGEST = 5.0
+# Groups of different motion below which held-out errors have no usable standard error
+SEARCH_FEWEST_GROUPS = 3
+SEARCH_ROUNDS = 8  # Passes for effects that are taken out
+SEARCH_TRIED = 3000  # Samples by which factors are tried
+# Fall of the logarithm of the residual, mean over joints, from which on a factor is
+SEARCH_FAR_OFF = 0.05
+# Rise of that logarithm with rough weights, which are within half of that, from which on no factor
+# is fitted further
+SEARCH_HOPELESS = 0.3
+# Percentile of the torque that counts as its largest, so that a spike does not
+SEARCH_ALMOST_ALL = 99.5
 
 
-LIMITS = SearchLimits()
 LEAST_TORQUE = 1e-9
 """Torque [N m] that no drive resolves, in place of the largest of a joint without any."""
 
@@ -143,7 +137,7 @@ def find_effects(
     """
     wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
     own = {e.key for e in wanted if e.in_model and (applied is None or e.key in applied)}
-    searched = _thin_samples(samples, LIMITS.samples)
+    searched = _thin_samples(samples, SEARCH_SAMPLES)
     search = _Search(model, drive, searched, wanted, own, stated, kept or KeptRows())
     try:
         with use_one_blas_thread():
@@ -175,7 +169,7 @@ class _Search:
         # Without masses CAD holds no bodies, so that held-out motion alone decides.
         self.held = model.has_masses
         time = sum(each.n_samples / each.rate for each in samples)
-        self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
+        self.seconds = float(np.clip(time / SEARCH_BLOCKS, SEARCH_SHORTEST, SEARCH_LONGEST))
 
     def run(self) -> Effects:
         """Return the effects, found on robot and log without those that can be taken out."""
@@ -311,7 +305,7 @@ class _Search:
 
     def _find_best_start(self) -> tuple[str, float] | None:
         """Return effect and start that fit some samples best, if they do better than none."""
-        few = _thin_samples(self.samples, LIMITS.tried)
+        few = _thin_samples(self.samples, SEARCH_TRIED)
         base = find_base_parameters(self.model, self.drive)
         bound = min(each.clock_bound for each in self.samples)
 
@@ -339,10 +333,10 @@ class _Search:
         for each, start in starts:
             seen = reduced(each.without(self.model, few, None, np.array([start]))[1])
             # Most factors make the log much worse: that shows before the weights have converged.
-            if left(seen, ROUGH_WEIGHTS) < plain + LIMITS.hopeless:
+            if left(seen, ROUGH_WEIGHTS) < plain + SEARCH_HOPELESS:
                 tried.append((left(seen), each.key, start))
         residual, key, start = min(tried, default=(plain, "", 0.0))
-        return None if plain - residual < LIMITS.far_off else (key, start)
+        return None if plain - residual < SEARCH_FAR_OFF else (key, start)
 
     def _settle(self, removed: Sequence[Trial]) -> tuple[list[Trial], Selection]:
         """Return effects with values that leave next to nothing, and the selection about these.
@@ -352,7 +346,7 @@ class _Search:
         `_advance_values`.
         """
         nearer = list(removed)
-        for _ in range(LIMITS.rounds):
+        for _ in range(SEARCH_ROUNDS):
             own = nearer
             selection = self._begin_selection(nearer)
             nearer = [_advance_values(each, selection) for each in own]
@@ -409,7 +403,7 @@ class _Search:
         fit = fit_consistent(seen, prior)
         groups = group_different_motions(seen, fit.weights)
         # Held-out errors of fewer groups have no usable standard error.
-        if len(groups) < LIMITS.fewest_groups:
+        if len(groups) < SEARCH_FEWEST_GROUPS:
             raise IdentifiabilityError(
                 f"{len(groups)} groups of motion of {model.name} are too few"
             )
@@ -521,7 +515,7 @@ def _describe_robot(
         chi,
         samples[0].torque_source,
         tuple(each.qd for each in samples),
-        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), LEAST_TORQUE),
+        np.maximum(np.percentile(torque, SEARCH_ALMOST_ALL, axis=0), LEAST_TORQUE),
         min(each.clock_bound for each in samples),
     )
 
@@ -533,4 +527,4 @@ def _thin_samples(samples: Sequence[Samples], most: int) -> list[Samples]:
     if every <= 1:
         return list(samples)
     # Whole spans, not single samples: derivatives and blocks need neighbours.
-    return [each.select((each.t - each.t[0]) // LIMITS.span % every == 0.0) for each in samples]
+    return [each.select((each.t - each.t[0]) // SEARCH_SPAN % every == 0.0) for each in samples]

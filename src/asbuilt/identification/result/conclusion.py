@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,20 +33,15 @@ from asbuilt.identification.result.result import IdentificationResult, Identifie
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.tables import format_plus_minus
 
+# Say when a parameter is poorly determined: both must hold; own choice.
+#
+# `POOR_DETERMINATION_RELATIVE_ERROR` is the standard error as a fraction of the larger of estimate
+# and CAD value, `POOR_DETERMINATION_TORQUE` the torque it stands for as a fraction of the residual.
 
-@dataclass(frozen=True, slots=True)
-class PoorDetermination:
-    """Say when a parameter is poorly determined: both must hold; own choice.
-
-    `relative_error` is the standard error as a fraction of the larger of estimate and CAD value,
-    `torque` the torque it stands for as a fraction of the residual.
-    """
-
-    relative_error: float = 0.5
-    torque: float = 0.05
+POOR_DETERMINATION_RELATIVE_ERROR = 0.5
+POOR_DETERMINATION_TORQUE = 0.05
 
 
-POOR = PoorDetermination()
 MOST_DIRECTIONS = 6
 MOST_NAMES = 12
 
@@ -217,7 +211,9 @@ def _find_poorly_determined(
         axis=0,
     )
     torque = error * column / np.sqrt(information.n_samples)
-    return np.asarray((error > POOR.relative_error * size) & (torque > POOR.torque))
+    return np.asarray(
+        (error > POOR_DETERMINATION_RELATIVE_ERROR * size) & (torque > POOR_DETERMINATION_TORQUE)
+    )
 
 
 def report_estimation(
