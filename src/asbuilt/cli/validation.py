@@ -147,7 +147,7 @@ def validate(
             + "\n\n"
             + comparison.torque_table().as_text(full)
             + "\n"
-            + "\n".join(wrap_text(each.sentence) for each in verdicts)
+            + "\n".join(wrap_text(verdict.sentence) for verdict in verdicts)
             + "\n"
             + wrap_text(comparison.verdict())
             + ("\n" if simulated else "")

@@ -40,7 +40,7 @@ def find_published_description(name: str) -> Path:
     package = find_spec("robot_descriptions")
     if package is None:
         raise MissingExtraError("robot_descriptions", "robots", f"the published robot {name}")
-    known = [each.name for each in iter_modules(package.submodule_search_locations)]
+    known = [module.name for module in iter_modules(package.submodule_search_locations)]
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
         more = f"; did you mean {near[0]!r}?" if near else ""

@@ -271,7 +271,7 @@ def fit_samples(
 
     seen = accumulate(model)
     of_pose: PoseNoise | None = None
-    if expected is None and any(any(each.pose_noise) for each in samples):
+    if expected is None and any(any(sample.pose_noise) for sample in samples):
         of_pose = expect_pose_noise(model, base, samples, seen)
         expected = of_pose.scores
 

@@ -59,8 +59,8 @@ def compose_screen(
     lines = [line for each in opening.split("\n") for line in wrap_text(each).split("\n")]
     lines += format_effects(effects, cure_text)
     lines += ["", *joints.as_text(most=SCREEN_JOINTS).rstrip("\n").split("\n")]
-    named = {(each.effect, each.joint) for each in effects}
-    others = [each for each in findings if (each.effect, each.joint) not in named]
+    named = {(effect.effect, effect.joint) for effect in effects}
+    others = [finding for finding in findings if (finding.effect, finding.joint) not in named]
     left = len(findings) - len(others)
     lines += shorten_findings(others, SCREEN_LINES - len(lines), cure_text, left=left)
     return "\n".join(lines) + "\n"

@@ -118,7 +118,7 @@ def make_recording_delays(
         return ()
     # A stated delay is no estimate.
     estimate, error = (late, error) if error > 0.0 else (np.nan, np.nan)
-    return tuple(RecordingDelay(*each, estimate, error, late) for each in recordings)
+    return tuple(RecordingDelay(*recording, estimate, error, late) for recording in recordings)
 
 
 def _read_stated_delay(chain: SignalChain) -> float | None:

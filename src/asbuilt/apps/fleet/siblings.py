@@ -88,9 +88,9 @@ def build_sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry])
     found: dict[str, SquareRootInformation] = {}
     for other in (each for each in ledger.robot_ids() if each != robot_id):
         logs = [
-            each
-            for each in ledger.entries(other, types=types)
-            if each.settings.digest == settings.digest
+            entry
+            for entry in ledger.entries(other, types=types)
+            if entry.settings.digest == settings.digest
         ]
         if logs:
             found[other] = join_entries(logs, SIBLING_BLOCKS)
@@ -118,17 +118,17 @@ def estimate_prior(
     parts = list(robots.values())
     data = EstimationData(model, parts[0].merge(*parts[1:]), None, toward, "toward_prior")
     pooled = methods.find("consistent").estimate(data)
-    fits = [fit_least_squares(each, weights="joint", prior=pooled.beta) for each in parts]
+    fits = [fit_least_squares(part, weights="joint", prior=pooled.beta) for part in parts]
     effect = float(
         np.median(
-            [_estimate_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)]
+            [_estimate_design_effect(part, fit) for part, fit in zip(parts, fits, strict=True)]
         )
     )
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
     estimates = np.array([fit.beta for fit in fits])
     m = len(fits)
-    rows = [each.stacked(fit.weights) / np.sqrt(effect)
-            for each, fit in zip(parts, fits, strict=True)]  # fmt: skip
+    rows = [part.stacked(fit.weights) / np.sqrt(effect)
+            for part, fit in zip(parts, fits, strict=True)]  # fmt: skip
     mu = estimates.mean(axis=0)
     for _ in range(SIBLING_PASSES):
         mu = _fit_mean(pooled, rows, _estimate_spread(estimates - mu, noise))
@@ -136,7 +136,7 @@ def estimate_prior(
     T *= (1.0 + 1.0 / m) * float(widening(np.array(m - 1.0))) ** 2
     weights = np.median([fit.weights for fit in fits], axis=0)
     plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
-    squares = [_measure_distance(plain, each)[0] for each in parts]
+    squares = [_measure_distance(plain, part)[0] for part in parts]
     return SiblingPrior(tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares))))
 
 
@@ -167,9 +167,9 @@ def _fit_mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
     inverse = np.linalg.inv(T)
     K = np.zeros_like(T)
     k = np.zeros(len(T))
-    for each in rows:
-        A = each[:-1, :-1].T @ each[:-1, :-1]
-        a = each[:-1, :-1].T @ each[:-1, -1]
+    for row in rows:
+        A = row[:-1, :-1].T @ row[:-1, :-1]
+        a = row[:-1, :-1].T @ row[:-1, -1]
         kept = np.linalg.solve(A + inverse, inverse)  # what the spread leaves of the data
         K += A @ kept
         k += kept.T @ a

@@ -57,7 +57,7 @@ def watch_html(watched: WatchedLog) -> str:
         " the table below",
         narrow=encode_figure(watch_figure(watched, narrow=True)),
     )
-    sentences = [*watched.sentences(), *(each.text for each in watched.findings)]
+    sentences = [*watched.sentences(), *(finding.text for finding in watched.findings)]
     table = [table_markup(watched.table(), "events-table")] if events else []
     return render_page(
         watched.robot,

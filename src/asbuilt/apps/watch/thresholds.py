@@ -396,11 +396,11 @@ def _fit_parts(
     samples would raise the level everywhere.
     """
     residual, speed, model, step, unknown = (
-        np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
+        np.concatenate([array[keep] for array, keep in zip(arrays, kept, strict=True)])
         for arrays in (
             [log.residual[:, j] for log in logs],
             [log.qd[:, j] for log in logs],
-            [each[:, j] for each in models],
+            [model[:, j] for model in models],
             [log.step[:, j] for log in logs],
             [log.unknown_friction[:, j] for log in logs],
         )
@@ -455,6 +455,6 @@ def _find_block_starts(
     blocks = [
         np.floor((log.t - log.t[0]) / seconds)[keep] for log, keep in zip(logs, kept, strict=True)
     ]
-    number = np.repeat(np.arange(len(logs)), [len(each) for each in blocks])
+    number = np.repeat(np.arange(len(logs)), [len(block) for block in blocks])
     both = np.column_stack([number, np.concatenate(blocks)])
     return np.flatnonzero(np.any(np.diff(both, axis=0, prepend=-1.0) != 0.0, axis=1))

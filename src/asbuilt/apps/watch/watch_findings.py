@@ -170,7 +170,7 @@ def report_log(thresholds: Thresholds, log: Tally) -> list[Finding]:
 def predict_error_size(result: IdentificationResult, model: Watched) -> Array:
     """Return the RMS torque error (n,) that the identification found for a model."""
     metrics = [result.cad] if model == "cad" else [result.train, *result.validation]
-    return np.asarray(np.max([each.rms for each in metrics], axis=0))
+    return np.asarray(np.max([metric.rms for metric in metrics], axis=0))
 
 
 def report_model(

@@ -96,7 +96,9 @@ def watch(
     )
     choose_payload_frame(result.model, options.frame)
     log = require_logged(as_recordings(result.model, [recording])[0])
-    quiet = [require_logged(each) for each in as_recordings(result.model, calibrate or [])]
+    quiet = [
+        require_logged(recording) for recording in as_recordings(result.model, calibrate or [])
+    ]
     if thresholds is None:
         _check_covariance(result)
     for each in (log, *quiet):
@@ -148,7 +150,9 @@ def make_stream_observer(
     robot = result if options.model == "as_built" else result.model
     if thresholds is not None:
         return Observer(robot, thresholds=thresholds)
-    quiet = [require_logged(each) for each in as_recordings(result.model, calibrate or [])]
+    quiet = [
+        require_logged(recording) for recording in as_recordings(result.model, calibrate or [])
+    ]
     if not quiet:
         raise UsageError(
             "a stream has no quieter half that could set thresholds",

@@ -272,7 +272,7 @@ def _read_loops(joints: Sequence[Element], frames: _Frames, source: str) -> tupl
 def _find_only_model(root: Element, source: str) -> Element:
     models = [*root.findall("model"), *root.findall("world/model")]
     if len(models) != 1:
-        names = ", ".join(str(each.get("name")) for each in models)
+        names = ", ".join(str(model.get("name")) for model in models)
         raise DescriptionError(
             f"{source}: it has {len(models)} models{f' ({names})' if names else ''}; keep the robot"
             " alone"

@@ -412,7 +412,7 @@ def _read_posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
 
 def _read_mimic(link: LinkTable, file: RobotFile) -> Mimic:
     assert link.mimic is not None
-    names = [each.joint or f"joint_{i + 1}" for i, each in enumerate(file.links)]
+    names = [link.joint or f"joint_{i + 1}" for i, link in enumerate(file.links)]
     if link.mimic.joint not in names:
         raise DescriptionError(
             f"mimic of link {link.name!r} names joint {link.mimic.joint!r}, which does not exist;"

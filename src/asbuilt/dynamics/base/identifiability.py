@@ -267,7 +267,7 @@ def _explain_no_effect(model: RobotModel, view: _LinkView, symbol: str) -> str:
     inertia = symbol.startswith("I")
     product = symbol in ("Ixy", "Ixz", "Iyz")
     about_one = view.turns == view.screws == 1
-    along = float(view.axis @ np.array([symbol == each for each in MOMENTS], dtype=np.float64))
+    along = float(view.axis @ np.array([symbol == moment for moment in MOMENTS], dtype=np.float64))
     still = "lies on that axis" if about_one else "never moves"
     work = (
         "gravity does no work on this part of its first moment"

@@ -195,8 +195,11 @@ def _derive_symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row
         [_choose_function_units(joint.is_revolute, found.size, strength) for joint in model.joints]
     )
     rows = null_rows(found.model, found.directions)
-    changes = [each.drive * units[each.link] @ ways[each.link] for each in found.directions]
-    links = [each.link for each in found.directions for _ in range(len(each.child))]
+    changes = [
+        direction.drive * units[direction.link] @ ways[direction.link]
+        for direction in found.directions
+    ]
+    links = [direction.link for direction in found.directions for _ in range(len(direction.child))]
     for row, link, change in zip(rows, links, np.vstack(changes), strict=True):
         row |= {
             first + per * link + int(c): Polynomial.number(float(change[c]))
@@ -292,7 +295,7 @@ def _realise_null_vectors(
     for found in directions:
         own = slice(first + per * found.link, first + per * (found.link + 1))
         taken = np.concatenate(
-            [each.drive[:, 0] * (each.link == found.link) for each in directions]
+            [direction.drive[:, 0] * (direction.link == found.link) for direction in directions]
         )
         rows[:, own] += (of_joints[:, found.link] - sums @ taken)[:, None] * armature[found.link]
         rows[:, own] += of_motors[:, found.link, None] * structure.motor_columns[found.link]

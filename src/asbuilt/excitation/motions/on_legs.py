@@ -79,7 +79,7 @@ def _move_on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMo
     ):
         base = np.array(size) * _build_waves(t, 6, LEG_MOTION_SLOW)
         yield from _move_base(model, posture, name, base, np.ones(feet, dtype=np.bool_))
-    legs = [_find_joints_above(model, each.frame) for each in model.contacts]
+    legs = [_find_joints_above(model, contact.frame) for contact in model.contacts]
     lifted = [
         each for k in range(feet) if feet > 1 for each in _lift_foot(model, posture, t, k, legs)
     ]
@@ -185,7 +185,7 @@ def _find_joints_above(model: RobotModel, frame: str) -> set[int]:
 def _place_contacts(model: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return place (N, n_contacts, 3) and rotation (N, n_contacts, 3, 3) of each contact."""
     poses = link_poses(model, q)
-    places = (model.placed(each.frame) for each in model.contacts)
+    places = (model.placed(contact.frame) for contact in model.contacts)
     T = np.stack([poses[:, link] @ place for link, place in places], axis=1)
     return T[..., :3, 3], T[..., :3, :3]
 

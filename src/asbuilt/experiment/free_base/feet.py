@@ -180,15 +180,15 @@ ROLLING_READ = 20_000
 
 def set_rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> RobotModel:
     """Return a robot whose contacts of unstated radius have that on which they roll, if any."""
-    unstated = [each.radius is None and not each.flat for each in model.contacts]
+    unstated = [contact.radius is None and not contact.flat for contact in model.contacts]
     if not any(unstated):
         return model
     radii = estimate_rolling_radii(model, recordings)
     return replace(
         model,
         contacts=tuple(
-            replace(each, radius=radius) if open_ and radius else each
-            for each, radius, open_ in zip(model.contacts, radii, unstated, strict=True)
+            replace(contact, radius=radius) if open_ and radius else contact
+            for contact, radius, open_ in zip(model.contacts, radii, unstated, strict=True)
         ),
     )
 
@@ -198,7 +198,7 @@ def estimate_rolling_radii(
 ) -> list[float | None]:
     """Return the radius [m] on which each contact rolls; None where it does not show one."""
     flat = replace(
-        model, contacts=tuple(replace(each, flat=True, radius=0.0) for each in model.contacts)
+        model, contacts=tuple(replace(contact, flat=True, radius=0.0) for contact in model.contacts)
     )
     pieces: list[list[tuple[Array, Array]]] = [[] for _ in model.contacts]
     for recording in recordings:

@@ -68,7 +68,7 @@ def collect_measured_wrenches(recording: Recording, model: RobotModel) -> dict[C
         If some components of a force are missing, or the moments on a sole.
     """
     base = Contact(model.link_names[model.n_floating - 1], radius=0.0)
-    places = {BASE: base} | {f"contact_{each.frame}": each for each in model.contacts}
+    places = {BASE: base} | {f"contact_{contact.frame}": contact for contact in model.contacts}
     found = {}
     for key, contact in places.items():
         parts = [[f"{key}_{axis}" for axis in kind] for kind in (FORCE, MOMENT)]

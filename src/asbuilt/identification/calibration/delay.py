@@ -293,7 +293,7 @@ class _Fits:
     def columns(self, delays: Array) -> DelayColumns:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
         samples = self._shift_samples(delays)
-        bands = [each.parallel.cutoff for each in samples if each.parallel]
+        bands = [sample.parallel.cutoff for sample in samples if sample.parallel]
         self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
         rows = self._take_rows(samples)
         return build_delay_columns(

@@ -151,7 +151,7 @@ def identify_encoders(
     tuple of EncoderPair
         One for each joint whose two encoders measure the same coordinate.
     """
-    taken = [np.zeros_like(each.q) for each in samples] if friction is None else friction
+    taken = [np.zeros_like(sample.q) for sample in samples] if friction is None else friction
     given = [both for both in zip(samples, taken, strict=True) if both[0].encoder is not None]
     return tuple(
         _identify_joint(given, k, turns)
@@ -184,7 +184,7 @@ def _identify_joint(given: Sequence[tuple[Samples, Array]], k: int, turns: bool)
 
 def describe_encoders(pairs: Sequence[EncoderPair]) -> str:
     """Return lags and stiffness of all joints in a sentence; empty without two encoders."""
-    return f"Two encoders: {'; '.join(each.text for each in pairs)}." if pairs else ""
+    return f"Two encoders: {'; '.join(pair.text for pair in pairs)}." if pairs else ""
 
 
 def refer_to_links(
@@ -220,11 +220,11 @@ def with_friction_errors(
     """Return lag and hysteresis with what errors of friction (n,) over the stiffness add."""
     return tuple(
         replace(
-            each,
-            lag_error=float(np.hypot(each.lag_error, each.compliance * Fv)),
-            hysteresis_error=float(np.hypot(each.hysteresis_error, 2.0 * each.compliance * Fc)),
+            pair,
+            lag_error=float(np.hypot(pair.lag_error, pair.compliance * Fv)),
+            hysteresis_error=float(np.hypot(pair.hysteresis_error, 2.0 * pair.compliance * Fc)),
         )
-        for each, Fv, Fc in zip(pairs, viscous, dry, strict=True)
+        for pair, Fv, Fc in zip(pairs, viscous, dry, strict=True)
     )
 
 
@@ -316,7 +316,7 @@ def _identify_pair(name: str, rows: Array, sensor: bool, revolute: bool) -> Enco
         return np.asarray(values * scale[-1] / scale[:-1])
 
     raw = coefficients(whole)
-    parts = np.array([_derive_physical_values(coefficients(whole - each)) for each in squares])
+    parts = np.array([_derive_physical_values(coefficients(whole - square)) for square in squares])
     error = np.sqrt((len(parts) - 1) * np.mean((parts - parts.mean(axis=0)) ** 2, axis=0))
     left = rows[:, -1] - rows[:, :-1] @ raw
     lag, c, relaxation, rotor, play = _derive_physical_values(raw).tolist()

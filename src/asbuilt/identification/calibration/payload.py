@@ -322,9 +322,9 @@ def _place_other_frames(
     """Return the placements (4, 4) of the link's other frames in the frame of the payload."""
     back = invert_placement(placement)
     return {
-        each.name: back @ each.placement
-        for each in model.frames
-        if each.link == link and each.name != name
+        frame.name: back @ frame.placement
+        for frame in model.frames
+        if frame.link == link and frame.name != name
     }
 
 

@@ -213,7 +213,7 @@ def _fit_channels(
     Such scales multiply the torque of links `beta` (p,).
     """
     both = _combine_sides(base, drives, scaled)
-    divided = [replace(each, tau=each.tau / scales) for each in motors]
+    divided = [replace(motor, tau=motor.tau / scales) for motor in motors]
     information = _join_channels(both, links, drives, sensors, divided, scaled, beta)
     estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
     return both, information, estimate, estimate_block_uncertainty(information, estimate)

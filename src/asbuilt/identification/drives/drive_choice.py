@@ -100,8 +100,8 @@ def list_drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:
     """Return the keys of the effects that are drive terms, with those over position if asked."""
     return tuple(
         key
-        for key, each in EFFECTS.items()
-        if isinstance(each, DriveEffect) and (by_construction or not each.term.by_construction)
+        for key, effect in EFFECTS.items()
+        if isinstance(effect, DriveEffect) and (by_construction or not effect.term.by_construction)
     )
 
 

@@ -162,7 +162,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
 def thin_blocks(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
     """Return the time blocks for fits of drive terms, evenly spread if there are many."""
     segments = list(divide_into_blocks(model, samples, np.inf))
-    step = -(-sum(each.n_outputs for each in segments) // SEARCH_MOST_SAMPLES)
+    step = -(-sum(segment.n_outputs for segment in segments) // SEARCH_MOST_SAMPLES)
     # Of few samples all are used, in as few calls as they have gaps.
     return segments if step <= 1 else list(divide_into_blocks(model, samples))[::step]
 
@@ -183,7 +183,12 @@ def _fit_one(
         )
 
     lowest, highest = credible_range(
-        model, parameter, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen]
+        model,
+        parameter,
+        [
+            np.abs(sample_block.samples.qd[sample_block.start : sample_block.stop])
+            for sample_block in chosen
+        ],
     )
     logarithmic = parameter.lower > 0.0
     first, last = (np.log(lowest), np.log(highest)) if logarithmic else (lowest, highest)
@@ -220,7 +225,7 @@ def _fit_one(
     reduction = 1.0 - np.minimum(least, of_grid) / energy
     margin = SEARCH_AT_BOUND * (last - first)
     placed = np.log(values) if logarithmic else values
-    lowers = reduction > SEARCH_LEAST_F / sum(each.n_outputs for each in chosen)
+    lowers = reduction > SEARCH_LEAST_F / sum(sample_block.n_outputs for sample_block in chosen)
     at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
     determined = lowers & ~at_bound
     within = tuple(

@@ -155,7 +155,7 @@ def as_by_encoders(found: FoundEffect, result: IdentificationResult) -> FoundEff
     The twist of the drive shows the torque behind the rotor, so that it alone is determined where
     torques determine its sum with the link: one rotor has one number.
     """
-    pair = next((each for each in result.encoders if each.joint == found.joint), None)
+    pair = next((encoder for encoder in result.encoders if encoder.joint == found.joint), None)
     if found.effect != "armature" or pair is None or pair.rotor is None or not pair.rotor_error:
         return found
     return EFFECTS[found.effect].found(

@@ -262,7 +262,7 @@ def _add_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Tri
     Another form at the same joint is one unless it predicts worse by as much as chooses a form.
     """
     # What is sure still is not explained by the effect taken.
-    still = {taken.candidate.at, *(each.candidate.at for each in after)}
+    still = {taken.candidate.at, *(trial.candidate.at for trial in after)}
     alike: dict[At, Candidate] = {}
     for trial in before:
         candidate = trial.candidate

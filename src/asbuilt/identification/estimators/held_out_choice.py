@@ -235,7 +235,7 @@ def choose_candidate(
     own = _evaluate_leverage(root / np.sqrt(information.n_samples * n), whole, priors[-1])
     held_out = max(float(on_groups[-1]), np.finfo(np.float64).tiny)
     totals = errors + beyond[:, None]
-    open_to = [c for c, each in enumerate(candidates) if kind in ("", each.kind)]
+    open_to = [c for c, candidate in enumerate(candidates) if kind in ("", candidate.kind)]
     open_to = open_to or list(range(len(candidates)))
     consistent = [c for c in open_to if candidates[c].certain]
     # Without consistent candidates the first one, closest to CAD, is what is compared.

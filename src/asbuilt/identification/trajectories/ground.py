@@ -47,7 +47,7 @@ class Ground:
 
     def places(self, model: RobotModel) -> Array:
         """Return where the floors are, shape (W, K, 3)."""
-        below = self.heights - [_choose_radius(each.radius) for each in model.contacts]
+        below = self.heights - [_choose_radius(contact.radius) for contact in model.contacts]
         return np.asarray(below[..., None] * find_vertical(model))
 
 

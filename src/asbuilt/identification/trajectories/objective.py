@@ -149,7 +149,7 @@ class Objective:
             [np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0), np.mean(cut.start_qd**2, axis=0)]
             for cut in self.windows
         )
-        return tuple(1.0 / (np.stack(each) + OBJECTIVE_SMALLEST**2) for each in squares)
+        return tuple(1.0 / (np.stack(square) + OBJECTIVE_SMALLEST**2) for square in squares)
 
     def motions(self, point: Point, some: Sequence[Indices] | None = None) -> list[Motion]:
         """Simulate all windows, or `some` of each recording by number."""
@@ -190,7 +190,7 @@ class Objective:
 
     def cost(self, point: Point, motions: Sequence[Motion], weights: Weights) -> float:
         """Return half the weighted squares of everything; infinite if a simulation diverges."""
-        total = float(sum(np.sum(each) for each in self.window_costs(point, motions, weights)))
+        total = float(sum(np.sum(cost) for cost in self.window_costs(point, motions, weights)))
         return total + self.other_cost(point) if np.isfinite(total) else np.inf
 
     def window_costs(

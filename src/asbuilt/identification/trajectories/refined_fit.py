@@ -255,20 +255,20 @@ def _try_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple
 
 def thin_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
     """Return every k-th window, so that together they last `RULES.most_seconds`."""
-    total = sum(each.n_windows * each.horizon for each in windows)
+    total = sum(window.n_windows * window.horizon for window in windows)
     every = max(1, int(np.ceil(total / FIT_MOST_SECONDS)))
     count = 0
     chosen = list[Windows]()
-    for each in windows:
-        at = np.arange((-count) % every, each.n_windows, every)
-        count += each.n_windows
+    for window in windows:
+        at = np.arange((-count) % every, window.n_windows, every)
+        count += window.n_windows
         if len(at):
-            chosen.append(each.some(at))
+            chosen.append(window.some(at))
     return tuple(chosen)
 
 
 def _word_note(found: Refinement, windows: Sequence[Windows]) -> str:
-    count = sum(each.n_windows for each in windows)
+    count = sum(window.n_windows for window in windows)
     return (
         f"Refined by trajectories: {count} windows of {windows[0].horizon:g} s simulated under the"
         f" logged {windows[0].signal.kind}, {found.iterations} steps of Levenberg and Marquardt"

@@ -99,7 +99,7 @@ def _select_frames(motion: SimulatedMotion) -> _Shown:
     errors = {name: error[drawn] for name, error in errors.items()}
     worst = max(float(np.sqrt(np.mean(error**2))) for error in errors.values())
     # Error of the worse simulation as it is drawn [rad or m], root mean square over joints.
-    factor = max((each for each in FACTORS if each * worst <= 0.12), default=1.0)
+    factor = max((factor for factor in FACTORS if factor * worst <= 0.12), default=1.0)
     return _Shown(_close_gaps(t), measured, errors, factor)
 
 
@@ -140,7 +140,7 @@ def _draw_frames(model: RobotModel, shown: _Shown, rollout: Rollout) -> Iterator
 def _project_lines(model: RobotModel, camera: Camera, shown: _Shown, name: str) -> Array:
     """Return the ends of the simulated robot's rods in the picture, shape (N, rods, 2, 2)."""
     poses = link_poses(model, shown.q + shown.factor * shown.errors[name])
-    rods = [each for each in link_solids(model) if each.kind == "rod" and each.link != ROOT]
+    rods = [solid for solid in link_solids(model) if solid.kind == "rod" and solid.link != ROOT]
     ends = [[camera.project(end)[0] for end in place_ends(rod, poses)] for rod in rods]
     return np.asarray(ends).transpose(2, 0, 1, 3)
 
@@ -185,7 +185,7 @@ def _draw_axes(
     bottom = top + STRIP - 22
     # Root mean square over the joints at each time.
     sizes = {name: 1e3 * np.sqrt(np.mean(x**2, axis=1)) for name, x in shown.errors.items()}
-    most = _round_up(max(float(np.nanmax(each)) for each in sizes.values()))
+    most = _round_up(max(float(np.nanmax(size)) for size in sizes.values()))
     for share in (0.0, 0.5, 1.0):
         y = bottom - share * (bottom - top - 14)
         draw.line((left, y, right, y), fill=PALE)
@@ -195,9 +195,10 @@ def _draw_axes(
     for second in range(int(shown.t[-1]) + 1):
         x = left + second / shown.t[-1] * (right - left)
         draw.text((x, bottom + 5), f"{second} s", fill=QUIET, font=font, anchor="ma")
-    heights = {name: bottom - each / most * (bottom - top - 14) for name, each in sizes.items()}
+    heights = {name: bottom - size / most * (bottom - top - 14) for name, size in sizes.items()}
     return {
-        name: [*zip(along.tolist(), each.tolist(), strict=True)] for name, each in heights.items()
+        name: [*zip(along.tolist(), height.tolist(), strict=True)]
+        for name, height in heights.items()
     }
 
 

@@ -131,7 +131,7 @@ def write_frames(path: str | os.PathLike[str], images: Sequence[Image], seconds:
     if suffix == ".gif":
         several = Pillow.fromarray(np.concatenate(images[:: max(1, len(images) // 8)]))
         palette = several.quantize(255, dither=Pillow.Dither.NONE)
-        frames = [each.quantize(palette=palette, dither=Pillow.Dither.NONE) for each in frames]
+        frames = [frame.quantize(palette=palette, dither=Pillow.Dither.NONE) for frame in frames]
     # 655_350: milliseconds between frames; GIF has 16 bits for hundredths of a second.
     pause = min(round(1000 * seconds / max(1, len(frames) - 1)), 655_350)
     film = {"save_all": True, "append_images": frames[1:], "duration": pause, "loop": 0}

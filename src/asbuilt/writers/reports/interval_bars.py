@@ -25,7 +25,9 @@ def draw_intervals(
     intervals: Sequence[FeasibleInterval], truth: Mapping[str, float], title: str
 ) -> Markup:
     """Return a drawing of intervals that have one unit; `truth` has true values where known."""
-    known = [(each.cad, each.chosen, truth.get(each.quantity)) for each in intervals]
+    known = [
+        (interval.cad, interval.chosen, truth.get(interval.quantity)) for interval in intervals
+    ]
     shown = [value for values in known for value in values if value is not None]
     high = ROOM * max((abs(value) for value in shown), default=1.0) or 1.0
     low = min(0.0, 1.2 * min(shown, default=0.0))

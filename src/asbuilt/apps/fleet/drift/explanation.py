@@ -105,7 +105,7 @@ def _select_effects(step: _Stepping, sources: Sequence[Source], inflation: float
     reached = 0.0
     rank = 0
     while len(taken) < CHANGE_MOST:
-        left = [each for each in sources if not any(_has_overlap(each, own) for own in taken)]
+        left = [source for source in sources if not any(_has_overlap(source, own) for own in taken)]
         fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
         gains = np.array([fit[0] for fit in fits]) - reached
         ranks = [fit[3] - rank for fit in fits]

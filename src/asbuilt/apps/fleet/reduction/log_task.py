@@ -254,7 +254,7 @@ def _read_settings(root: str, path: str) -> TypeSettings:
 def check_type(ledger: Ledger, robot_id: str, described: RobotModel, robot_type: str) -> None:
     """Raise `RecordingError` if the ledger has a robot of another type under this identity."""
     known = {name.settings for name in ledger.names(robot_id)}
-    types = {each.digest: each for each in ledger.all_settings()} if known else {}
+    types = {setting.digest: setting for setting in ledger.all_settings()} if known else {}
     for other in (types[digest] for digest in sorted(known & types.keys())):
         if other.robot_type != robot_type:
             raise RecordingError(

@@ -48,7 +48,7 @@ def _collect_masses(report: Report) -> dict[str, Any] | None:
         tables["armature-table"] = feasible_table(bars["Armatures"])
     if recovery is not None:
         tables["truth-table"] = recovery.interval_table()
-    drawn = [draw_intervals(each, truth, title) for title, each in bars.items()]
+    drawn = [draw_intervals(bar, truth, title) for title, bar in bars.items()]
     return _collect_parts(tables, *drawn)
 
 
