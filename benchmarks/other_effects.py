@@ -18,7 +18,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain

@@ -35,8 +35,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
 from asbuilt.validation.generalisation.coverage import measure_repeated_share
-from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.study_options import ValidationOptions
 from asbuilt.workflow.validation import validate
 from drive_terms import SHARED
 from effects import case

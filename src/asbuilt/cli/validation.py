@@ -47,7 +47,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import find_given_options, require_known_value
 from asbuilt.tables import wrap_text
-from asbuilt.workflow.options import (
+from asbuilt.workflow.study_options import (
     BLOCKS,
     ROLLOUT,
     ControllerOptions,

@@ -11,7 +11,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from asbuilt.description.catalogue import bundled_robot, robot_names, suggest_robot
-from asbuilt.description.formats.registry import FORMATS, format_of, list_suffixes
+from asbuilt.description.formats.description_format import FORMATS, format_of, list_suffixes
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, find_outermost_tag
 from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.structure.free_base import BaseKind

@@ -11,27 +11,12 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding
 from asbuilt.identification.bodies.cad_prior import design_values
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
-from asbuilt.identification.errors.bias import OmittedBias
-from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
-from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
-from asbuilt.identification.errors.delay_errors import DelayErrors, estimate_delay_errors
-from asbuilt.identification.errors.nonlinear_errors import (
-    NonlinearErrors,
-    NonlinearPlace,
-    estimate_nonlinear_errors,
-)
-from asbuilt.identification.errors.pose_noise import ExpectedScores, PoseNoise, expect_pose_noise
-from asbuilt.identification.errors.uncertainty import (
-    Uncertainty,
-    estimate_block_uncertainty,
-    estimate_textbook_uncertainty,
-)
 from asbuilt.identification.estimators.least_squares import (
     estimate_wls,
     fit_least_squares,
@@ -44,13 +29,32 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
-from asbuilt.identification.result.conclusion import conclude
+from asbuilt.identification.result.estimate_to_result import conclude
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import (
     TorqueMetrics,
     TorqueTally,
     predict_torque,
     set_link_parameters,
+)
+from asbuilt.identification.uncertainty.bias import OmittedBias
+from asbuilt.identification.uncertainty.block_scatter import ERROR_KINDS, ErrorKind
+from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors, estimate_delay_errors
+from asbuilt.identification.uncertainty.nonlinear_errors import (
+    NonlinearErrors,
+    NonlinearPlace,
+    estimate_nonlinear_errors,
+)
+from asbuilt.identification.uncertainty.pose_noise import (
+    ExpectedScores,
+    PoseNoise,
+    expect_pose_noise,
+)
+from asbuilt.identification.uncertainty.uncertainty import (
+    Uncertainty,
+    estimate_block_uncertainty,
+    estimate_textbook_uncertainty,
 )
 
 # Say when friction that depends on load has settled: own choice, tested on virtual robots.

@@ -27,17 +27,17 @@ from asbuilt.identification.drives.drive_choice import (
     settle_nonlinear,
 )
 from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.effect_findings import is_sure, list_term_places
 from asbuilt.identification.effects.families.drive_terms import drop_terms
 from asbuilt.identification.effects.families.tilt import Tilt
-from asbuilt.identification.effects.report import is_sure, list_term_places
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.rows import KeptRows
 from asbuilt.validation.generalisation.plateaus import Plateau, drop_plateaus, find_plateaus
 from asbuilt.validation.prediction import Validation, predict_both, predict_friction_torque
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import make_recording_delays, with_delay_errors
+from asbuilt.workflow.study_options import StudyOptions
 from asbuilt.workflow.tested_choice import LeftOut
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import make_plain
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.drives.torque import choose_usual_drive
 from asbuilt.excitation import InformationEfficiency, MotionBounds, information_efficiency
 from asbuilt.excitation.information.information import complete_limits

@@ -30,7 +30,7 @@ from asbuilt.identification.trajectories.servo_coordinates import (
 )
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
-from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.position_errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.workflow.rollout import Simulated, SimulatedParts, drop_unused_servo
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification import FoundEffect, SquareRootInformation, accumulate_stream
-from asbuilt.identification.effects.report import list_term_places
+from asbuilt.identification.effects.effect_findings import list_term_places
 from asbuilt.identification.estimators.held_out_choice import surely_better
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.estimate import Estimate

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.formats.description_format import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.dh import DHRow, build_dh_joint, dh_lengths, place_joint_on_origin
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import evaluate_lengths, parse_length, rotate_symbols

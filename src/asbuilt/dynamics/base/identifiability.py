@@ -13,7 +13,7 @@ from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.regrouping import Regrouping
 from asbuilt.dynamics.base.regrouping_relations import RANK_TOLERANCE, row_space
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.dynamics.kinematics import draw_postures, link_jacobians, link_poses
 from asbuilt.findings import join_names
 

@@ -19,6 +19,7 @@ from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import (
     Design,
     DurationTrial,
@@ -27,7 +28,6 @@ from asbuilt.excitation.design.designed_motion import (
     locate_base_parameter,
 )
 from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.search import DesignSearch, Task
 from asbuilt.excitation.information.criteria import AOptimality, Criterion, select_criterion
 from asbuilt.excitation.information.information import Information, parameter_scale

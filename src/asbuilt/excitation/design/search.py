@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
 from asbuilt.excitation.design.interior_point import Optimum, solve
 from asbuilt.excitation.design.multistart import (
@@ -22,7 +23,6 @@ from asbuilt.excitation.design.multistart import (
     rank_candidates,
     search_all,
 )
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.information import draw_states, mean_information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion, check_limit_array

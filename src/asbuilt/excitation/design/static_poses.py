@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 from asbuilt.arrays import Array, read_only
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE, DriveSet
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.constraint import build_constraints
-from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.design.design_options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, plan_route, segments_free
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information, complete_limits

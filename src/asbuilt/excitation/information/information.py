@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices, Mask, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import BaseParameters, inverse_dynamics
-from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.drives.drive_set import NO_DRIVE
 from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError

@@ -32,7 +32,7 @@ from asbuilt.identification.bodies.conic_fit import (
 from asbuilt.identification.bodies.consistency import check_base_parameters
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.bodies.entropic_path import find_plausible_parameters
-from asbuilt.identification.information.random_motion import build_random_motion_rows
+from asbuilt.identification.information.random_states import build_random_motion_rows
 from asbuilt.identification.information.triangular import factor_distance
 from asbuilt.scaled import Scaled
 

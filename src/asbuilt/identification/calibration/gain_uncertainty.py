@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.identification.information.random_motion import draw_positions
+from asbuilt.identification.information.random_states import draw_positions
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.scaled import Scaled
 

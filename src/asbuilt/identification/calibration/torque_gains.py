@@ -20,8 +20,6 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment import Recording, Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import choose_payload_frame
-from asbuilt.identification.errors.block_scatter import BlockScores
-from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import TimeBlock, divide_into_blocks
 from asbuilt.identification.information.triangular import (
@@ -29,6 +27,8 @@ from asbuilt.identification.information.triangular import (
     triangular_factor,
     widen_factor,
 )
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
 
 # Hold how gains are iterated, and when they are determined.
 

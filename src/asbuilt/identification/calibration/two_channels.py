@@ -17,7 +17,6 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, join_names
-from asbuilt.identification.errors.uncertainty import Uncertainty, estimate_block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import RowBlock, divide_into_blocks
@@ -25,6 +24,7 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     reduce_rows,
 )
+from asbuilt.identification.uncertainty.uncertainty import Uncertainty, estimate_block_uncertainty
 
 LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
 MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")

@@ -18,11 +18,11 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.search import find_effects
-from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import group_neighbours, measure_held_out_errors
 from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 AUTO = "auto"
 

@@ -16,8 +16,8 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.information.rows import SampleBlock, divide_into_blocks
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
 
 # Hold how nonlinear parameters are searched, and when they are determined.
 

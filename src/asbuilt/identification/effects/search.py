@@ -24,7 +24,6 @@ from asbuilt.identification.effects.gathering import At, Candidate, gather_equat
 from asbuilt.identification.effects.lacking import Lacking
 from asbuilt.identification.effects.selection import Selection
 from asbuilt.identification.effects.trials import RULES, Prior, Trial
-from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.estimators.least_squares import (
@@ -38,6 +37,7 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearPlace
 from asbuilt.scaled import Scaled
 
 # Say what is searched.

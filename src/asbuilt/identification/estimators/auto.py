@@ -27,7 +27,6 @@ from asbuilt.identification.bodies.consistency import (
     non_passive_drives,
 )
 from asbuilt.identification.bodies.entropic_path import EntropicPath
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
     STRONGEST_BELIEF,
     WEAKEST_BELIEF,
@@ -52,12 +51,13 @@ from asbuilt.identification.estimators.robust import (
 )
 from asbuilt.identification.information.estimate import Estimate, EstimationData
 from asbuilt.identification.information.held_out import divide_into_folds, group_different_motions
-from asbuilt.identification.information.random_motion import (
+from asbuilt.identification.information.random_states import (
     build_random_motion_rows,
     measure_recorded_rates,
 )
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import FactorSolution, solve_factor
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS, estimate_block_uncertainty
 
 # Thresholds of the automatic choice.
 

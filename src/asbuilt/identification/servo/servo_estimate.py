@@ -17,7 +17,6 @@ from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import CadPrior, build_cad_prior
-from asbuilt.identification.errors.pose_noise import ExpectedScores, with_equation_noise
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.deviations import (
@@ -40,6 +39,7 @@ from asbuilt.identification.servo.servo_rows import (
     CommandedMotion,
     reduce_servo_recordings,
 )
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores, with_equation_noise
 
 UNEXPLAINED = 3.0
 """Residual of a second, in residuals of the median second, from which the model lacks its cause:

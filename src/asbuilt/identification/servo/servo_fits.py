@@ -18,14 +18,14 @@ from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.terms.friction import Offset
 from asbuilt.identification.bodies.cad_prior import CadPrior
-from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.pose_noise import DOUBT
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.servo.block_fits import block_variances, block_weights, sum_clusters
 from asbuilt.identification.servo.servo_replay import Replay
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors
+from asbuilt.identification.uncertainty.pose_noise import DOUBT
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 from asbuilt.scaled import Scaled
 
 Scale = Literal["gravity", "inertia"]

@@ -23,7 +23,6 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment import Recording, SignalChain
 from asbuilt.experiment.command.servo_torque import drive_by_command
 from asbuilt.experiment.signal.resampling import GAP
-from asbuilt.identification.errors.pose_noise import ExpectedScores
 from asbuilt.identification.information.equations import Equations
 from asbuilt.identification.servo.block_fits import block_weights, sum_clusters
 from asbuilt.identification.servo.servo_rows import (
@@ -33,6 +32,7 @@ from asbuilt.identification.servo.servo_rows import (
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import DriveSignal, Windows
+from asbuilt.identification.uncertainty.pose_noise import ExpectedScores
 
 # Settings of a replay: own choices.
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.identification.errors.uncertainty import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_RECORDINGS
 from asbuilt.scaled import Scaled
 
 

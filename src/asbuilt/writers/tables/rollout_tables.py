@@ -12,7 +12,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrap_text
 from asbuilt.validation import Rollout, recording_name, rollout_findings
-from asbuilt.validation.rollout.errors import RolloutErrors, average_errors, position_unit
+from asbuilt.validation.rollout.position_errors import RolloutErrors, average_errors, position_unit
 from asbuilt.validation.rollout.rollout import format_in_milli, tabulate_joint_errors
 
 if TYPE_CHECKING:

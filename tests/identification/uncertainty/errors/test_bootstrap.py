@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from asbuilt.identification.uncertainty.bootstrap import estimate_bootstrap_uncertainty, redraw
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
@@ -24,7 +25,6 @@ from asbuilt.identification import (
     methods,
     summarise,
 )
-from asbuilt.identification.errors.bootstrap import estimate_bootstrap_uncertainty, redraw
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.information.square_root_information import accumulate
 

@@ -16,21 +16,21 @@ from asbuilt.identification.bodies.consistency import (
     decide_consistency,
     non_passive_drives,
 )
-from asbuilt.identification.errors.bias import OmittedBias
-from asbuilt.identification.errors.block_scatter import TELLING_GROWTH
-from asbuilt.identification.errors.delay_errors import DelayErrors
-from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
-from asbuilt.identification.errors.uncertainty import (
-    Uncertainty,
-    estimate_block_uncertainty,
-    fit_free_values,
-)
 from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.result.torque_prediction import TorqueMetrics
+from asbuilt.identification.uncertainty.bias import OmittedBias
+from asbuilt.identification.uncertainty.block_scatter import TELLING_GROWTH
+from asbuilt.identification.uncertainty.delay_errors import DelayErrors
+from asbuilt.identification.uncertainty.nonlinear_errors import NonlinearErrors
+from asbuilt.identification.uncertainty.uncertainty import (
+    Uncertainty,
+    estimate_block_uncertainty,
+    fit_free_values,
+)
 from asbuilt.tables import format_plus_minus
 
 # Say when a parameter is poorly determined: both must hold; own choice.

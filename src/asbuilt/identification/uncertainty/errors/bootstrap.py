@@ -6,6 +6,13 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from asbuilt.identification.uncertainty.block_scatter import COVERED
+from asbuilt.identification.uncertainty.uncertainty import (
+    FEWEST_BLOCKS,
+    Uncertainty,
+    block_scores,
+    choose_error_basis,
+)
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
@@ -13,13 +20,6 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification.errors.block_scatter import COVERED
-from asbuilt.identification.errors.uncertainty import (
-    FEWEST_BLOCKS,
-    Uncertainty,
-    block_scores,
-    choose_error_basis,
-)
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
 from asbuilt.identification.information.estimate import Estimate, Refit
 from asbuilt.identification.information.square_root_information import SquareRootInformation

@@ -6,18 +6,18 @@ import json
 
 import numpy as np
 import pytest
-from scipy import stats
-
-from asbuilt.codec import make_plain, restore_dataclass
-from asbuilt.errors import ResultError
-from asbuilt.identification import widening
-from asbuilt.identification.errors.block_scatter import (
+from asbuilt.identification.uncertainty.block_scatter import (
     MOST_GROUPS,
     BlockScatter,
     effective_rank,
     student_probability,
     sum_degrees,
 )
+from scipy import stats
+
+from asbuilt.codec import make_plain, restore_dataclass
+from asbuilt.errors import ResultError
+from asbuilt.identification import widening
 from asbuilt.validation.comparison.significance import joint_test
 
 

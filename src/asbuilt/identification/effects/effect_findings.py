@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics import BaseParameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.drive_set import DriveSet
 from asbuilt.findings import Cure, Finding, join_names
 from asbuilt.identification.bodies.cad_prior import build_cad_prior, with_drive_scale
 from asbuilt.identification.effects.effect import EFFECTS, FoundEffect

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
 from scipy.signal import fftconvolve, lfilter
 
 from asbuilt.arrays import Array
@@ -17,8 +19,6 @@ from asbuilt.identification import (
     estimate_block_uncertainty,
     fit_least_squares,
 )
-from asbuilt.identification.errors.block_scatter import BlockScores
-from asbuilt.identification.errors.uncertainty import estimate_scatter
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate
 

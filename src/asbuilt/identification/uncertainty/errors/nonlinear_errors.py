@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -14,7 +15,6 @@ from asbuilt.dynamics import BaseParameters, DriveSet, drive_torque, inverse_dyn
 from asbuilt.dynamics.kernels.blas import use_one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import divide_into_blocks
 from asbuilt.identification.result.torque_prediction import expand_parameters

@@ -5,13 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from asbuilt.arrays import Array
-from asbuilt.codec import store_as
-from asbuilt.dynamics.kernels.blas import use_one_blas_thread
-from asbuilt.errors import ResultError
-from asbuilt.identification.errors.block_scatter import (
+from asbuilt.identification.uncertainty.block_scatter import (
     BlockScatter,
     BlockScores,
     CommonGrowth,
@@ -20,6 +14,12 @@ from asbuilt.identification.errors.block_scatter import (
     estimate_common_growth,
     widening,
 )
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.codec import store_as
+from asbuilt.dynamics.kernels.blas import use_one_blas_thread
+from asbuilt.errors import ResultError
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_different_motions
