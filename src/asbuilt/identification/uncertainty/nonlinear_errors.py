@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -18,6 +17,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import divide_into_blocks
 from asbuilt.identification.result.torque_prediction import expand_parameters
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 from asbuilt.scaled import Scaled
 from asbuilt.tables import round_with_error
 

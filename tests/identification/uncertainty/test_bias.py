@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+
 from asbuilt.identification.uncertainty.bias import (
     derive_estimate_moves,
     shrink_effects,

@@ -5,15 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from asbuilt.identification.uncertainty.block_scatter import (
-    BlockScatter,
-    BlockScores,
-    CommonGrowth,
-    ErrorBasis,
-    ErrorKind,
-    estimate_common_growth,
-    widening,
-)
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
@@ -25,6 +16,15 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import pack_triangle, unpack_symmetric
+from asbuilt.identification.uncertainty.block_scatter import (
+    BlockScatter,
+    BlockScores,
+    CommonGrowth,
+    ErrorBasis,
+    ErrorKind,
+    estimate_common_growth,
+    widening,
+)
 
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""

@@ -11,12 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from asbuilt.identification.uncertainty.block_scatter import BlockScores
-from asbuilt.identification.uncertainty.uncertainty import (
-    FEWEST_BLOCKS,
-    estimate_scatter,
-    unit_variance,
-)
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
@@ -27,6 +21,12 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import group_motions
 from asbuilt.identification.information.rows import Rows, TimeBlock, divide_into_blocks
 from asbuilt.identification.result.torque_prediction import predict_in_spans
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import (
+    FEWEST_BLOCKS,
+    estimate_scatter,
+    unit_variance,
+)
 from asbuilt.scaled import Scaled
 
 

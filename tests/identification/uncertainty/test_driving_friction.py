@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.driving_friction import doubt_driving_friction
 
 from asbuilt.description import bundled_robot
 from asbuilt.dynamics import DriveSet, inverse_dynamics
 from asbuilt.excitation import random_fourier
 from asbuilt.experiment import VirtualRobot, prepare_samples
 from asbuilt.identification.identify import fit_samples
+from asbuilt.identification.uncertainty.driving_friction import doubt_driving_friction
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset,load_friction")
 MODEL = bundled_robot("ur10e")

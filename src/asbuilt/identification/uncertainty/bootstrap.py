@@ -6,13 +6,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from asbuilt.identification.uncertainty.block_scatter import COVERED
-from asbuilt.identification.uncertainty.uncertainty import (
-    FEWEST_BLOCKS,
-    Uncertainty,
-    block_scores,
-    choose_error_basis,
-)
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
@@ -24,6 +17,13 @@ from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS
 from asbuilt.identification.information.estimate import Estimate, Refit
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.identification.uncertainty.block_scatter import COVERED
+from asbuilt.identification.uncertainty.uncertainty import (
+    FEWEST_BLOCKS,
+    Uncertainty,
+    block_scores,
+    choose_error_basis,
+)
 
 Seed = np.random.Generator | int | None
 

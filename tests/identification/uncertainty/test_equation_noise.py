@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from asbuilt.identification.uncertainty.pose_noise import solve_equation_variances
 
 

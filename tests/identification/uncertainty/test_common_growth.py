@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.block_scatter import BlockScores
-from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
 from scipy.signal import fftconvolve, lfilter
 
 from asbuilt.arrays import Array
@@ -21,6 +19,8 @@ from asbuilt.identification import (
 )
 from asbuilt.identification.information.held_out import group_different_motions
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.block_scatter import BlockScores
+from asbuilt.identification.uncertainty.uncertainty import estimate_scatter
 
 MODEL = load_robot("scara")
 BASE = find_base_parameters(MODEL, DriveSet.parse("viscous,offset"))

@@ -10,8 +10,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.block_scatter import ErrorKind
-from asbuilt.identification.uncertainty.nonlinear_errors import estimate_nonlinear_errors
 
 from asbuilt.description import bundled_robot
 from asbuilt.dynamics import DriveSet, drive_torque, inverse_dynamics, observation_matrix
@@ -27,6 +25,8 @@ from asbuilt.identification import (
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.identify import set_link_parameters
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.block_scatter import ErrorKind
+from asbuilt.identification.uncertainty.nonlinear_errors import estimate_nonlinear_errors
 from asbuilt.tables import round_with_error
 from asbuilt.workflow import StudyOptions, identify
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 from tests.identification.uncertainty.test_common_growth import (
     BASE,
     MODEL,
@@ -25,6 +24,7 @@ from asbuilt.identification import (
     widening,
 )
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.uncertainty import estimate_recording_variances
 
 WEIGHTS = np.ones(MODEL.n_joints)
 

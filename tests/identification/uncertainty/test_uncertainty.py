@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 from asbuilt.description import load_robot
 from asbuilt.dynamics import DriveSet, find_base_parameters, observation_matrix
 from asbuilt.experiment import Samples
 from asbuilt.identification import estimate_block_uncertainty, fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.uncertainty.uncertainty import FEWEST_BLOCKS
 
 RATE = 50.0
 BLOCKS = 40

@@ -6,6 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from scipy import stats
+
+from asbuilt.codec import make_plain, restore_dataclass
+from asbuilt.errors import ResultError
+from asbuilt.identification import widening
 from asbuilt.identification.uncertainty.block_scatter import (
     MOST_GROUPS,
     BlockScatter,
@@ -13,11 +18,6 @@ from asbuilt.identification.uncertainty.block_scatter import (
     student_probability,
     sum_degrees,
 )
-from scipy import stats
-
-from asbuilt.codec import make_plain, restore_dataclass
-from asbuilt.errors import ResultError
-from asbuilt.identification import widening
 from asbuilt.validation.comparison.significance import joint_test
 
 
